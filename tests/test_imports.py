@@ -85,7 +85,7 @@ LAYERS = (
     {"self_calibration"},
     {"localization"},
     {"loop_closure"},
-    {"display", "map_joining", "scan_localization", "trajectory_check"},
+    {"display", "scan_localization", "trajectory_check"},
     {"final_map", "assessment", "graph_condenser"},
     {"system", "output_log", "prepared_log"},
     {"live_slam", "provenance"},

@@ -13,6 +13,7 @@ from rosbags.rosbag1 import Writer
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
+from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.summary import summarize
@@ -53,6 +54,22 @@ def test_every_kind_of_bag_holds_the_same(bags: dict[str, Path], name: str) -> N
     with LogReader(bags[name]) as reader, LogReader(bags["mcap"]) as plain:
         assert reader.topics() == plain.topics()
         assert reader.counters == {}
+
+
+def test_bag_holds_the_records_of_the_drive(bags: dict[str, Path]) -> None:
+    expected = [
+        record for _, _, record in keep_until(drive(), 12.0) if isinstance(record, (Odometry, ObjectDetections))
+    ]
+    with LogReader(bags["mcap"]) as reader:
+        entries = reader.records(select_topics(reader.topics()))
+        found = [entry.record for entry in entries if isinstance(entry.record, (Odometry, ObjectDetections))]
+    assert [(type(each), each.stamp_ns) for each in found] == [(type(each), each.stamp_ns) for each in expected]
+    for a, b in zip(found, expected, strict=True):
+        if isinstance(b, Odometry):
+            np.testing.assert_allclose(a.T_odom_body, b.T_odom_body, atol=1e-12)
+        else:
+            assert (a.labels, a.frame_id) == (b.labels, b.frame_id)
+            np.testing.assert_array_equal(a.positions, b.positions)
 
 
 def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:

@@ -34,6 +34,7 @@ from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import survey
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.system import Slam
+from tests.helpers.data import KITTI, needs_kitti
 from tests.helpers.short_drives import (
     change,
     final_status,
@@ -44,7 +45,6 @@ from tests.helpers.short_drives import (
     run,
     write_log,
 )
-from tests.slam.evaluation.drives import KITTI, needs_kitti
 
 KINDS = {
     "/slam/pose": SlamPose,

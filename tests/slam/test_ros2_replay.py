@@ -10,8 +10,7 @@ import pytest
 
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
 from slam.common.config import Config
-from slam.common.errors import InputDataError
-from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import ReplaySummary
@@ -79,43 +78,3 @@ def test_detections_without_any_frame_are_told(tmp_path: Path) -> None:
             values["header"]["frame_id"] = ""
     summary, _ = replayed(tmp_path, messages)
     assert summary.counters["detections_without_frame"] == summary.counters["detections_used"] > 200
-
-
-def in_images() -> list[Message]:
-    """The drive with a camera that looks ahead and down, and boxes whose feet are where the objects meet the ground."""
-    K = np.array([[300.0, 0.0, 640.0], [0.0, 300.0, 360.0], [0.0, 0.0, 1.0]])
-    R = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    T_body_camera = make_transform(R, np.array([0.0, 0.0, 2.0]))
-    found: list[Message] = []
-    for topic, log_time_ns, record in keep_until(drive(), SECONDS):
-        if not isinstance(record, ObjectDetections):
-            found += ros2_messages([(topic, log_time_ns, record)])
-            continue
-        feet = apply(invert(T_body_camera), record.positions * [1.0, 1.0, 0.0])
-        boxes = []
-        for label, foot in zip(record.labels, feet, strict=True):
-            u, v = (K @ foot / foot[2])[:2].tolist() if foot[2] > 1.0 else (-1.0, -1.0)
-            if 0.0 <= u <= 1280.0 and v <= 720.0:
-                size = 300.0 / foot[2]
-                box = {"center": {"position": {"x": u, "y": v - size / 2.0}}, "size_x": size / 2.0, "size_y": size}
-                boxes.append({"results": [{"hypothesis": {"class_id": label, "score": 1.0}}], "bbox": box})
-        values = {"header": header(record.stamp_ns, "camera"), "detections": boxes}
-        found.append(("/boxes", "vision_msgs/msg/Detection2DArray", log_time_ns, values))
-    start_ns = found[0][2]
-    calibration = {"header": header(start_ns, "camera"), "k": K, "width": 1280, "height": 720}
-    found.append(("/camera_info", "sensor_msgs/msg/CameraInfo", start_ns, calibration))
-    return [*found, _tf(start_ns, "base_link", "camera", T_body_camera)]
-
-
-@pytest.mark.slow
-def test_objects_in_images_are_mapped_on_the_ground(tmp_path: Path) -> None:
-    summary, ate_m = replayed(tmp_path, in_images())
-    assert ate_m < 0.05
-    assert summary.counters["landmarks_confirmed"] > 10
-    assert summary.counters["objects_used"] > 500
-
-
-def test_objects_in_images_without_a_calibrated_camera_are_refused(tmp_path: Path) -> None:
-    messages = [message for message in in_images() if message[0] != "/camera_info"]
-    with pytest.raises(InputDataError, match="no CameraInfo has their frame: record it"):
-        replayed(tmp_path, messages)

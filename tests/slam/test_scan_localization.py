@@ -13,8 +13,8 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, yaw_rad
 from slam.scan_localization import ScanLocalization, ScanLocalizer
-from tests.helpers.long_street import generate_street
-from tools.lab.retrieval.labelled_map import LabelledMap, labelled_map
+from tests.helpers.long_street import start_of_street
+from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.paper import localizer_config
 from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, draw_queries
 
@@ -25,10 +25,7 @@ EXACT = localizer_config("descriptellation_lr")
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
     """The first part of the street."""
-    world = generate_street(rng=np.random.default_rng(0))
-    objects, tour = labelled_map(world), world.tour[:200]
-    near = np.flatnonzero(np.min([np.hypot(*(objects.positions[:, :2] - p).T) for p in tour], axis=0) < 30.0)
-    return LabelledMap(objects.positions[near], objects.labels[near], objects.vocabulary), tour
+    return start_of_street(200)
 
 
 @pytest.fixture(scope="module")

@@ -28,10 +28,10 @@ from slam.evaluation.evaluate import find_aliases
 from slam.evaluation.inputs.synchronization import clean_poses
 from slam.evaluation.metrics.association import identify_landmarks, label_detections
 from slam.final_map import FinalMap
-from slam.frontend import mapper
 from slam.simulation.config import KidnapConfig, SimulationConfig, TrafficConfig
 from slam.system import Slam
 from tests.helpers.short_drives import (
+    EXACT,
     EXACT_SENSOR,
     NO_DRIFT,
     Entry,
@@ -147,20 +147,17 @@ def test_with_default_noise_detections_go_to_the_right_landmarks(noisy_drive, tm
     assert found.results["landmarks"]["p95_error_m"] < 0.1
 
 
-@pytest.mark.slow
-def test_online_estimate_is_a_fifth_better_than_the_odometry(noisy_drive, tmp_path):
-    found = run(noisy_drive, tmp_path / "out.mcap")
-    assert found.online.absolute.rmse_m < 0.8 * found.odometry.absolute.rmse_m
+def test_with_default_noise_landmarks_hold_the_trajectory(tmp_path):
+    """Mean of three drives, because the odometry of one drifts little by chance."""
+    drives = [run(drive(SimulationConfig(), seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2, 3)]
+    odometry_m = sum(each.odometry.absolute.rmse_m for each in drives)
+    assert sum(each.online.absolute.rmse_m for each in drives) < 0.5 * odometry_m
+    assert sum(each.estimate.absolute.rmse_m for each in drives) < 0.2 * odometry_m
 
 
 # Traffic
 
 TRAFFIC = TrafficConfig(vehicles=4, min_speed_mps=4.0)
-
-
-@pytest.fixture(scope="module")
-def traffic_drive() -> list[Entry]:
-    return drive(SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR, traffic=TRAFFIC), seed=3)
 
 
 def confirmed_objects(entries: list[Entry], config: Config | None = None) -> list[str]:
@@ -171,26 +168,12 @@ def confirmed_objects(entries: list[Entry], config: Config | None = None) -> lis
     )
 
 
-def test_among_traffic_what_stands_still_stays_in_the_map_parked_vehicles_too(traffic_drive):
-    world = block_world()
-    assert "vehicle" in world.labels
-    assert set(world.object_ids) <= set(confirmed_objects(traffic_drive))
-
-
-def test_what_moves_is_not_confirmed():
+def test_what_moves_is_not_confirmed_and_what_is_parked_is():
     """But for one: a vehicle that turns round at the end of the street goes nowhere for a second."""
     found = confirmed_objects(drive(SimulationConfig(traffic=TRAFFIC), seed=1))
     assert len([name for name in found if name.startswith("moving")]) <= 1
-
-
-def test_following_what_moves_keeps_most_slow_traffic_out_of_the_map(monkeypatch):
-    entries = drive(SimulationConfig(traffic=TrafficConfig(vehicles=8, min_speed_mps=2.0, max_speed_mps=5.0)), seed=1)
-    counts = []
-    for ranges_per_s in (mapper.MOVING_RANGES_PER_S, 2.0):
-        monkeypatch.setattr(mapper, "MOVING_RANGES_PER_S", ranges_per_s)
-        counts.append(sum(name.startswith("moving") for name in confirmed_objects(entries, Config())))
-    followed, not_followed = counts
-    assert followed < 0.5 * not_followed
+    assert "vehicle" in block_world().labels
+    assert set(block_world().object_ids) <= set(found)
 
 
 # The truth is never read
@@ -226,43 +209,7 @@ def test_without_truth_or_with_another_truth_the_result_is_the_same(noisy_drive)
     same_results(reference, finished(untrue))
 
 
-def test_twin_other_detections_give_another_result(noisy_drive):
-    entries = keep_until(noisy_drive, 10.0)
-
-    def shift(_: int, detections: ObjectDetections) -> ObjectDetections:
-        return replace(detections, positions=detections.positions + 1e-3)
-
-    with pytest.raises(AssertionError):
-        same_results(finished(entries), finished(change(entries, ObjectDetections, shift)))
-
-
 # Frames and order
-
-
-def test_where_the_odometry_begins_does_not_matter(noisy_drive):
-    entries = keep_until(noisy_drive, 10.0)
-    T_new_odom = transform_from_xyz_yaw(np.array([30.0, -20.0, 5.0]), 1.2)
-
-    def move(_: int, odometry: Odometry) -> Odometry:
-        return replace(odometry, T_odom_body=T_new_odom @ odometry.T_odom_body)
-
-    here, there = finished(entries), finished(change(entries, Odometry, move))
-    np.testing.assert_allclose(there.trajectory.T_map_body, T_new_odom @ here.trajectory.T_map_body, atol=1e-4)
-    assert here.object_map.states == there.object_map.states
-
-
-def test_detections_in_a_sensor_frame_are_as_good_as_in_the_body_frame(noisy_drive):
-    entries = keep_until(noisy_drive, 10.0)
-    T_body_lidar = transform_from_xyz_yaw(np.array([1.2, 0.3, 1.7]), 0.5)
-
-    def to_lidar(_: int, detections: ObjectDetections) -> ObjectDetections:
-        homogeneous = np.pad(detections.positions, ((0, 0), (0, 1)), constant_values=1.0)
-        return replace(detections, frame_id="lidar", positions=(homogeneous @ invert(T_body_lidar).T)[:, :3])
-
-    mounted = [("/tf_static", entries[0][1], Transform(entries[0][1], "base_link", "lidar", T_body_lidar))]
-    a, b = finished(entries), finished([*mounted, *change(entries, ObjectDetections, to_lidar)])
-    np.testing.assert_allclose(a.trajectory.T_map_body, b.trajectory.T_map_body, atol=1e-5)
-    np.testing.assert_allclose(a.object_map.positions, b.object_map.positions, atol=1e-5)
 
 
 def test_detections_between_two_odometry_messages_are_placed_between_them(exact_drive):
@@ -284,29 +231,6 @@ def test_detections_that_are_logged_before_the_odometry_of_their_time_are_all_us
     np.testing.assert_allclose(a.object_map.positions, b.object_map.positions, atol=1e-6)
 
 
-def test_two_sensors_that_see_at_the_same_time_are_both_used(exact_drive):
-    """The left half of each scan comes from one sensor, the right half from another, at the same stamp."""
-    entries = keep_until(exact_drive, 8.0)
-    halves: list[Entry] = []
-    for topic, stamp_ns, record in entries:
-        if not isinstance(record, ObjectDetections):
-            halves.append((topic, stamp_ns, record))
-            continue
-        left = record.positions[:, 1] > 0.0
-        for sensor, chosen in (("left", left), ("right", ~left)):
-            labels = tuple(label for label, is_chosen in zip(record.labels, chosen, strict=True) if is_chosen)
-            half = replace(
-                record, frame_id=sensor, positions=record.positions[chosen], labels=labels,
-                scores=record.scores[chosen], covariances=None, sizes=None, track_ids=None,
-            )  # fmt: skip
-            halves.append((topic, stamp_ns, half))
-    both = Config().calibrated({"detection.assume_body_frame": True})
-    whole, split = finished(entries, both), finished(halves, both)
-    assert split.status.counters["objects_used"] == whole.status.counters["objects_used"]
-    assert "detections_duplicated" not in split.status.counters
-    assert split.status.counters["landmarks_confirmed"] >= 0.95 * whole.status.counters["landmarks_confirmed"]
-
-
 # What it says meanwhile
 
 
@@ -325,9 +249,6 @@ def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frame
     assert {(frame.parent_frame_id, frame.child_frame_id) for frame in frames} == {("map", "odom")}
 
 
-EXACT_KIDNAP = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR)
-
-
 SHORT_SIGHTED_KIDNAP = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR.model_copy(update={"max_range_m": 12.0}))
 
 
@@ -336,7 +257,7 @@ def kidnapped(config: SimulationConfig) -> list[Entry]:
 
 
 def test_kidnapping_within_view_of_known_landmarks_is_followed():
-    entries = kidnapped(EXACT_KIDNAP)
+    entries = kidnapped(EXACT)
     final = finished(entries)
     assert "odometry_breaks" not in final.status.counters
     truth = {record.stamp_ns: record.T_world_body for _, _, record in entries if isinstance(record, GroundTruthPose)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,80 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dslam import Config, LogError, Slam
-from logs.messages import ObjectDetections, Odometry, Record, Transform
+from logs.messages import ObjectDetections, Odometry, Transform
 from logs.writer import LogWriter
 from tests.tools.runs import Result, Run
 
-POSES = "".join(f"{second} {second} 0 0 0 0 0 1\n" for second in range(10))
-"""TUM: a metre a second along x."""
 ROWS = [(second, 5 - second, 2.0) for second in range(10)]
-TABLE = "stamp_s,x_m,y_m,label\n" + "".join(f"{t},{x},{y},tree\n" for t, x, y in ROWS)
 DATES = "time,x_m,y_m,yaw\n" + "".join(f"2024-05-01T12:00:{second:02d}Z,{second},0,0\n" for second in range(10))
 MAP = "x_m,y_m,label\n0,0,tree\n5,0,tree\n0,7,pole\n6,8,tree\n"
 GRID = "x_m,y_m\n385000,6670000\n385005,6670000\n385000,6670007\n385006,6670008\n"
 PLACES = "lat,lon,label\n60.1,24.9,tree\n60.1001,24.9,tree\n60.1,24.9002,pole\n60.1002,24.9001,tree\n"
-
-
-@dataclass(frozen=True)
-class Text:
-    """``dslam import`` of text files: ``told`` is printed; ``code``: 0 if it is read."""
-
-    told: str
-    code: int = 2
-    detections: str = TABLE
-    odometry: str = POSES
-    options: tuple[str, ...] = ()
-
-
-TEXTS = {
-    "a column that looks like a label": Text(
-        "columns left out: kind_of_thing", 0, TABLE.replace("label", "kind_of_thing")
-    ),
-    "labels in Chinese": Text("10 objects detected", 0, TABLE.replace("tree", "路灯")),
-    "ISO 8601": Text(
-        "10 objects detected",
-        0,
-        "time,x_m,y_m\n" + "".join(f"2024-05-01T12:00:{t:02d}Z,{x},{y}\n" for t, x, y in ROWS),
-        DATES,
-    ),
-    "datetimes of pandas": Text(
-        "10 objects detected",
-        0,
-        "time,x_m,y_m\n" + "".join(f"2024-05-01 12:00:{t:02d}+00:00,{x},{y}\n" for t, x, y in ROWS),
-        DATES,
-    ),
-    "dates in a path without a header": Text(
-        "or a first line that names the columns", odometry=DATES.partition("\n")[2]
-    ),
-    "line ends of Windows": Text("10 objects detected", 0, TABLE.replace("\n", "\r\n")),
-    "a byte order mark": Text("10 objects detected", 0, "\ufeff" + TABLE),
-    "decimal commas": Text("write it with a decimal point", detections=TABLE.replace(",", ";").replace("2.0", "2,0")),
-    "no header": Text("detections.csv", detections=TABLE.partition("\n")[2]),
-    "stamps that go backwards": Text(
-        "0.5 comes after a later stamp; sort the lines", detections=TABLE + "0.5,1,1,tree\n"
-    ),
-    "stamps in milliseconds": Text(
-        "give the stamps in seconds, or call the column by its unit",
-        odometry="".join(f"{90000 * t} {t} 0 0 0 0 0 1\n" for t in range(10)),
-        detections="stamp_s,x_m,y_m\n" + "".join(f"{90000 * t},{x},{y}\n" for t, x, y in ROWS),
-    ),
-    "another clock": Text("outside", detections="".join(TABLE.replace("\n", "\n17")[:-2])),
-    "degrees as metres": Text(
-        "no column for x among stamp_s, lat, lon", detections=TABLE.replace("x_m,y_m", "lat,lon")
-    ),
-}
-
-
-@pytest.mark.parametrize("name", TEXTS)
-def test_import_of_text_files(dslam: Run, tmp_path: Path, name: str) -> None:
-    case = TEXTS[name]
-    (tmp_path / "detections.csv").write_text(case.detections, encoding="utf-8", newline="")
-    (tmp_path / "odometry.tum").write_text(case.odometry, encoding="utf-8")
-    files = ("--odometry", tmp_path / "odometry.tum", "--detections", tmp_path / "detections.csv")
-    check(dslam("import", "csv", tmp_path / "drive.mcap", *files, *case.options), case.code, case.told)
-    assert (tmp_path / "drive.mcap").exists() == (case.code == 0)
-    assert not (tmp_path / "drive.mcap.part").exists()
 
 
 @pytest.mark.parametrize(
@@ -169,28 +104,3 @@ def check(result: Result, code: int, told: str) -> None:
     assert result.code == code, text
     assert told in text, text
     assert code == 0 or result.err.count("\n") == 1
-
-
-MALFORMED: dict[str, tuple[Record, str]] = {
-    "a scaled rotation": (Odometry(0, np.diag([2.0, 2.0, 2.0, 1.0])), "not a rotation"),
-    "a mirrored rotation": (Odometry(0, np.diag([1.0, -1.0, 1.0, 1.0])), "not a rotation"),
-    "a transposed transform": (Odometry(0, np.eye(4) + np.eye(4, k=-3)), "a transform maps columns"),
-    "seconds for nanoseconds": (Odometry(1.5, np.eye(4)), "whole number of nanoseconds"),
-    "positions in the plane": (
-        ObjectDetections(0, "base_link", np.ones((1, 2)), ("tree",), np.ones(1)),
-        "give a float64 array of shape (1, 3)",
-    ),
-    "a list of positions": (
-        ObjectDetections(0, "base_link", [[1, 2, 3]], ("tree",), np.ones(1)),
-        "list; give a float64",
-    ),
-    "labels as one text": (ObjectDetections(0, "base_link", np.ones((1, 3)), "tree", np.ones(1)), "not a tuple"),
-}
-
-
-@pytest.mark.parametrize("name", MALFORMED)
-def test_records_of_programs(name: str) -> None:
-    record, told = MALFORMED[name]
-    with pytest.raises(LogError) as caught:
-        Slam(Config()).process(record)
-    assert told in str(caught.value)

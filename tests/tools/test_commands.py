@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.messages import LoopClosureRecord, Odometry, Transform
-from logs.reader import LogReader
-from logs.selection import select_all
+from logs.messages import LoopClosureRecord, Odometry
 from logs.writer import LogWriter
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 from tools import console
@@ -34,12 +32,11 @@ class TestJson:
             result = dslam(*arguments, "--json")
             assert result.code == 0, result.err
             assert result.err == ""
-            assert isinstance(json.loads(result.out), dict)
-
-    def test_replay_tells_what_it_did(self, dslam: Run, tmp_path: Path) -> None:
-        told = json.loads(dslam("replay", SAMPLE, "-o", tmp_path / "c.mcap", "--json").out)
-        assert told["counters"]["odometry_used"] == 164
-        assert told["counters"]["landmarks_confirmed"] > 20
+            told = json.loads(result.out)
+            assert isinstance(told, dict)
+            if arguments[0] == "replay":
+                assert told["counters"]["odometry_used"] == 164
+                assert told["counters"]["landmarks_confirmed"] > 20
 
     def test_evaluation_goes_to_a_file_too(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         written = tmp_path / "written.json"
@@ -56,21 +53,13 @@ class TestRequirements:
         assert [line.split()[1] for line in met] == ["trajectory.ate_m", "landmarks.precision"]
         assert met[0].endswith(" <= 1")
 
-    @pytest.mark.parametrize(
-        ("bar", "told"),
-        [
-            ("trajectory.ate_m<=0.000001", "trajectory.ate_m is"),
-            ("trajectory.ate<=1", "did you mean trajectory.ate_m?"),
-            ("trajectory.rpe_translation_percent<=1", "undefined"),
-        ],
-    )
-    def test_not_met(self, dslam: Run, mapped: Path, bar: str, told: str) -> None:
-        result = dslam("evaluate", mapped, "--require", bar)
+    def test_not_met(self, dslam: Run, mapped: Path) -> None:
+        result = dslam("evaluate", mapped, "--require", "trajectory.ate_m<=0.000001")
         assert result.code == 1
         assert "ATE" in result.out
         assert "met:" not in result.out
         assert result.err.count("\n") == 1
-        assert told in result.err
+        assert "trajectory.ate_m is" in result.err
 
     def test_malformed(self, dslam: Run, mapped: Path) -> None:
         assert_refused(dslam("evaluate", mapped, "--require", "trajectory.ate_m=4"), "expected for example")
@@ -79,18 +68,8 @@ class TestRequirements:
 class TestFromEndToEnd:
     def test_simulate_replay_evaluate_export(self, dslam: Run, tmp_path: Path) -> None:
         drive, output, picture = tmp_path / "drive.mcap", tmp_path / "map.mcap", tmp_path / "map.png"
-        made = dslam(
-            "simulate",
-            drive,
-            "--seed",
-            2,
-            "--length",
-            100,
-            "--set",
-            "sensor.dropout=0.2",
-            "--set",
-            "traffic.vehicles=1",
-        )
+        settings = ("--set", "sensor.dropout=0.2", "--set", "traffic.vehicles=1")
+        made = dslam("simulate", drive, "--seed", 2, "--length", 100, *settings)
         assert made.code == 0
         assert "street-grid (seed 2)" in " ".join(made.out.split())
         replayed = dslam("replay", drive, "-o", output, "--picture", picture, "--set", "keyframe.distance_m=3")
@@ -140,45 +119,26 @@ class TestFromEndToEnd:
                 if query == 50:
                     record = replace(record, log_likelihood_ratio=23.5, odometry_penalty=1.25)
                 writer.write("/slam/closures", record, 10**18)
-        result = dslam("info", log, "--closures")
-        assert "# of [tree] agree" in result.out
-        listed = [line.split()[:3] for line in result.out.splitlines() if line.endswith(" of [tree] agree")]
+        out = dslam("info", log, "--closures").out
+        assert "# of [tree] agree" in out
+        listed = [line.split()[:3] for line in out.splitlines() if line.endswith(" of [tree] agree")]
         assert listed == [[str(query), "0", f"{query}.0"] for query in range(40)]
-        assert "and 20 more" in result.out
+        assert "and 20 more" in out
         assert dslam("info", log, "--all").out.count("registration  ") == 59 + 1
-        one = dslam("info", log, "--keyframe", 50)
-        assert ("LLR" in one.out, "penalty" in one.out) == (True, True)
-        assert one.out.splitlines()[-1].split()[3:6] == ["inf", "23.5", "1.25"]
-        assert "50 of [tree] agree" in one.out
-        assert len(one.out.splitlines()) == 3
+        _, heading, row = dslam("info", log, "--keyframe", 50).out.splitlines()
+        assert {"LLR", "penalty"} < set(heading.split())
+        assert row.split()[3:6] == ["inf", "23.5", "1.25"]
         assert "keyframe 60 is not the query of a loop-closure candidate" in dslam("info", log, "--keyframe", 60).out
         assert "closure_candidates" not in json.loads(dslam("info", log, "--json").out)
         every = json.loads(dslam("info", log, "--json", "--closures").out)["closure_candidates"]
         assert [candidate["query_keyframe_id"] for candidate in every] == list(range(60))
         assert (every[50]["time_s"], every[50]["accepted"], every[50]["score"]) == (50.0, True, None)
-        assert (every[50]["log_likelihood_ratio"], every[49]["log_likelihood_ratio"]) == (23.5, None)
-        assert len(json.loads(dslam("info", log, "--json", "--keyframe", 3).out)["closure_candidates"]) == 1
 
     def test_info_says_why_a_replay_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
         log = write_log(tmp_path / "log.mcap", detections=())
         result = dslam("info", log)
         assert result.code == 0
         assert "no topic gives detections" in result.out
-
-    def test_odometry_is_taken_from_where_the_replay_took_it(self, dslam: Run, tmp_path: Path) -> None:
-        log, output = tmp_path / "log.mcap", tmp_path / "map.mcap"
-        with LogReader(SAMPLE) as reader, LogWriter(log) as writer:
-            for entry in reader.records(select_all(info for info in reader.topics() if info.topic != "/tf")):
-                writer.write(entry.topic, entry.record, entry.log_time_ns)
-                if isinstance(entry.record, Odometry):
-                    T_odom_body = entry.record.T_odom_body
-                    writer.write("/tf", Transform(entry.record.stamp_ns, "odom", "base_link", T_odom_body))
-                    writer.write("/wheels", entry.record, entry.log_time_ns)
-        assert dslam("replay", log, "-o", output, "--topic", "odometry=/tf").code == 0
-        told = json.loads(dslam("evaluate", output, "--json").out)
-        assert "odometry" not in told["unavailable"]
-        named = json.loads(dslam("evaluate", output, "--json", "--topic", "odometry=/tf").out)
-        assert told["trajectory"]["odometry_ate_m"] == named["trajectory"]["odometry_ate_m"] > 0.0
 
     @pytest.mark.parametrize("width", [20, 40])
     def test_a_narrow_terminal_loses_no_digit(
@@ -196,10 +156,6 @@ class TestFromEndToEnd:
             "trajectory", "landmarks", "associations", "closures", "relocalization", "calibration"
         ]  # fmt: skip
         assert "absolute.rmse_m" in dslam("evaluate", mapped, "--all").out
-
-    def test_truth_of_another_log(self, dslam: Run, mapped: Path) -> None:
-        with_reference = dslam("evaluate", mapped, "--reference", SAMPLE, "--json")
-        assert json.loads(with_reference.out) == json.loads(dslam("evaluate", mapped, "--json").out)
 
     def test_configuration_goes_round(self, dslam: Run, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-
 from logs.reader import LogReader
 from slam.simulation.faults.registry import FAULTS
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
@@ -41,17 +39,6 @@ def test_a_summary_for_people(dslam: Run, tmp_path: Path) -> None:
     assert f"{DETECTIONS - TREES} after, {DETECTIONS} before" in result.out
     assert f"drop_label=tree: {FAULTS['drop_label'].meaning}" in result.out
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("option", [("--fault", "dropout=0.3"), ("--fault", "reversed")])
-def test_what_comes_out_can_be_mapped_and_evaluated(dslam: Run, tmp_path: Path, option: tuple[object, ...]) -> None:
-    log, mapped = tmp_path / "log.mcap", tmp_path / "map.mcap"
-    assert dslam("degrade", SAMPLE, "-o", log, *option).code == 0
-    replayed = dslam("replay", log, "-o", mapped)
-    assert replayed.code == 0
-    assert "warnings      none" in replayed.out
-    assert dslam("evaluate", mapped, "--require", "trajectory.ate_m<=1.0").code == 0
 
 
 def test_list_has_every_fault_with_its_meaning(dslam: Run) -> None:

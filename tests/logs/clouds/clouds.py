@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.messages import FloatArray
-
-DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).resolve().parents[4] / "shared" / "data"))
-SCANS, KITTI = DATA / "scans", DATA / "kitti00"
-
-
-needs_scans = pytest.mark.skipif(
-    not SCANS.is_dir() or not KITTI.is_dir(), reason=f"no scans in {DATA}; set DSLAM_DATA to the folder that holds them"
-)
 
 
 def post(x_m: float, y_m: float, *, radius_m: float = 0.15, height_m: float = 3.0) -> FloatArray:

@@ -15,7 +15,8 @@ from logs.importers.imported_log import ImportSummary, write_imported_log
 from logs.messages import FloatArray, GroundTruthPose, ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from tests.logs.clouds.clouds import KITTI, SCANS, needs_scans, post
+from tests.helpers.data import KITTI, SCANS, needs_scans
+from tests.logs.clouds.clouds import post
 
 R_CAMERA_VELODYNE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 STEP_M = 1.0

@@ -25,7 +25,7 @@ def test_only_stamp_x_and_y_are_needed() -> None:
 @pytest.mark.parametrize(
     ("name", "cell"),
     [("stamp", "1.5"), ("Timestamp", "1.5"), ("time [s]", "1.5"), ("t_ms", "1500"), ("stamp_us", "1.5e6"),
-     ("timestamp_ns", "1500000000")],
+     ("timestamp_ns", "1500000000"), ("time", "1970-01-01T00:00:01.5Z"), ("time", "1970-01-01 00:00:01.500000+00:00")],
 )  # fmt: skip
 def test_names_and_units_of_stamps(name: str, cell: str) -> None:
     assert read(f"{name},x,y\n{cell},1,2\n").stamps.stamps_ns.tolist() == [1_500_000_000]

@@ -64,6 +64,15 @@ def test_packed_files_give_the_same_records_and_the_same_bytes_each_time(drive: 
         assert (type(a), a.stamp_ns) == (type(b), b.stamp_ns)
 
 
+@pytest.mark.parametrize("content", [DETECTIONS.replace("\n", "\r\n"), "\ufeff" + DETECTIONS])
+def test_line_ends_of_windows_and_a_byte_order_mark_change_nothing(drive: TextDrive, content: str) -> None:
+    plain = read_text_log(**drive.files())
+    (drive.root / "detections.csv").write_text(content, encoding="utf-8", newline="")
+    found = read_text_log(**drive.files())
+    assert found.detections.labels == plain.detections.labels
+    np.testing.assert_array_equal(found.detections.positions, plain.detections.positions)
+
+
 def test_a_damaged_archive_is_refused(drive: TextDrive) -> None:
     path = drive.write("odometry.tum.gz", TUM)
     path.write_bytes(path.read_bytes()[:-9])

@@ -26,6 +26,7 @@ from tests.slam.backend.graphs import (
     edge,
     noisy_edges,
     sightings,
+    true_poses,
 )
 
 
@@ -62,13 +63,15 @@ def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
     assert all(not isinstance(f, Observation) or f.landmark not in (2, 4) for f in graph.factors.values())
 
 
-def test_a_landmark_removed_before_any_update_leaves_nothing_behind():
-    graph = build(noisy_edges(), [])
-    graph.add_observations([Observation(3, 1, np.array([5.0, 0, 0]), SEEN_COVARIANCE)])
-    graph.remove_landmarks([1])
+def test_a_landmark_that_comes_and_goes_between_two_updates_was_never_there() -> None:
+    edges, observations = noisy_edges(), sightings()
+    graph, twin = build(edges, observations), build(edges, observations)
+    seen = np.array([3.0, 1.0, 0.5])
+    graph.add_observations([Observation(k, 99, seen, SEEN_COVARIANCE) for k in (3, 4)])
+    graph.remove_landmarks([99])
     graph.update()
-    assert graph.landmarks.tolist() == []
-    assert graph.optimize().converged
+    assert 99 not in graph.landmarks
+    np.testing.assert_array_equal(graph.poses(), twin.poses())
 
 
 @pytest.mark.parametrize(
@@ -204,3 +207,31 @@ def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
     graph.optimize()
     assert graph.pose(1)[0, 3] == pytest.approx(1.75, abs=1e-3)
     assert graph.factors[first].covariance[0, 0] == 0.03
+
+
+def test_landmarks_may_stand_for_others_and_for_themselves_again():
+    parts = {0: OFTEN_SEEN, 1: 98, 2: 99}
+    split = [replace(o, landmark=parts[o.keyframe % 3]) if o.landmark == OFTEN_SEEN else o for o in sightings()]
+    assert {98, 99, OFTEN_SEEN} <= {o.landmark for o in split}
+    graph, untouched = build(noisy_edges(), split), build(noisy_edges(), split)
+    graph.alias_landmarks({OFTEN_SEEN: 98, 99: 98})
+    graph.update()
+    assert {99, OFTEN_SEEN}.isdisjoint(graph.landmarks.tolist())
+    graph.alias_landmarks({OFTEN_SEEN: 99})
+    assert {98, 99} <= set(graph.landmarks.tolist())
+    assert OFTEN_SEEN not in graph.landmarks.tolist()
+    graph.alias_landmarks({})
+    assert graph.landmarks.tolist() == untouched.landmarks.tolist()
+    graph.optimize()
+    untouched.optimize()
+    assert_same_estimate(graph, untouched, atol=1e-4)
+
+
+def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> None:
+    T = true_poses()
+    graph = FactorGraph(PLAIN)
+    graph.add_first_keyframe(0, T[0])
+    graph.add_next_keyframe(noisy_edges()[0], invert(T[0]) @ T[1])
+    np.testing.assert_allclose(graph.pose(1), T[1], atol=1e-9)
+    graph.update()
+    np.testing.assert_allclose(graph.pose(1), T[0] @ noisy_edges()[0].T_from_to, atol=1e-4)

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
+from tests.helpers.data import KITTI
 
 START_NS = 1_700_000_000_000_000_000
-KITTI = Path(os.environ.get("DSLAM_DATA", Path(__file__).parents[4] / "shared" / "data")) / "kitti00"
-needs_kitti = pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI 00 in {KITTI}: set DSLAM_DATA")
 
 
 def stamps(count: int, rate_hz: float = 10.0) -> IntArray:

@@ -168,15 +168,23 @@ class TestDescriptorVerdict:
         other = Run("b", {"closures": {"recall": recall}}, configuration(*overrides), "1")
         return compare_runs([first, other], [self.CLOSURES]).descriptor_verdict
 
-    def test_says_that_another_descriptor_has_the_same_closures(self) -> None:
-        assert self.verdict(0.9, "loop_closure.descriptor=random").startswith("The descriptor decided nothing: ")
+    @pytest.mark.parametrize(
+        ("recall", "override", "verdict"),
+        [
+            (0.9, "loop_closure.descriptor=random", "The descriptor decided nothing: "),
+            (0.8, "loop_closure.descriptor=random", ""),
+            (0.9, "loop_closure.top_k=15", ""),
+        ],
+    )
+    def test_says_that_another_descriptor_has_the_same_closures(
+        self, recall: float, override: str, verdict: str
+    ) -> None:
+        found = self.verdict(recall, override)
+        assert found.startswith(verdict)
+        assert bool(found) == bool(verdict)
 
     @pytest.mark.parametrize("damaged", ["", "{", "[]", "{}"])
     def test_is_silent_about_unreadable_configuration(self, damaged: str) -> None:
         results = {"closures": {"recall": 0.9}}
         runs = [Run(name, results, text) for name, text in (("a", damaged), ("b", damaged), ("c", ""))]
         assert compare_runs(runs, [self.CLOSURES]).descriptor_verdict == ""
-
-    def test_is_silent_where_closures_differ_or_the_descriptor_does_not(self) -> None:
-        assert self.verdict(0.8, "loop_closure.descriptor=random") == ""
-        assert self.verdict(0.9, "loop_closure.top_k=15") == ""

@@ -215,6 +215,16 @@ def test_the_picture_is_in_the_map_frame() -> None:
     assert len(bare.estimate) == len(bare.truth) == len(bare.closures) == 0
 
 
+def test_odometry_is_taken_from_where_the_replay_took_it(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as writer:
+        writer.add_metadata("dslam", {"topics": '{"/tf": ["odometry"]}'})
+        writer.write("/wheels", Odometry(1, np.eye(4)))
+        writer.write("/tf", Transform(2, "odom", "base_link", np.eye(4)))
+    assert [each.stamp_ns for each in read_records(path).odometry] == [2]
+    assert [each.stamp_ns for each in read_records(path, topics={"odometry": "/wheels"}).odometry] == [1]
+
+
 @pytest.mark.parametrize("recorded", ["no json", "[]", '{"/odom": null}', '{"/gone": ["odometry"]}', '{"/odom": 3}'])
 def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded: str) -> None:
     path = tmp_path / "log.mcap"
@@ -222,3 +232,13 @@ def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded
         writer.add_metadata("dslam", {"topics": recorded})
         writer.write("/odom", Odometry(0, np.eye(4)))
     assert len(read_records(path).odometry) == 1
+
+
+def test_every_key_about_places_is_documented() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    lost = (StatusRecord(0, "LOST", "warning", ""), StatusRecord(10**9, "LOST", "warning", ""))
+    results = evaluate(EvaluationRecords(statuses=lost)).to_json_dict()
+    (loss,) = results["relocalization"]["losses"]
+    keys = {key for part in ("closures", "relocalization") for key in results[part]} | set(loss)
+    assert len(keys) > 50
+    assert {key for key in keys if key not in text and not key.startswith("revisit_count_")} == set()

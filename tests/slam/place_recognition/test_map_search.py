@@ -7,7 +7,7 @@ import pytest
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.place_recognition.map_search import MapSearch
+from slam.place_recognition.map_search import SAME_TURN_RAD, MapSearch, _Poses
 from slam.place_recognition.quad_index import build_quad_index
 
 SIGMA_M = 0.2
@@ -81,6 +81,16 @@ def test_query_of_too_few_objects_has_no_pose(count: int) -> None:
     positions, labels = town(50)
     found = searched(positions, labels).find_poses(np.zeros((count, 3)), labels[:count], sigma_m=SIGMA_M, count=5)
     assert found.shape == (0, 4, 4)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, np.pi])
+def test_of_poses_that_are_one_the_likeliest_is_kept(yaw: float) -> None:
+    search = searched(*town(50))
+    apart_m, turn_rad = 0.4 * search._spacing_m, 0.8 * SAME_TURN_RAD
+    middles = 20.0 + np.array([0.0, apart_m, apart_m * 1j, 2.0 * apart_m, 0.0])
+    poses = _Poses(middles, np.exp(1j * (yaw + np.array([0.0, turn_rad, -turn_rad, 0.0, 2.0 * turn_rad]))))
+    assert search._distinct(poses, np.array([5.0, 4.0, 3.0, 2.0, 1.0]), 5).tolist() == [0, 3, 4]
+    assert search._distinct(poses, np.arange(5.0), 2).tolist() == [4, 3]
 
 
 def test_class_without_objects_meets_nothing() -> None:

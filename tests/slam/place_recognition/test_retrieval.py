@@ -28,9 +28,9 @@ def after(travel_m: float) -> OdometryPose:
 class Places:
     """Landmarks around places, each seen at one travel, and a retriever that knows those left behind."""
 
-    def __init__(self) -> None:
-        self.map = ObjectMap(CONFIG.calibration.objects)
-        self.retriever = PlaceRetriever(CONFIG, self.map)
+    def __init__(self, config: Config = CONFIG) -> None:
+        self.map = ObjectMap(config.calibration.objects)
+        self.retriever = PlaceRetriever(config, self.map)
         self.labels = self.map.label_indices(("tree", "lamp", "bench", "bin"))
 
     def add(self, x_m: float, travel_m: float, *, segment: int = 0, seed: int = 1) -> np.ndarray:
@@ -127,3 +127,23 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
     found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
     assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]
+
+
+@pytest.mark.parametrize("sensor_range_m", [10.0, 100.0])
+def test_descriptors_see_lengths_in_sensor_ranges(places, sensor_range_m):
+    other = Places(Config.model_validate({"calibration": {"detection": {"sensor_range_m": sensor_range_m}}}))
+    query = places.query(0.0)
+    scaled = query.positions * sensor_range_m / CONFIG.sensor_range_m
+    seen, expected = (
+        each.retriever._constellations(positions, query.labels)
+        for each, positions in ((other, scaled), (places, query.positions))
+    )
+    np.testing.assert_allclose(seen.positions, expected.positions)
+
+
+def test_class_shares_are_those_of_what_is_indexed(places):
+    rows = places.add(50.0, 100.0)
+    places.retriever.index_inactive_landmarks(after(NOW_M))
+    shares = places.retriever.class_shares()
+    counts = 1.0 + np.bincount(places.map.classes(rows), minlength=len(places.map.vocabulary))
+    np.testing.assert_allclose(shares, counts / (COUNT + len(counts)))

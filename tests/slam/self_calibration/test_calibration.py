@@ -175,7 +175,10 @@ def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed
 def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
     zero = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
     silent = replace(surveyed, shared_bias_m=0.0, components=ComponentEstimate(zero, zero, 1000))
-    found = calibrate(Config(), silent).config.calibration.odometry
+    calibration = calibrate(Config(), silent)
+    assert {"odometry.yaw_sigma", "odometry.translation_sigma"} <= set(calibration.floors)
+    assert calibrate(Config(), surveyed).floors == ()
+    found = calibration.config.calibration.odometry
     assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_TURN_RAD)
     assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_DRIFT * surveyed.range_m)
 

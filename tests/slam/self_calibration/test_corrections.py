@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
+from slam.self_calibration import corrections
 from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, estimate_corrections
 from slam.self_calibration.object_tracks import ObjectTracks
 
@@ -94,9 +95,17 @@ def test_an_error_of_one_part_of_the_log_does_not_predict_the_others():
 def test_few_tracks_tell_nothing():
     motion = weaving()
     made = tracks(motion, delay_s=0.3)
-    few = made.track < 1
-    some = ObjectTracks(*(getattr(made, name)[few] for name in ObjectTracks.__dataclass_fields__))
-    assert estimate_corrections(some, motion) == ()
+    assert estimate_corrections(made.of(made.track < 1), motion) == ()
+
+
+def test_pairs_of_a_long_log_are_thinned_out_all_over_it(monkeypatch):
+    motion = weaving()
+    made = tracks(motion, delay_s=0.3)
+    monkeypatch.setattr(corrections, "MAX_PAIRS", 1000)
+    first, second = corrections._lagged(made)
+    assert 500 < len(first) <= 1000
+    assert set(second - first) == set(corrections.LAGS)
+    assert earned(made, motion)["delay_s"] == pytest.approx(0.3, abs=0.02)
 
 
 def test_a_few_wild_points_do_not_matter():
@@ -104,7 +113,4 @@ def test_a_few_wild_points_do_not_matter():
     made = tracks(motion, delay_s=0.3)
     wild: FloatArray = made.points.copy()
     wild[::50] += 30.0
-    spoilt = ObjectTracks(
-        made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights, made.rooms, made.steps
-    )
-    assert earned(spoilt, motion)["delay_s"] == pytest.approx(0.3, abs=0.02)
+    assert earned(replace(made, points=wild), motion)["delay_s"] == pytest.approx(0.3, abs=0.02)

@@ -12,6 +12,10 @@ from slam.self_calibration.variance_components import (
     ComponentEstimate,
     Motion,
     NoiseComponents,
+    _axes,
+    _Displacements,
+    _displacements,
+    _own_parts,
     estimate_components,
 )
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -261,6 +265,36 @@ def tilting(seed: int, *, tilt: float, rise: float, height: float) -> tuple[Obje
     heights = objects + np.einsum("ni,ni->n", tilts[tracks.scan], tracks.offsets) + rises[tracks.scan]
     heights += rng.normal(0.0, height, len(heights))
     return replace(tracks, heights=heights), replace(motion, height_m=np.zeros(len(steps)))
+
+
+def test_heights_count_from_the_body() -> None:
+    """On a mountain they are what they are at sea level."""
+    tracks, motion = tilting(0, tilt=0.01, rise=0.1, height=0.1)
+    body_m = np.linspace(90.0, 110.0, len(motion.time_s))
+    low = _displacements(tracks, motion, 1)
+    high = _displacements(
+        replace(tracks, heights=tracks.heights + body_m[tracks.scan]), replace(motion, height_m=body_m), 1
+    )
+    assert low is not None
+    assert high is not None
+    for name in ("x", "x_before", "x_turned"):
+        np.testing.assert_allclose(getattr(high, name), getattr(low, name), atol=1e-9)
+
+
+def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() -> None:
+    """A displacement has the noise of both detections; the first one's axes are turned against the second's."""
+    rng = np.random.default_rng(0)
+    x, x_before = (np.column_stack([rng.uniform(-20.0, 20.0, (50, 2)), np.zeros(50)]) for _ in range(2))
+    heights = np.column_stack([np.zeros((50, 2)), np.ones(50)])
+    still = _Displacements(heights, x, x_before, x_before, np.zeros(50, np.int64), np.zeros((1, 3)), np.zeros(1), 1.0)
+    parts = iter(_own_parts(still))
+    axes, axes_before = _axes(still), _axes(replace(still, x=x_before))
+    squares = [np.sum(each**2, axis=1)[:, None] for each in (x, x_before)]
+    for sigmas in ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0]):  # along the ray, and across it
+        noise = [np.diag(sigmas) @ axes, np.diag(sigmas) @ axes_before]
+        after, before = (np.sum((axes @ each.transpose(0, 2, 1)) ** 2, axis=2) for each in noise)
+        np.testing.assert_allclose(next(parts), after + before, atol=1e-9)
+        np.testing.assert_allclose(next(parts), after * squares[0] + before * squares[1], atol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "sigma"), [("tilt_by_travel", 0.01), ("rise_by_travel", 0.1), ("height", 0.3)])

@@ -88,13 +88,6 @@ def test_the_blocks_are_those_of_the_sandwich(is_trusted: bool) -> None:
     np.testing.assert_allclose(covariance_blocks(system, factors), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_without_anything_to_mend_they_are_the_inverse() -> None:
-    system = chain(40)
-    blocks = covariance_blocks(system, np.ones(len(system.residuals)))
-    inverse = np.linalg.inv((system.jacobian.T @ system.jacobian).toarray())
-    np.testing.assert_allclose(blocks[7], inverse[42:48, 42:48], rtol=1e-9, atol=1e-12)
-
-
 def test_the_noise_of_a_drive_is_found_axis_by_axis() -> None:
     rng = np.random.default_rng(1)
     system, found = chain(20 * STRETCH_STEPS + 1, closures=20), list[FloatArray]()

@@ -187,6 +187,15 @@ def test_a_minimum_could_not_be_lower() -> None:
     assert not _could_be_lower(graph, solved, parameters)
 
 
+def test_a_system_that_is_indeterminate_could_be_lower() -> None:
+    """Two poses that only their difference connects: no full step exists."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.BetweenFactorPose3(0, 1, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1.0)))
+    values.insert(0, gtsam.Pose3())
+    values.insert(1, gtsam.Pose3())
+    assert _could_be_lower(graph, values, gtsam.LevenbergMarquardtParams())
+
+
 # What is refused
 
 

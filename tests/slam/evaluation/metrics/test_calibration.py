@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import gtsam
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from logs.messages import FactorGraphRecord, GroundTruthPose, LoopClosureRecord, Record
+from logs.messages import GroundTruthPose, LoopClosureRecord, Record
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
@@ -20,6 +20,8 @@ from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.maps import frames, object_map
 from tests.slam.evaluation.results import at_json, graph
 
+Log = list[tuple[str, Record]]
+Change = Callable[[Log], Log]
 COUNT = 3000
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 2.4)
 ANISOTROPIC = np.diag([0.002, 0.003, 0.01, 0.5, 0.05, 0.1]) ** 2
@@ -89,7 +91,7 @@ def test_pose_errors_are_right_perturbations(size: float) -> None:
 
 def log_of_a_drive(
     *, scale: float = 1.0, perturb_left: bool = False, seed: int = 0, poses: int = 400, landmarks: int = 400
-) -> list[tuple[str, Record]]:
+) -> Log:
     """Poses, landmarks and closures whose errors have ``scale`` times the covariances that the log tells.
 
     The drive heads to all sides, in a map turned by 2.4 rad against the world.
@@ -101,9 +103,7 @@ def log_of_a_drive(
     error = exponential(np.sqrt(scale) * draw(rng, covariances))
     error[0] = np.eye(4)
     T_map_body = error @ T_map_gt if perturb_left else T_map_gt @ invert(error)
-    log: list[tuple[str, Record]] = [
-        ("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(at.tolist(), T_gt, strict=True)
-    ]
+    log: Log = [("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(at.tolist(), T_gt, strict=True)]
     log.append(("/slam/graph", replace(graph(at, T_map_body), pose_covariances=covariances)))
     ids = tuple(str(index) for index in range(landmarks))
     true_ids = tuple(f"o{index}" for index in range(landmarks))
@@ -140,7 +140,7 @@ def closure(query: int, reference: int, at: FloatArray, T: FloatArray, covarianc
     )
 
 
-def measured(log: list[tuple[str, Record]]) -> Mapping[str, Consistency]:
+def measured(log: Log) -> Mapping[str, Consistency]:
     return evaluate(collect_records(log)).consistency
 
 
@@ -160,68 +160,45 @@ def test_calibration_detects_covariances_about_map_axes() -> None:
 
 
 def test_landmarks_are_tied_at_first_keyframe() -> None:
-    log = log_of_a_drive()
+    turn = transform_from_xyz_yaw(np.zeros(3), 0.1)
     shifted = [
-        (topic, replace(record, T_map_body=transform_from_xyz_yaw(np.array([0.0, 0.0, 0.0]), 0.1) @ record.T_map_body))
-        if isinstance(record, FactorGraphRecord)
-        else (topic, record)
-        for topic, record in log
+        (topic, replace(record, T_map_body=turn @ record.T_map_body) if topic == "/slam/graph" else record)
+        for topic, record in log_of_a_drive()
     ]
     quality = measured(shifted)
     assert quality["pose"].nees == pytest.approx(1.0, abs=0.2)
     assert quality["landmark"].nees > 100.0
 
 
-def without(log: list[tuple[str, Record]], *topics: str) -> list[tuple[str, Record]]:
-    return [(topic, record) for topic, record in log if topic not in topics]
+def without(topic: str) -> Change:
+    return lambda log: [each for each in log if not each[0].startswith(topic)]
+
+
+def without_pose_covariances(log: Log) -> Log:
+    return [(t, replace(r, pose_covariances=np.zeros((0, 6, 6))) if t == "/slam/graph" else r) for t, r in log]
+
+
+def without_first_truth(log: Log) -> Log:
+    return [(t, r) for t, r in log if not (isinstance(r, GroundTruthPose) and r.stamp_ns == stamps(1)[0])]
 
 
 @pytest.mark.parametrize(
-    ("left_out", "part", "reason"),
+    ("change", "missing", "left", "reason"),
     [
-        ("/slam/closures", "closure", "closures: no accepted true one"),
-        ("/slam/map", "landmark", "landmarks: no confirmed one"),
-        ("/ground_truth/detections", "landmark", "landmarks: no confirmed one"),
-        ("/slam/graph", "pose", "no truth at the first keyframe"),
+        (without("/slam/closures"), {"closure"}, {"pose": 39, "landmark": 40}, "closures: no accepted true one"),
+        (without("/slam/map"), {"landmark"}, {"pose": 39, "closure": 20}, "landmarks: no confirmed one"),
+        (without("/ground_truth/detections"), {"landmark"}, {"closure": 20}, "landmarks: no confirmed one"),
+        (without("/slam/graph"), {"pose", "landmark"}, {"closure": 20}, "no truth at the first keyframe"),
+        (without_pose_covariances, {"pose"}, {"landmark": 40}, "poses: no covariances"),
+        (without_first_truth, {"pose", "landmark"}, {"closure": 19}, "first keyframe"),
+        (without("/ground_truth"), {"pose", "landmark", "closure"}, {}, "--reference"),
     ],
 )
-def test_calibration_names_missing_parts(left_out: str, part: str, reason: str) -> None:
-    result = evaluate(collect_records(without(log_of_a_drive(), left_out)))
-    assert part not in result.consistency
-    assert at_json(result, f"calibration.{part}_coverage") is None
-    assert at_json(result, f"calibration.{part}_count") == 0
+def test_calibration_names_missing_parts(change: Change, missing: set[str], left: dict[str, int], reason: str) -> None:
+    result = evaluate(collect_records(change(log_of_a_drive(poses=40, landmarks=40))))
     assert reason in result.unavailable["calibration"]
-    assert len(result.consistency) >= 2
-
-
-def test_calibration_names_missing_pose_covariances() -> None:
-    log = [
-        (
-            topic,
-            replace(record, pose_covariances=np.zeros((0, 6, 6))) if isinstance(record, FactorGraphRecord) else record,
-        )
-        for topic, record in log_of_a_drive(poses=40, landmarks=40)
-    ]
-    result = evaluate(collect_records(log))
-    assert "poses: no covariances" in result.unavailable["calibration"]
-    assert at_json(result, "calibration.pose_nees") is None
-    assert at_json(result, "calibration.landmark_count") == 40
-
-
-def test_calibration_without_first_truth_measures_only_closures() -> None:
-    log = log_of_a_drive(poses=40, landmarks=40)
-    first = min(record.stamp_ns for _, record in log if isinstance(record, GroundTruthPose))
-    log = [(t, r) for t, r in log if not (isinstance(r, GroundTruthPose) and r.stamp_ns == first)]
-    result = evaluate(collect_records(log))
-    assert at_json(result, "calibration.pose_coverage") is None
-    assert at_json(result, "calibration.landmark_coverage") is None
-    assert at_json(result, "calibration.closure_count") == 19
-    assert "first keyframe" in result.unavailable["calibration"]
-
-
-def test_calibration_needs_truth() -> None:
-    log = [(topic, record) for topic, record in log_of_a_drive(poses=40) if not topic.startswith("/ground_truth")]
-    result = evaluate(collect_records(log))
-    assert result.consistency == {}
-    assert "--reference" in result.unavailable["calibration"]
-    assert at_json(result, "calibration.planar_closure_nees") is None
+    assert missing.isdisjoint(result.consistency)
+    for part in missing:
+        assert at_json(result, f"calibration.{part}_coverage") is at_json(result, f"calibration.{part}_nees") is None
+        assert at_json(result, f"calibration.{part}_count") == 0
+    assert {part: result.consistency[part].count for part in left} == left

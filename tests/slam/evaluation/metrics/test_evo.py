@@ -15,7 +15,8 @@ import pytest
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import travelled_m
 from slam.evaluation.metrics.trajectory import compute_relative_errors, evaluate_trajectory
-from tests.slam.evaluation.drives import KITTI, kitti_poses, needs_kitti, series
+from tests.helpers.data import KITTI, needs_kitti
+from tests.slam.evaluation.drives import kitti_poses, series
 
 PROGRAMS = Path(sys.executable).parent
 FILES = [str(KITTI / f"KITTI_00_{name}.txt") for name in ("gt", "SPTAM")]

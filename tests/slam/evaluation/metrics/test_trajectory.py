@@ -13,7 +13,8 @@ from slam.evaluation.metrics.trajectory import (
     evaluate_trajectory,
     summarize,
 )
-from tests.slam.evaluation.drives import kitti_poses, needs_kitti, series, straight_path, winding_path
+from tests.helpers.data import needs_kitti
+from tests.slam.evaluation.drives import kitti_poses, series, straight_path, winding_path
 
 
 def test_statistics_by_hand() -> None:

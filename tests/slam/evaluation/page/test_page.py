@@ -174,13 +174,6 @@ def test_charts_show_measurements() -> None:
     assert len(curve["x"]) > 1
 
 
-def test_error_is_drawn_over_closures_and_under_false_ones() -> None:
-    names = [trace["name"] for trace in charts_of(page_of(collect_records(drive())))["map"]]
-    drawn = ("true loop closures (2)", "estimate by its error", "false loop closures (1)")
-    order = [names.index(name) for name in drawn]
-    assert order == sorted(order)
-
-
 def test_calibration_chart_tells_right_from_small_covariances() -> None:
     squares = np.random.default_rng(3).chisquare(3, size=20_000)
     parts = {"pose": Consistency(squares, 3), "landmark": Consistency(4.0 * squares, 3)}

@@ -15,7 +15,6 @@ from slam.common.errors import EvaluationError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.localization.state import State
-from slam.place_recognition.imported_map import make_imported_map
 from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.simulation.world import World
 from slam.system import Slam
@@ -126,14 +125,6 @@ def test_revoked_fix_is_not_right_later(
     for outcome in run(tmp_path, entries)["outcomes"]:
         assert outcome["later_right"] is None
         assert outcome["error_m"] == outcomes[outcome["number"]]["error_m"]
-
-
-def test_robot_is_found_in_imported_map(entries: list[Entry], tmp_path: Path) -> None:
-    world = town()
-    imported = make_imported_map(world.positions, world.labels, world.object_ids, sigma_m=0.3)
-    result = run(tmp_path, entries, given=imported, kidnaps=3)
-    assert (result["success_rate"], result["landmarks"]) == (1.0, len(world.labels))
-    assert {each["is_along"] for each in result["outcomes"]} == {None}
 
 
 def test_drive_that_never_returns_is_refused(entries: list[Entry], tmp_path: Path) -> None:
