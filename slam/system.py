@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -160,8 +160,7 @@ class Slam:
         Raises:
             InputDataError: there was nothing to map.
         """
-        for placed in self._frontend.finish():
-            self._take(placed)
+        self._take_all(self._frontend.finish())
         if len(self._mapper.keyframes) == self._first_keyframe:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
@@ -224,7 +223,16 @@ class Slam:
 
     def _advance(self) -> list[Record]:
         """Map the scans that the odometry has caught up with, and make keyframes of the poses before them."""
-        return [record for placed in self._frontend.advance() for record in self._take(placed)]
+        return self._take_all(self._frontend.advance())
+
+    def _take_all(self, placed: Iterable[OdometryPose | DetectionAssociations]) -> list[Record]:
+        try:
+            return [record for each in placed for record in self._take(each)]
+        except np.linalg.LinAlgError as error:
+            raise InputDataError(
+                "the noise of odometry and that of detections differ by too many orders of magnitude; check "
+                "calibration.odometry and calibration.detection, and the covariances of detections"
+            ) from error
 
     def _take(self, placed: OdometryPose | DetectionAssociations) -> list[Record]:
         if isinstance(placed, OdometryPose):

@@ -23,7 +23,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import InputDataError
 from slam.common.geometry import covariance_in_axes, left_jacobian, make_transform, rigid, rotation_of, skew
 
 POSE = 6
@@ -111,7 +110,7 @@ class LocalMap:
             covariances: (K, 3, 3) m^2 of the measurements, in the same axes.
 
         Raises:
-            InputDataError: noises differ by more orders of magnitude than float64 has digits.
+            np.linalg.LinAlgError: noises differ by more orders of magnitude than float64 has digits.
         """
         count = len(slots)
         if count == 0:
@@ -128,13 +127,7 @@ class LocalMap:
         S[blocks] = own + excess[:, None, None] * covariances
         # One triangular solution for the gain and for what it is applied to.
         known = np.column_stack([HP, innovations.ravel()])
-        try:
-            root = np.linalg.cholesky(S)
-        except np.linalg.LinAlgError as error:
-            raise InputDataError(
-                "the noise of odometry and that of detections differ by too many orders of magnitude; check "
-                "calibration.odometry and calibration.detection, and the covariances of detections"
-            ) from error
+        root = np.linalg.cholesky(S)
         whitened = solve_triangular(root, known, lower=True, check_finite=False, overwrite_b=True)
         gain, innovation = whitened[:, :-1], whitened[:, -1]
         self._P -= gain.T @ gain

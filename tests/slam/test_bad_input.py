@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
-from slam.common.config import Config
+from slam.common.config import Config, load_config
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.replay import ReplaySummary, replay
@@ -220,3 +220,11 @@ def test_covariances_that_are_absurd_do_not_break_the_solver(entries, output, si
     summary = replay_or_refuse(source, output)
     assert isinstance(summary, ReplaySummary)
     assert summary.counters["detections_used"] == sum(isinstance(record, ObjectDetections) for _, _, record in entries)
+
+
+def test_noises_that_differ_beyond_float64_are_refused(entries, output):
+    config = load_config(None, ["calibration.odometry.translation_sigma=1.7e9"])
+    source = write_log(output.with_name("in.mcap"), entries)
+    with pytest.raises(InputDataError, match="orders of magnitude"):
+        replay(source, output, config)
+    assert not output.exists()
