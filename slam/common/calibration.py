@@ -51,6 +51,9 @@ class OdometryCalibration(Branch):
     time_offset_s: float = Field(default=0.0, description="added to the stamps of the odometry [s]")
     length_scale: float = Field(default=1.0, gt=0, description="factor on the lengths of the odometry's steps")
     turn_scale: float = Field(default=1.0, gt=0, description="factor on the turns of the odometry about the vertical")
+    climb: float = Field(
+        default=0.0, ge=-1, le=1, description="height that each step of the odometry lacks, by its length [m / m]"
+    )
     sources: int = Field(
         default=1,
         ge=1,
@@ -111,6 +114,8 @@ class DetectionCalibration(Branch):
         le=180,
         description="rotation about the z axis of the body, applied last; beyond the transform of the sensor [deg]",
     )
+    x_m: float = Field(default=0.0, description="farther along the x axis of the body, beyond that transform [m]")
+    y_m: float = Field(default=0.0, description="farther along the y axis of the body, beyond that transform [m]")
     assume_body_frame: bool = Field(
         default=False, description="interpret detections in the body frame instead of that of the message"
     )

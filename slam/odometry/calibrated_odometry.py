@@ -14,9 +14,8 @@ class CalibratedOdometry:
     """Corrects the messages of a drive, in their order."""
 
     def __init__(self, calibration: OdometryCalibration) -> None:
-        scales = calibration.length_scale, calibration.turn_scale
         self._source = FollowedSource() if calibration.sources > 1 else None
-        self._scaled = ScaledOdometry(length_scale=scales[0], turn_scale=scales[1]) if scales != (1.0, 1.0) else None
+        self._scaled = ScaledOdometry.of(calibration)
         self._offset_ns = round(calibration.time_offset_s * 1e9)
 
     def correct(self, odometry: Odometry) -> Odometry | None:

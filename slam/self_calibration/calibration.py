@@ -74,10 +74,13 @@ _MEANINGS = {
     "odometry.length_scale": "the lengths of the odometry are to be multiplied by {:.3f}, if ranges of detections are "
     "right (else give calibration.detection.range_scale)",
     "odometry.turn_scale": "the turns of the odometry are to be multiplied by {:.3f}",
+    "odometry.climb": "the odometry is to climb by {:+.3f} of its way",
     "odometry.sources": "{:.0f} sources publish on the topic of the odometry: that of the first message is used",
     "detection.roll_deg": "detections are to be turned by a roll of {:.1f} deg: check the frames",
     "detection.pitch_deg": "detections are to be turned by a pitch of {:.1f} deg: check the frames",
     "detection.yaw_deg": "detections are to be turned by a yaw of {:.1f} deg: check the frames",
+    "detection.x_m": "detections are of a sensor that sits {:.2f} m farther ahead: check the frames",
+    "detection.y_m": "detections are of a sensor that sits {:.2f} m farther to the left: check the frames",
     "detection.assume_body_frame": "detections are in the frame of the body, not in the one that they name",
     "detection.assume_odometry_frame": "detections are in the frame of the odometry, not in the one that they name",
     "detection.claimed_sigma_factor": "detections scatter {:.2g} times as much as their covariances say",

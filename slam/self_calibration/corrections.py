@@ -3,10 +3,11 @@
 An object at the offset x from the body at P, in the axes of the odometry, seems to stand at W = P + x. Say that the
 detections are of a time later by tau than their stamps say, that the sensor is turned by the rotation vector phi and
 sits farther by e, both in the axes R of the body, that the odometry's lengths and turns are too short by the shares s
-and g, that detections lie too near by b and too low by a share c of their range. Then it stands, with v and omega the
+and g, that it climbs too little by a share a of its way, which is L so far, that detections lie too near by b and too
+low by a share c of their range. Then it stands, with v and omega the
 velocity and rate of turn of the body, h the angle that it turned so far, u = x / |x| and J = [0 -1; 1 0], at
 
-    W + tau (v + omega J x) + R phi x x + R e + s P + g (h J x + integral of h J v) + b u + c |x| z
+    W + tau (v + omega J x) + R phi x x + R e + s P + g (h J x + integral of h J v) + a L z + b u + c |x| z
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of all
 terms finds them. A term is *earned* if blocks of the log that the regression was not fitted to are predicted better
@@ -32,6 +33,7 @@ TERMS = (
     "yaw_rad",
     "length_share",
     "turn_share",
+    "climb_share",
     "x_m",
     "y_m",
     "near_m",
@@ -143,6 +145,7 @@ def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
     along, across = np.column_stack([c, s, zero]), np.column_stack([-s, c, zero])
     steps = np.diff(motion.positions[:, :2], axis=0, prepend=motion.positions[:1, :2])
     swept = np.cumsum(motion.headings[:, None] * (steps @ J.T), axis=0)[tracks.scan]
+    travel = np.cumsum(np.linalg.norm(steps, axis=1))[tracks.scan]
     ranges = np.linalg.norm(tracks.offsets, axis=1)
     level = {
         "delay_s": motion.velocities[tracks.scan] + motion.turn_rates[tracks.scan][:, None] * turned,
@@ -154,6 +157,7 @@ def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
         "roll_rad": np.cross(along, offsets),
         "pitch_rad": np.cross(across, offsets),
         "length_share": positions,
+        "climb_share": np.column_stack([zero, zero, travel]),
         "x_m": along,
         "y_m": across,
         "low_share": np.column_stack([zero, zero, ranges]),

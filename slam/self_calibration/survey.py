@@ -38,11 +38,15 @@ MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 1.0 / 3.0
 the road's, more is no matter of calibration.
 """
 MIN_REST = 0.005
-"""... and what is then left of turns, as long as it is more than that."""
+"""... and what is then left of turns, as long as it is more than that. So is a climb of the odometry, which explains
+little of how objects seem to move but adds up along the way.
+"""
 MAX_REPEATED = 16
 FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
 ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"}
+SHIFTS = "x_m", "y_m"
+"""Terms and settings of where the sensor sits on the body."""
 SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
 SAME_HEADING_RAD = 1e-6
 """Headings of an odometry without orientations differ by rounding only."""
@@ -154,6 +158,14 @@ def _first_change(
         if each.is_earned and each.term in ANGLES and _is_large(each) and not _is_turned_by_hand(given):
             axis = np.eye(3)[list(ANGLES).index(each.term)]
             return _angles(Rotation.from_rotvec(each.value * axis).as_matrix() @ _turned(now.detection))
+        if each.is_earned and each.term in SHIFTS and not given.is_given(key := f"detection.{each.term}"):
+            # Where a camera looks ahead only, a bias of its ranges looks like a shift.
+            bias_m = sum(abs(other.value) for other in found if other.term == "near_m")
+            if abs(each.value) > bias_m:
+                return {key: getattr(now.detection, each.term) + each.value}
+        is_climb = each.term == "climb_share" and each.is_sure and each.is_significant
+        if is_climb and abs(each.value) > MIN_REST and not given.is_given("odometry.climb"):
+            return {"odometry.climb": now.odometry.climb + each.value}
         key = SCALES.get(each.term, "")
         if key and not given.is_given(key):
             scale = getattr(now.odometry, key.split(".")[1]) * (1.0 + each.value)

@@ -108,11 +108,8 @@ class SurveyedLog:
         stamps = np.array([odometry.stamp_ns for odometry in self._odometry], dtype=np.int64)
         if len(stamps) == 0:
             return stamps, np.zeros((0, 4, 4))
-        scales = calibration.odometry.length_scale, calibration.odometry.turn_scale
-        odometry = self._odometry
-        if scales != (1.0, 1.0):
-            scaled = ScaledOdometry(length_scale=scales[0], turn_scale=scales[1])
-            odometry = [scaled.correct(each) for each in odometry]
+        scaled = ScaledOdometry.of(calibration.odometry)
+        odometry = self._odometry if scaled is None else [scaled.correct(each) for each in self._odometry]
         latest_before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps)[:-1]])
         used = stamps > latest_before
         return stamps[used], np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])

@@ -174,9 +174,9 @@ def _plain(frame: str) -> str:
 
 
 def corrected(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
-    """``T_body_sensor`` (4, 4) with the sensor turned where it sits, in the axes of the body, as the settings say."""
+    """``T_body_sensor`` (4, 4) with the sensor turned where it sits and shifted, both in the axes of the body."""
     angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
-    if not any(angles_deg):
+    if not any([*angles_deg, config.x_m, config.y_m]):
         return T_body_sensor
     R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
-    return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3])
+    return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [config.x_m, config.y_m, 0.0])

@@ -23,8 +23,10 @@ def chained(step_m: float, turns_rad: FloatArray) -> FloatArray:
     return np.array(poses)
 
 
-def corrected(poses: FloatArray, *, length_scale: float = 1.0, turn_scale: float = 1.0) -> FloatArray:
-    scaled = ScaledOdometry(length_scale=length_scale, turn_scale=turn_scale)
+def corrected(
+    poses: FloatArray, *, length_scale: float = 1.0, turn_scale: float = 1.0, climb: float = 0.0
+) -> FloatArray:
+    scaled = ScaledOdometry(length_scale=length_scale, turn_scale=turn_scale, climb=climb)
     return np.array([scaled.correct(Odometry(k, T, "o", "b")).T_odom_body for k, T in enumerate(poses)])
 
 
@@ -37,6 +39,15 @@ def test_the_path_is_that_of_the_right_lengths_and_turns(length: float, turn: fl
     true = chained(0.5, turns())
     wrong = chained(0.5 / length, turns() / turn)
     np.testing.assert_allclose(corrected(wrong, length_scale=length, turn_scale=turn), true, atol=1e-6)
+
+
+def test_each_step_climbs_by_a_share_of_its_length():
+    poses = chained(0.5, turns())
+    before = poses.copy()
+    found = corrected(poses, climb=-0.1)
+    np.testing.assert_allclose(found[:, 2, 3], 0.5 - 0.05 * np.arange(len(poses)), atol=1e-9)
+    np.testing.assert_array_equal(poses, before)
+    np.testing.assert_allclose(corrected(found, climb=0.1), poses, atol=1e-9)
 
 
 def test_roll_and_pitch_stay():

@@ -206,9 +206,46 @@ def test_a_sensor_that_pitches_is_no_error_of_lengths(pitch_deg):
     assert found.suspected == ()
 
 
-def scaled_records(length: float, turn: float) -> list[Record]:
-    """A drive whose odometry has its lengths and turns multiplied by factors."""
-    wrong = ScaledOdometry(length_scale=length, turn_scale=turn)
+@pytest.mark.slow
+@pytest.mark.parametrize("shift_m", [(0.0, 0.0), (2.0, 0.0), (0.0, -1.5)])
+def test_a_sensor_that_sits_elsewhere_is_put_there(shift_m):
+    records = [
+        replace(each, positions=each.positions - [*shift_m, 0.0]) if isinstance(each, ObjectDetections) else each
+        for each in turned_records(0.0)
+    ]
+    found = survey(records, ON_BODY)
+    shifts = [found.corrected.get(f"detection.{name}", 0.0) for name in ("x_m", "y_m")]
+    assert shifts == pytest.approx(shift_m, abs=0.1)
+    assert survey(records, DetectionCalibration(assume_body_frame=True, x_m=0.0, y_m=0.0)).corrected == {}
+
+
+@pytest.mark.parametrize(("bias_m", "shifts"), [(0.2, {"detection.x_m": 0.5}), (-0.6, {})])
+def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch, bias_m, shifts):
+    shift, bias = Correction("x_m", 0.5, 0.01, 0.2, True), Correction("near_m", bias_m, 0.2, 0.0, False)
+    found = iter([(shift, bias)])
+    monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: next(found, ()))
+    assert survey(turned_records(0.0), ON_BODY).corrected == shifts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("climb", [0.0, 0.1, -0.02])
+def test_a_climb_of_the_odometry_is_corrected_and_no_pitch_of_the_sensor(climb):
+    rng = np.random.default_rng(0)
+    records = [
+        replace(each, positions=each.positions + [0.0, 0.0, 0.05] * rng.normal(size=each.positions.shape))
+        if isinstance(each, ObjectDetections)
+        else each
+        for each in scaled_records(1.0, 1.0, climb)
+    ]
+    found = survey(records, ON_BODY)
+    assert found.corrected.get("odometry.climb", 0.0) == pytest.approx(-climb, abs=0.002)
+    assert set(found.corrected) <= {"odometry.climb"}
+    assert found.suspected == ()
+
+
+def scaled_records(length: float, turn: float, climb: float = 0.0) -> list[Record]:
+    """A drive whose odometry has its lengths and turns multiplied by factors, or climbs."""
+    wrong = ScaledOdometry(length_scale=length, turn_scale=turn, climb=climb)
     return [wrong.correct(each) if isinstance(each, Odometry) else each for each in turned_records(0.0)]
 
 
