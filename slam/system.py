@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -160,7 +161,9 @@ class Slam:
         Raises:
             InputDataError: there was nothing to map.
         """
-        self._take_all(self._frontend.finish())
+        with _refused_noises():
+            for placed in self._frontend.finish():
+                self._take(placed)
         if len(self._mapper.keyframes) == self._first_keyframe:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
@@ -223,16 +226,8 @@ class Slam:
 
     def _advance(self) -> list[Record]:
         """Map the scans that the odometry has caught up with, and make keyframes of the poses before them."""
-        return self._take_all(self._frontend.advance())
-
-    def _take_all(self, placed: Iterable[OdometryPose | DetectionAssociations]) -> list[Record]:
-        try:
-            return [record for each in placed for record in self._take(each)]
-        except np.linalg.LinAlgError as error:
-            raise InputDataError(
-                "the noise of odometry and that of detections differ by too many orders of magnitude; check "
-                "calibration.odometry and calibration.detection, and the covariances of detections"
-            ) from error
+        with _refused_noises():
+            return [record for placed in self._frontend.advance() for record in self._take(placed)]
 
     def _take(self, placed: OdometryPose | DetectionAssociations) -> list[Record]:
         if isinstance(placed, OdometryPose):
@@ -307,6 +302,18 @@ class Slam:
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
         }
         return StatusRecord(self._frontend.latest_ns, state.value, level, message, counters)
+
+
+@contextmanager
+def _refused_noises() -> Iterator[None]:
+    """An error for people where covariances cannot be inverted, since float64 has too few digits for them."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise InputDataError(
+            "the noise of odometry and that of detections differ by too many orders of magnitude; check "
+            "calibration.odometry and calibration.detection, and the covariances of detections"
+        ) from error
 
 
 def _localization(stamp_ns: int, state: State, mapper: Mapper, closer: LoopCloser) -> LocalizationRecord:
