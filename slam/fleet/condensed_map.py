@@ -67,10 +67,11 @@ def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
 def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     """The same landmarks, observed from one place in each cell of ``stretch_m`` that a drive passed.
 
-    However many drives there are, the graph is as large as their area; its edges are all of kind closure.
+    However many drives there are, the graph is as large as their area; its edges are all of kind closure. The origin is
+    in the middle of a cell: a drive begins there, and a level one would pass both cells on either side of a border.
     """
     positions = saved.graph.T_map_body[:, :3, 3]
-    cell = np.unique(np.floor(positions / stretch_m), axis=0, return_inverse=True)[1].ravel()
+    cell = np.unique(np.round(positions / stretch_m), axis=0, return_inverse=True)[1].ravel()
     no_steps = np.full(len(cell), -1, dtype=np.int64)
     return _condense(saved, _Stretches(cell, _middles(cell, positions), no_steps), stretch_m)
 

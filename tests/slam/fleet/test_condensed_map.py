@@ -64,6 +64,14 @@ def test_a_folded_map_has_edges_between_its_cells(whole: SavedMap) -> None:
     assert set(folded.graph.edge_kinds) == {"closure"}
 
 
+def test_a_level_drive_passes_one_row_of_cells_whatever_its_noise(whole: SavedMap) -> None:
+    rng = np.random.default_rng(0)
+    T_map_body = whole.graph.T_map_body.copy()
+    T_map_body[:, 1:3, 3] = rng.normal(0.0, 0.05, (len(T_map_body), 2))
+    folded = condense_area(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), stretch_m=STRETCH_M)
+    assert len(folded.graph.keyframe_ids) == len(np.unique(np.round(T_map_body[:, 0, 3] / STRETCH_M)))
+
+
 def test_observations_of_a_stretch_add_up(whole: SavedMap) -> None:
     graph = condense_map(whole, stretch_m=200.0).graph
     counts = [whole.graph.observation_landmark_ids.count(name) for name in graph.observation_landmark_ids]
