@@ -1,9 +1,8 @@
-"""Which entries of an index a constellation may be: nearest neighbours in descriptor space, or the likeliest."""
+"""Which entries of an index a constellation may be: nearest neighbours in descriptor space."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,32 +18,6 @@ class Matches:
     queries: NDArray[np.int64]
     entries: NDArray[np.int64]
     distances: NDArray[np.float32]
-
-
-class ConstellationIndex(Protocol):
-    """Entries are constellations, numbered from 0 in the order in which they were added."""
-
-    @property
-    def radius_m(self) -> float:
-        """How far neighbours count."""
-        ...
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the entries."""
-        ...
-
-    def __len__(self) -> int:
-        """How many entries there are."""
-        ...
-
-    def add(self, constellations: Constellations) -> NDArray[np.int64]:
-        """Add entries; returns their numbers (B,)."""
-        ...
-
-    def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
-        """Up to ``k`` entries for each query, the nearest first, among the ``allowed`` (size,)."""
-        ...
 
 
 class VectorIndex:

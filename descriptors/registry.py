@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from descriptors.baselines.gosmatch import GosmatchVertex
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
+from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
-from descriptors.index import ConstellationIndex, VectorIndex
+from descriptors.index import VectorIndex
 from descriptors.learned.weights import read_weights
-from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.own_class import OwnDescriptor, is_own_class
 from descriptors.random_vector import RandomVector
 
@@ -37,7 +38,13 @@ def shipped_weights(name: str) -> Path:
     return Path(__file__).parent / "weights" / f"{name}{WEIGHTS_SUFFIX}"
 
 
-def make_descriptor(name: str) -> Descriptor:
+@cache
+def shipped_likelihood() -> LearnedLikelihood:
+    """The learned likelihood ratio with its shipped weights."""
+    return LearnedLikelihood(shipped_weights(LearnedLikelihood.name))
+
+
+def make_descriptor(name: str) -> Descriptor | LearnedLikelihood:
     """A descriptor: one of :data:`DESCRIPTOR_NAMES`, a file of weights, or a class of one's own as ``module:Class``.
 
     A class of one's own is imported, from the current folder too, and made without arguments; it does what
@@ -61,19 +68,21 @@ def make_descriptor(name: str) -> Descriptor:
     )
 
 
-def make_index(name: str) -> ConstellationIndex:
-    """An empty index for constellations, with that descriptor.
+def make_index(name: str) -> PairIndex | VectorIndex:
+    """An empty index with that descriptor: of pairs for the likelihood ratio, else of vectors.
 
     Raises:
         DescriptorError: as :func:`make_descriptor`.
     """
+    if name == LearnedLikelihood.name:
+        return PairIndex(shipped_likelihood())
     descriptor = make_descriptor(name)
     if isinstance(descriptor, LearnedLikelihood):
-        return LikelihoodIndex(descriptor)
+        return PairIndex(descriptor)
     return VectorIndex(descriptor, of_own_class=descriptor.name != PAPER)
 
 
-def _from_weights(path: Path) -> Descriptor:
+def _from_weights(path: Path) -> Descriptor | LearnedLikelihood:
     if read_weights(path).architecture.get("name") == LearnedLikelihood.name:
         return LearnedLikelihood(path)
     try:

@@ -1,4 +1,4 @@
-"""The learned likelihood as a network of torch, for training; ``likelihood`` evaluates it by numpy."""
+"""The likelihood ratio as a network of torch, for training; ``likelihood`` evaluates it by numpy."""
 
 from __future__ import annotations
 
@@ -7,88 +7,100 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from descriptors.constellation import Constellations
-from descriptors.descriptellation_lr.rings import (
+from descriptors.descriptellation_lr.pairs import (
+    DENSITY,
     FEATURES,
-    Background,
+    MAX_SIGMA,
+    MIN_RADIUS,
+    QUERY_FEATURES,
     DescriptellationLRArchitecture,
-    Rings,
-    horizontal_m,
-    neighbour_features,
-    ring_features,
+    Pairs,
+    cells_of,
 )
+
+WIDTHS = (0.05, 0.06, 0.07)
+"""Of a kernel before training, in spacings: along, across, and of the heading times the length of a pair."""
+SOFTNESS = 0.5
+"""Nats over which a bit changes, for its gradient."""
 
 
 class DescriptellationLR(nn.Module):
-    """``worth * (log(1 + sum_n sum_w gate_nw K_w(r, d_n) / background) - crowded * log(1 + level))`` for each ring r.
+    """Two towers whose inner product is a log-likelihood ratio.
 
-    Each neighbour n of an object lays kernels of several widths over the rings; how much each counts, a small network
-    decides from what is around (attention over the neighbours). The level is the same sum with one wide kernel: among
-    many neighbours, the presence of one carries no information; only its exact position does.
+    The tower of the map sets a bit for each cell around a pair in which a neighbour is that much likelier than in an
+    average place. Each neighbour of the map is blurred by a kernel, whose widths along and across its direction are
+    learned; a gate, attention over the neighbours, decides how much it counts. The tower of the query gives each
+    observed neighbour nats for a cell whose bit is set, and takes nats for one whose bit is not, by its distance, the
+    length of the pair, the noise, and the number of neighbours.
     """
 
     def __init__(self, architecture: DescriptellationLRArchitecture | None = None) -> None:
         super().__init__()
-        self.architecture = architecture or DescriptellationLRArchitecture()
+        self.architecture = sizes = architecture or DescriptellationLRArchitecture()
+        self.log_widths = nn.Parameter(torch.log(torch.tensor(WIDTHS)))
+        self.gate = _perceptron(FEATURES, sizes.hidden, 1)
+        self.threshold = nn.Parameter(torch.full((sizes.rings,), 0.8))
+        self.worth = _perceptron(QUERY_FEATURES, sizes.hidden, 2)
+
+    def forward(self, pairs: Pairs, device: torch.device) -> Tensor:
+        """Logits (P, R, S) of the bits of pairs of the map: nats above the threshold."""
         sizes = self.architecture
-        self.rings = sizes.rings
-        kernels = len(sizes.widths_m)
-        self.log_width = nn.Parameter(torch.log(torch.tensor([*sizes.widths_m, sizes.level_width_m])))
-        self.log_growth = nn.Parameter(torch.log(torch.tensor([*sizes.widths_per_m, sizes.level_width_per_m])))
-        self.gate = _perceptron(FEATURES, sizes.hidden, kernels, start=float(np.log(sizes.odds)))
-        self.ring = _perceptron(2, sizes.ring_hidden, 2, start=0.0)
+        owners = torch.as_tensor(pairs.owners, device=device)
+        radii = torch.as_tensor(pairs.radii, dtype=torch.float32, device=device)
+        angles = torch.as_tensor(pairs.angles, dtype=torch.float32, device=device)
+        lengths = torch.as_tensor(pairs.lengths, dtype=torch.float32, device=device)[owners]
+        gates = self.gate(torch.as_tensor(pairs.features, device=device)).exp()  # (K, 1)
+        edges = torch.as_tensor(sizes.edges, dtype=torch.float32, device=device)
+        rings, sectors = kernels(self.log_widths, radii, angles, lengths, edges, sizes.sectors)
+        area = (edges[1:].square() - edges[:-1].square()) * (np.pi / sizes.sectors)  # (R,)
+        laid = torch.einsum("kr,ks->krs", gates * rings, sectors)
+        mass = torch.zeros(len(pairs), sizes.rings, sizes.sectors, device=device).index_add(0, owners, laid)
+        return torch.log1p(mass / (DENSITY * area[:, None])) - self.threshold[:, None]
 
-    def kernels(self) -> Tensor:
-        """Densities (W + 1, FINE, R) per metre: mean over each ring of a normal density at each distance."""
-        edges = torch.tensor(self.rings.edges_m, dtype=torch.float32)
-        middle = torch.tensor(self.rings.fine_m, dtype=torch.float32)
-        sigma = torch.hypot(self.log_width.exp()[:, None], self.log_growth.exp()[:, None] * middle)  # (W + 1, FINE)
-        scaled = (edges - middle[:, None]) / (np.sqrt(2.0) * sigma[:, :, None])  # (W + 1, FINE, R + 1)
-        below = 0.5 * torch.erf(scaled)
-        return (below[:, :, 1:] - below[:, :, :-1]) / (edges[1:] - edges[:-1])
+    def bits(self, logits: Tensor) -> Tensor:
+        """Bits (P, R, S) with the gradient of a sigmoid."""
+        soft = (logits / SOFTNESS).sigmoid()
+        return soft + ((logits > 0.0).float() - soft).detach()
 
-    def forward(self, constellations: Constellations, background: NDArray[np.float64]) -> Tensor:
-        """Nats (B, C, R) of each object of a map for a neighbour of each class in each ring."""
-        size, rings = background.shape
-        gates = self.gate(torch.as_tensor(neighbour_features(constellations))).exp()  # (P, W)
-        fine = torch.as_tensor(self.rings.fine(horizontal_m(constellations.positions)))
-        rows = torch.as_tensor(constellations.owners * size + constellations.labels)
-        empty = torch.zeros(len(constellations) * size, rings)
-        *kernels, wide = self.kernels()
-        density, level = empty, empty.index_add(0, rows, gates.sum(dim=1, keepdim=True) * wide.index_select(0, fine))
-        for gate, kernel in zip(gates.unbind(1), kernels, strict=True):
-            density = density.index_add(0, rows, gate[:, None] * kernel.index_select(0, fine))
-        per_background = 1.0 / torch.as_tensor(background, dtype=torch.float32)
-        worth, crowded = self.ring_terms(background)
-        there = torch.log1p(density.view(-1, size, rings) * per_background)
-        return worth * (there - crowded * torch.log1p(level.view(-1, size, rings) * per_background))
-
-    def ring_terms(self, background: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
-        """For each class and ring (C, R), the weight of an observed neighbour there, 1 if it were independent of all
-        others, and how much of the level is taken off, 0 to 1.
-        """
-        terms = self.ring(torch.as_tensor(ring_features(background, self.rings), dtype=torch.float32))
-        return terms[:, :, 0].exp(), terms[:, :, 1].sigmoid()
+    def worths(self, features: NDArray[np.float32], device: torch.device) -> tuple[Tensor, Tensor]:
+        """Nats (K,) that a neighbour gives where its bit is set, and that it takes where it is not."""
+        nats = nn.functional.softplus(self.worth(torch.as_tensor(features, device=device)))
+        return nats[:, 0], nats[:, 1]
 
 
-def _perceptron(inputs: int, hidden: int, outputs: int, *, start: float) -> nn.Sequential:
-    """Two layers that give ``start`` for everything until they are trained."""
+def kernels(
+    log_widths: Tensor, radii: Tensor, angles: Tensor, lengths: Tensor, edges: Tensor, sectors: int
+) -> tuple[Tensor, Tensor]:
+    """What share of each neighbour falls into each ring (K, R) and each sector (K, S).
+
+    The width along the direction of a neighbour is a constant; across it the noise of the neighbour itself adds to that
+    of the heading of the pair, which grows with the distance and falls with the length of the pair.
+    """
+    along, across, heading = log_widths.exp().unbind()
+    below = torch.special.ndtr((edges - radii[:, None]) / along)  # (K, R + 1)
+    sigma = torch.hypot(across / radii.clamp(min=MIN_RADIUS), heading / lengths).clamp(max=MAX_SIGMA)[:, None]  # (K, 1)
+    borders = torch.arange(sectors, device=radii.device) * (2.0 * np.pi / sectors)
+    apart = torch.remainder(borders - angles[:, None] + np.pi, 2.0 * np.pi) - np.pi  # (K, S) of the first border
+    shares = torch.special.ndtr((apart + 2.0 * np.pi / sectors) / sigma) - torch.special.ndtr(apart / sigma)
+    return below.diff(dim=1), shares
+
+
+def query_scores(
+    bits: Tensor, queries: Pairs, hits: Tensor, misses: Tensor, architecture: DescriptellationLRArchitecture
+) -> Tensor:
+    """Log-likelihood ratios (Q, P) of pairs of a query being pairs of the map with these ``bits`` (P, R, S)."""
+    cells = torch.as_tensor(cells_of(queries, architecture), device=bits.device)
+    owners = torch.as_tensor(queries.owners, device=bits.device)
+    inside = cells >= 0
+    laid = bits.new_zeros(len(queries) * architecture.cells)
+    laid = laid.index_add(0, owners[inside] * architecture.cells + cells[inside], (hits + misses)[inside])
+    missed = bits.new_zeros(len(queries)).index_add(0, owners[inside], misses[inside])
+    return laid.view(len(queries), -1) @ bits.flatten(1).T - missed[:, None]
+
+
+def _perceptron(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    """Two layers that give 0 for everything until they are trained."""
     first, last = nn.Linear(inputs, hidden), nn.Linear(hidden, outputs)
     nn.init.zeros_(last.weight)
-    nn.init.constant_(last.bias, start)
+    nn.init.zeros_(last.bias)
     return nn.Sequential(first, nn.Tanh(), last)
-
-
-def query_scores(nats: Tensor, queries: Constellations, rings: Rings) -> Tensor:
-    """The inner products (Q, B) of queries, which are one-hot in classes and rings, with the map's vectors."""
-    cells = queries.labels * len(rings) + rings.of(horizontal_m(queries.positions))
-    flat = nats.flatten(1).T  # (C R, B)
-    picked = flat.index_select(0, torch.as_tensor(cells))
-    return flat.new_zeros(len(queries), flat.shape[1]).index_add(0, torch.as_tensor(queries.owners), picked)
-
-
-def background_of(constellations: Constellations, rings: Rings) -> NDArray[np.float64]:
-    """The background of a map that consists of these objects."""
-    background = Background(rings)
-    background.add(constellations)
-    return background.density(len(constellations.vocabulary))

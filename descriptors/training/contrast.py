@@ -1,4 +1,4 @@
-"""What networks are trained on: whose constellation is seen, among all objects of its class in a map (InfoNCE).
+"""What networks are trained on: whose constellation is seen, among objects of its class in a map (InfoNCE).
 
 The negatives are other objects of the same class, those of the same street among them. Each step has a new map with
 new views of it. Oord et al., Representation Learning with Contrastive Predictive Coding, 2018, equation 4.
@@ -13,18 +13,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
 
 from descriptors.constellation import Constellations, gather_constellations
-from descriptors.descriptellation_lr.network import DescriptellationLR, background_of, query_scores
-from descriptors.descriptellation_lr.rings import DescriptellationLRArchitecture
+from descriptors.descriptellation_lr.network import DescriptellationLR
+from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.learned.networks import Architecture, vectors_of
 from descriptors.training.maps import TrainingMap, draw_map, with_classes_of
+from descriptors.training.pair_contrast import PairSample, add_rivals, draw_pair_sample, pair_scores
 from descriptors.training.views import draw_view
 
 MIN_SEEN = 4
 """Objects without which a view is drawn anew; loops are closed by as many."""
-MIN_BACKGROUND = 5
-"""Objects of the map that give its background at least, as in a map in the making."""
 TEMPERATURE = 0.1
 """Of squared distances of vectors: unit vectors, which are at most 2 apart, then reach 40 nats."""
 
@@ -38,7 +38,7 @@ class ContrastTraining:
     """
 
     architecture: DescriptellationLRArchitecture | Architecture = field(default_factory=DescriptellationLRArchitecture)
-    epochs: int = 8
+    epochs: int = 40
     learning_rate: float = 1e-2
     last_rate: float = 3e-4
     map_noise_m: float = 0.25
@@ -51,13 +51,9 @@ class ContrastTraining:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """Objects of a map, and constellations of views with the places (Q,) of their objects among these.
-
-    ``counted``: rows of the objects that give the background, for a map in the making is small at first.
-    """
+    """Objects of a map, and constellations of views with the places (Q,) of their objects among these."""
 
     constellations: Constellations
-    counted: NDArray[np.int64]
     queries: tuple[Constellations, ...]
     objects: NDArray[np.int64]
 
@@ -69,16 +65,20 @@ def draw_sample(
     *,
     rng: np.random.Generator,
     is_exact: bool = False,
-) -> Sample:
-    """A map with views of it in which at least one object is seen as what it is.
+) -> Sample | PairSample:
+    """A map with views of it in which at least one object, or pair of objects, is seen as what it is.
 
     ``own_share``: how often of a given map; ``is_exact``: neither map nor views have noise. For a network with an
     embedding of classes, those of each map are dealt out anew among its rows.
     """
     while True:
         drawn = draw_map(given, own_share, rng=rng)
-        if not isinstance(config.architecture, DescriptellationLRArchitecture):
-            drawn = with_classes_of(drawn, config.architecture.vocabulary_size, rng=rng)
+        if isinstance(config.architecture, DescriptellationLRArchitecture):
+            pairs = draw_pair_sample(drawn, config.architecture, views=config.views, rng=rng, is_exact=is_exact)
+            if pairs is None:
+                continue
+            return pairs
+        drawn = with_classes_of(drawn, config.architecture.vocabulary_size, rng=rng)
         vocabulary = tuple(map(str, range(drawn.classes)))
         noise_m = rng.normal(0.0, 0.0 if is_exact else rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
         radius_m = config.architecture.radius_m
@@ -104,31 +104,28 @@ def draw_sample(
             constellations = gather_constellations(
                 drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
             )
-            counted = rng.permutation(len(compared))[: rng.integers(MIN_BACKGROUND, len(compared) + MIN_BACKGROUND)]
-            return Sample(constellations, counted, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
+            return Sample(constellations, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
 
 
-def scores_of(network: nn.Module, sample: Sample, device: torch.device) -> Tensor:
-    """Scores (Q, B) of all objects of the map for each query.
+def scores_of(network: nn.Module, sample: Sample | PairSample, device: torch.device) -> Tensor:
+    """Scores (Q, B) of what is in the map for each query.
 
-    Of the likelihood in nats, objects of other classes being out of the question; of the vectors of other networks the
-    squared distances, negative.
+    Of the likelihood ratio in nats; of the vectors of other networks the squared distances, negative.
 
     Raises:
         DescriptorError: the network of a user gives no vectors.
     """
-    if isinstance(network, DescriptellationLR):
-        return _likelihood_scores(network, sample)
+    if isinstance(sample, PairSample):
+        assert isinstance(network, DescriptellationLR)
+        return pair_scores(network, sample, device)
     known = vectors_of(network, sample.constellations, device)
     asked = torch.cat([vectors_of(network, query, device) for query in sample.queries])
     squares = asked.square().sum(dim=1)[:, None] + known.square().sum(dim=1) - 2.0 * asked @ known.T
     return -squares / TEMPERATURE
 
 
-def _likelihood_scores(network: DescriptellationLR, sample: Sample) -> Tensor:
-    background = background_of(sample.constellations[sample.counted], network.rings)
-    nats = network(sample.constellations, background)
-    scores = torch.cat([query_scores(nats, query, network.rings) for query in sample.queries])
-    labels = np.concatenate([query.centre_labels for query in sample.queries])
-    other = torch.as_tensor(labels[:, None] != sample.constellations.centre_labels)
-    return scores.masked_fill(other, -1e4)
+def loss_of(scores: Tensor, sample: Sample | PairSample, device: torch.device) -> Tensor:
+    """The mean loss of the scores (Q, B)."""
+    if isinstance(sample, PairSample):
+        scores = add_rivals(scores, sample)
+    return cross_entropy(scores, torch.as_tensor(sample.objects, device=device))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from descriptors.training.simulation import MapSimulation, simulate_map
 
@@ -25,7 +26,7 @@ class TrainingMap:
 
 PATTERNS = MapSimulation(patterns=(40, 80), side_m=300.0, uniform_pattern_share=0.4, classes=(2, 30))
 """As for the paper's network, with fewer objects: a step is on one whole map."""
-PIECE_OBJECTS = 500
+PIECE_OBJECTS = 1000
 """Most objects of a piece of a given map, and about those of a simulated one: a step takes them in within a second."""
 
 
@@ -70,9 +71,8 @@ def draw_forest(*, rng: np.random.Generator) -> TrainingMap:
     density = np.exp(rng.uniform(np.log(0.003), np.log(0.03)))
     side_m = np.sqrt(PIECE_OBJECTS / density)
     places = rng.uniform(0.0, side_m, (2 * PIECE_OBJECTS, 2))
-    apart_m = np.linalg.norm(places[:, None] - places, axis=2)
-    too_near = np.triu(apart_m < rng.uniform(0.2, 0.5) / np.sqrt(density), 1).any(axis=0)
-    places = places[~too_near]
+    crowded_pairs = cKDTree(places).query_pairs(rng.uniform(0.2, 0.5) / np.sqrt(density), output_type="ndarray")
+    places = np.delete(places, np.unique(crowded_pairs.max(axis=1)), axis=0)
     waves = np.sin(places * (2.0 * np.pi / side_m * rng.uniform(0.5, 3.0, 2)) + rng.uniform(-np.pi, np.pi, 2))
     crowded = rng.uniform(0.0, 0.8) * (0.5 + 0.25 * waves.sum(axis=1))  # glades between thickets
     places = places[rng.random(len(places)) >= crowded][:PIECE_OBJECTS]

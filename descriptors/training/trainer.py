@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import nn
-from torch.nn.functional import cross_entropy
 
 from descriptors.descriptellation_lr.network import DescriptellationLR
-from descriptors.descriptellation_lr.rings import DescriptellationLRArchitecture
+from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.networks import make_network
 from descriptors.learned.weights import Weights, read_weights, save_weights
-from descriptors.training.contrast import ContrastTraining, Sample, draw_sample, scores_of
+from descriptors.training.contrast import ContrastTraining, Sample, draw_sample, loss_of, scores_of
 from descriptors.training.folder import Epoch, Stateful, TrainingFolder
 from descriptors.training.maps import TrainingMap
+from descriptors.training.pair_contrast import PairSample
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
@@ -97,7 +97,7 @@ class Recipe:
         """Draw a sample and change the weights by it; returns the loss."""
         sample = draw_sample(self.config, self.given, OWN_SHARE, rng=self.rng)
         scores = scores_of(self.network, sample, self.device)
-        loss = cross_entropy(scores, torch.as_tensor(sample.objects, device=self.device))
+        loss = loss_of(scores, sample, self.device)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
@@ -119,7 +119,7 @@ class Recipe:
         }
 
     @cached_property
-    def _validation(self) -> tuple[list[Sample], list[Sample]]:
+    def _validation(self) -> tuple[list[Sample | PairSample], list[Sample | PairSample]]:
         """Samples as they are trained on, and exact ones."""
         rng = np.random.default_rng(2**31)
         known, share = (self.given, 1.0) if self.is_trained_further else ((), 0.0)
@@ -127,13 +127,13 @@ class Recipe:
         noisy = [draw_sample(self.config, known, share, rng=rng) for _ in count]
         return noisy, [draw_sample(self.config, known, share, rng=rng, is_exact=True) for _ in count]
 
-    def _validate(self, samples: list[Sample]) -> tuple[float, list[float]]:
+    def _validate(self, samples: list[Sample | PairSample]) -> tuple[float, list[float]]:
         losses, shares = [], []
         with torch.no_grad():
             for sample in samples:
                 scores = scores_of(self.network, sample, self.device).cpu()
                 objects = torch.as_tensor(sample.objects)
-                losses.append(float(cross_entropy(scores, objects)))
+                losses.append(float(loss_of(scores, sample, scores.device)))
                 before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
                 shares.append([float((before < rank).float().mean()) for rank in RANKS])
         return float(np.mean(losses)), np.mean(shares, axis=0).tolist()

@@ -15,15 +15,21 @@ CLUTTER = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """N objects at ``positions`` (N, 3) m with ``labels`` (N,); ``objects`` (N,): which of the map, or ``CLUTTER``."""
+    """N objects at ``positions`` (N, 3) m with ``labels`` (N,); ``objects`` (N,): which of the map, or ``CLUTTER``;
+    ``sigma_m``: noise of a coordinate, as the sensor knows it.
+    """
 
     positions: NDArray[np.float64]
     labels: NDArray[np.int64]
     objects: NDArray[np.int64]
+    sigma_m: float
 
 
-def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, is_exact: bool = False) -> View:
+def draw_view(
+    seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float | None = None, is_exact: bool = False
+) -> View:
     """A view from a stretch of 0 to 40 m beside an object that is drawn; ``is_exact``: without noise and confusion.
+    ``sigma_m``: noise of a coordinate, drawn if None.
 
     What is drawn: range and field of view; how likely an object is seen, which falls with its range; the noise of the
     positions, the same everywhere or growing with the range, to one side, or a scale; confused classes; clutter.
@@ -41,8 +47,12 @@ def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, is_exact: bool
     eye = path[nearest[seen]]
     positions = seen_map.positions[seen].copy()
     labels = seen_map.labels[seen]
+    if is_exact:
+        sigma_m = 0.0
+    elif sigma_m is None:
+        sigma_m = float(np.exp(rng.uniform(np.log(0.03), np.log(0.7))))
     if not is_exact:
-        positions[:, :2] = eye + _measured(positions[:, :2] - eye, rng=rng)
+        positions[:, :2] = eye + _measured(positions[:, :2] - eye, sigma_m, rng=rng)
         positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
         wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
         labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
@@ -54,6 +64,7 @@ def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, is_exact: bool
         np.vstack([positions, np.column_stack([at, positions[like, 2] if len(seen) else np.zeros(clutter)])]),
         np.concatenate([labels, labels[like] if len(seen) else np.zeros(clutter, np.int64)]),
         np.concatenate([seen, np.full(clutter, CLUTTER)]),
+        sigma_m,
     )
 
 
@@ -66,10 +77,9 @@ def _draw_path(seen_map: TrainingMap, *, rng: np.random.Generator) -> tuple[NDAr
     return start + np.column_stack([steps_m * np.cos(headings), steps_m * np.sin(headings)]), headings
 
 
-def _measured(offsets: NDArray[np.float64], *, rng: np.random.Generator) -> NDArray[np.float64]:
+def _measured(offsets: NDArray[np.float64], sigma_m: float, *, rng: np.random.Generator) -> NDArray[np.float64]:
     """Offsets (N, 2) m from the sensor, as it measures them."""
     ranges_m = np.linalg.norm(offsets, axis=1, keepdims=True)
-    sigma_m = np.exp(rng.uniform(np.log(0.03), np.log(0.7)))
     noisy = offsets + rng.normal(0.0, sigma_m, offsets.shape)
     if rng.random() < 0.3:
         noisy = noisy + ranges_m * (rng.normal(0.0, 0.03, offsets.shape) + rng.normal(0.0, 0.03, 2))

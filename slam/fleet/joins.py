@@ -1,4 +1,4 @@
-"""Places of one map recognised in earlier ones: retrieved by quads, registered, and weighed by a likelihood ratio.
+"""Places of one map recognised in earlier ones: retrieved, registered, and weighed by a likelihood ratio.
 
 The maps stand side by side in one index, so the time of a query does not grow with their number.
 """
@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.registry import shipped_likelihood
 from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
@@ -25,8 +27,7 @@ from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_like
 from slam.loop_closure.verification import register
 from slam.object_map.map_io import SavedMap
 from slam.object_map.submap import Submap
-from slam.place_recognition.map_search import MapSearch
-from slam.place_recognition.quad_index import build_quad_index
+from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.parameters import registration_config
 
 MIN_LLR = 10.0
@@ -96,8 +97,9 @@ class PlaceIndex:
         self._class_shares = frequencies / frequencies.sum()
         side_by_side = np.concatenate(positions)
         side_by_side[:, 0] += np.repeat(self._x_m, counts)
-        quads = build_quad_index(side_by_side, classes, sigma_m=sigma_m)
-        self._search = MapSearch(quads, side_by_side, classes, len(self._vocabulary))
+        pairs = PairIndex(shipped_likelihood())
+        pairs.add(side_by_side, classes)
+        self._search = PlaceSearch(pairs, side_by_side, classes, len(self._vocabulary))
 
     def find_joins(self, query_map: SavedMap) -> list[Join]:
         """Where places of the next map are in those of the index, with log-likelihood ratios of at least ``MIN_LLR``.

@@ -17,7 +17,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply
 from slam.localization.prior_map import PriorMap
 from slam.place_recognition.imported_map import ImportedMap
-from slam.place_recognition.quad_index import TOLERANCE_SIGMAS
+from slam.place_recognition.place_search import VOTE_SIGMAS as TOLERANCE_SIGMAS
 
 MOST_LANDMARKS = 60
 FEWEST_LANDMARKS = 4

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.registry import shipped_likelihood
 from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.messages import ObjectMapRecord, ScenePoints
@@ -27,8 +29,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError, SlamError
 from slam.common.georeference import Georeference
 from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC
-from slam.place_recognition.map_search import MapSearch
-from slam.place_recognition.quad_index import QuadIndex, build_quad_index
+from slam.place_recognition.place_search import PlaceSearch
 
 KIND = IMPORTED
 MAKE_IT = "import it again by 'dslam import'"
@@ -39,13 +40,15 @@ MIN_SPACING_M = 0.01
 MAX_EXTENT_M = 1e6
 """Extent above which they cannot be either, nor the plane of one map."""
 _CHECKED = ("positions", "classes", "ids", "tiles", "tile_starts")
+_OF_PAIRS = ("words", "ends", "lengths", "classes")
 _LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "tiles": ("iu", 1), "tile_starts": ("iu", 1),
-           "quad_vertices": ("iu", 2), "quad_starts": ("iu", 1)}  # fmt: skip
+           "pair_words": ("u", 2), "pair_ends": ("u", 2), "pair_lengths": ("f", 1),
+           "pair_classes": ("u", 1)}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedMap:
-    """Objects and the index of their quads.
+    """Objects and the index of their pairs.
 
     ``positions`` (N, 3) m, z up; ``classes`` (N,) in ``vocabulary``; ``ids`` (N,) of the source, UTF-8;
     ``sigma_m``: standard deviation of a coordinate; ``tile_m``: edge of a tile; ``tiles`` (T,): those with objects,
@@ -63,7 +66,7 @@ class ImportedMap:
     columns: int
     tiles: IntArray
     tile_starts: IntArray
-    quads: QuadIndex
+    pairs: PairIndex
     georeference: Georeference | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
 
@@ -75,9 +78,9 @@ class ImportedMap:
         """The source in the place of drives, as :class:`slam.object_map.map_io.SavedMap` has them."""
         return ({key: self.metadata.get(key, "") for key in ("input_sha256", "version")},)
 
-    def search(self) -> MapSearch:
+    def search(self) -> PlaceSearch:
         """The map made ready for queries: 0.5 s for a million objects."""
-        return MapSearch(self.quads, self.positions, self.classes.astype(np.int64), len(self.vocabulary))
+        return PlaceSearch(self.pairs, self.positions, self.classes.astype(np.int64), len(self.vocabulary))
 
     @property
     def objects(self) -> ObjectMapRecord:
@@ -130,7 +133,7 @@ def make_imported_map(
     georeference: Georeference | None = None,
     source: Mapping[str, str] | None = None,
 ) -> ImportedMap:
-    """Sort objects into tiles and index their quads.
+    """Sort objects into tiles and index their pairs.
 
     Args:
         positions: (N, 3) m, z up.
@@ -154,6 +157,8 @@ def make_imported_map(
     vocabulary, classes = np.unique(np.array(labels), return_inverse=True)
     ordered = positions[order]
     ordered_classes = classes[order].astype(np.uint16)
+    pairs = PairIndex(shipped_likelihood())
+    pairs.add(ordered, ordered_classes.astype(np.int64))
     return ImportedMap(
         positions=ordered,
         classes=ordered_classes,
@@ -165,7 +170,7 @@ def make_imported_map(
         columns=columns,
         tiles=tiles,
         tile_starts=np.append(starts, len(tile)),
-        quads=build_quad_index(ordered, ordered_classes.astype(np.int64), sigma_m=sigma_m),
+        pairs=pairs,
         georeference=georeference,
         metadata=dict(source or {}),
     )
@@ -194,7 +199,7 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
                 "tile_m": imported.tile_m,
                 "corner": imported.corner.tolist(),
                 "columns": imported.columns,
-                "cell_m": imported.quads.cell_m,
+                "unit_m": imported.pairs.unit_m,
             }
         ),
     }
@@ -208,8 +213,8 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
         writer.write(POINTS_TOPIC, ScenePoints(0, "map", imported.positions.astype(np.float64), colors))
         for name in _CHECKED:
             writer.add_array(name, getattr(imported, name))
-        writer.add_array("quad_vertices", imported.quads.vertices)
-        writer.add_array("quad_starts", imported.quads.starts)
+        for name in _OF_PAIRS:
+            writer.add_array(f"pair_{name}", getattr(imported.pairs, name))
 
 
 def load_imported_map(path: str | os.PathLike[str]) -> ImportedMap:
@@ -232,6 +237,8 @@ def load_imported_map(path: str | os.PathLike[str]) -> ImportedMap:
 
 
 def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> ImportedMap:
+    if not arrays.keys() >= _LAYOUT.keys():
+        raise ValueError("it is of an earlier version")
     for name, (kinds, dimensions) in _LAYOUT.items():
         if arrays[name].dtype.kind not in kinds or arrays[name].ndim != dimensions:
             raise ValueError(f"its array {name} is of {arrays[name].dtype} and shape {arrays[name].shape}")
@@ -248,12 +255,18 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
         columns=int(grid["columns"]),
         tiles=arrays["tiles"],
         tile_starts=arrays["tile_starts"],
-        quads=QuadIndex(arrays["quad_vertices"], arrays["quad_starts"], float(grid["cell_m"])),
+        pairs=PairIndex.of(
+            shipped_likelihood(), float(grid["unit_m"]), *(arrays[f"pair_{name}"] for name in _OF_PAIRS)
+        ),
         georeference=None if georeference is None else Georeference.from_json(georeference),
         metadata=about,
     )
     counts = {len(imported), len(imported.positions), len(imported.ids), int(imported.tile_starts[-1])}
-    if len(counts) > 1 or imported.classes.max(initial=0) >= len(imported.vocabulary):
+    if (
+        len(counts) > 1
+        or imported.pairs.ends.max(initial=0) >= len(imported)
+        or imported.classes.max(initial=0) >= len(imported.vocabulary)
+    ):
         raise ValueError("its arrays disagree on the number of objects or classes")
     return imported
 

@@ -48,7 +48,7 @@ class ImportedPlaces:
         self._is_fixed = is_fixed
         self._is_flat = is_flat(imported)
         self._class_shares = imported.class_shares()
-        imported.quads.read_ahead()
+        imported.pairs.read_ahead()
         self._search = imported.search()
         self._is_loaded = np.zeros(len(imported), dtype=np.bool_)
 
@@ -64,7 +64,7 @@ class ImportedPlaces:
 
     def propose(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` likeliest places of a query, given in its gravity frame."""
-        # The errors that grow with the distance from the robot are common to the corners of a quad.
+        # The errors that grow with the distance from the robot are common to the objects around a pair.
         sigma_m = float(np.hypot(query.sigmas.min(initial=np.inf), self._imported.sigma_m)) if len(query) else 0.0
         known = np.flatnonzero(query.labels < len(self._imported.vocabulary))
         poses = self._search.find_poses(query.positions[known], query.labels[known], sigma_m=sigma_m, count=count)

@@ -1,9 +1,7 @@
-"""Retrieval: candidate places of a query submap, by nearest-neighbour search over descriptors of its objects.
+"""Retrieval: candidate places of a query submap among the landmarks that the robot has left behind.
 
-Inactive landmarks, which the robot has left behind, are indexed by the descriptor of their constellation. Each object
-of a query is matched with its ``top_k`` nearest neighbours in descriptor space; matches that agree on a pose form a
-place. So a few true matches at one place outweigh many false ones that are scattered over the map. A map that is
-imported has an index of its own, of quads, which holds a million objects.
+Inactive landmarks are indexed by what is around them (:mod:`slam.place_recognition.landmark_index`). A map that is
+imported has an index of its own, which is made once.
 """
 
 from __future__ import annotations
@@ -11,27 +9,23 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from descriptors.constellation import Constellations, gather_constellations
-from descriptors.registry import make_index
+from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.registry import shipped_likelihood
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
+from slam.place_recognition.landmark_index import Batch, make_landmark_index
 from slam.place_recognition.place import Place, traversal_of
-from slam.place_recognition.quad_index import build_quad_index
-from slam.registration.parameters import registration_config
-from slam.registration.registration import register
+from slam.place_recognition.place_search import PlaceSearch
 
 INACTIVE_RANGES = 2.0
 """A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""
 # Radius of a reference submap, in sensor ranges.
 PLACE_RADIUS_RANGES = 90.0 / 30.0
-# Sensor range for which the descriptors are made: their rings, kernels and radii are lengths of their own.
-DESCRIPTOR_RANGE_M = 30.0
 INDEXED_TRAVERSALS = 4
 """So many traversals of a place are in the index; what more there are would be found no sooner."""
 # Least travel between two updates of the index, in sensor ranges.
@@ -45,11 +39,10 @@ class PlaceRetriever:
         self._imported = imported
         self._config = config.loop_closure
         self._calibration = config.calibration
-        self._registration_config = registration_config(config)
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
         self._map = object_map
-        self._index = make_index(config.loop_closure.descriptor)
+        self._index = make_landmark_index(config)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1
@@ -90,18 +83,18 @@ class PlaceRetriever:
             & (landmarks["segment"] == segment)
             & (landmarks["last_seen_travel_m"] > earliest_m)
         )
-        centres = np.asarray(np.searchsorted(around, new))
-        self._index.add(self._constellations(landmarks["position_local"][around], self._map.classes(around), centres))
+        first = len(self._rows)
         self._rows = np.concatenate([self._rows, new])
-
-    def _constellations(
-        self, positions: FloatArray, labels: IntArray, centres: IntArray | None = None
-    ) -> Constellations:
-        """Constellations of objects (N, 3) m, scaled to a sensor that sees as far as the descriptors are made for."""
-        scaled = positions * (DESCRIPTOR_RANGE_M / self._sensor_range_m)
-        return gather_constellations(
-            scaled, labels, self._map.vocabulary, radius_m=self._index.radius_m, centres=centres
+        entry_of = np.full(len(landmarks), -1)
+        entry_of[self._rows] = np.arange(first + len(new))
+        batch = Batch(
+            landmarks["position_local"][around],
+            self._map.classes(around),
+            np.asarray(np.searchsorted(around, new)),
+            entry_of[around],
+            segment,
         )
+        self._index.add(batch, tuple(self._map.vocabulary))
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
@@ -123,27 +116,8 @@ class PlaceRetriever:
     def _propose_by_descriptors(self, query: Submap, before_m: float) -> list[Place]:
         landmarks = self._map.rows
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
-        constellations = self._constellations(query.positions, query.labels)
-        matches = self._index.search(constellations, self._config.top_k, usable[self._rows])
-        if not len(matches.queries):
-            return []
-        entries, references = np.unique(matches.entries, return_inverse=True)
-        reference = placed_submap(self._map, self._rows[entries], np.zeros(3), self._calibration)
-        correspondences = np.column_stack([matches.queries, references])
-        registrations = register(
-            query.positions,
-            reference.positions,
-            correspondences,
-            self._registration_config,
-            query_sigmas=query.sigmas,
-            reference_sigmas=np.full(len(reference), self._calibration.objects.landmark_sigma_m),
-            count=self._config.max_candidates,
-        )
-        return [
-            self._place(found.T_reference_query, reference.rows[found.pairs[:, 1]], matches.distances[found.inliers])
-            for found in registrations
-            if found.T_reference_query is not None
-        ]
+        found = self._index.propose(query, usable[self._rows], self._config.max_candidates)
+        return [self._place(T_local_query, self._rows[entries]) for T_local_query, entries in found]
 
     def self_similar_poses(self, query: Submap) -> FloatArray:
         """Poses (H, 4, 4) of a query in itself at which its objects repeat; the first is the identity.
@@ -151,9 +125,11 @@ class PlaceRetriever:
         Besides it there are as many as candidates of a query in the map.
         """
         sigma_m = np.sqrt(2.0) * self._calibration.objects.landmark_sigma_m
-        quads = build_quad_index(query.positions, query.labels, sigma_m=sigma_m)
+        pairs = PairIndex(shipped_likelihood())
+        pairs.add(query.positions, query.labels)
+        search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
         count = self._config.max_candidates + 1  # the identity is among them
-        poses = quads.find_poses(query.positions, query.labels, query.positions, sigma_m=sigma_m, count=count)
+        poses = search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=count)
         return np.concatenate([np.eye(4)[None], poses])
 
     @property
@@ -161,10 +137,10 @@ class PlaceRetriever:
         """Whether there is an imported map, without a trajectory."""
         return self._imported is not None
 
-    def _place(self, T_local_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
-        """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""
+    def _place(self, T_local_query: FloatArray, rows: IntArray) -> Place:
+        """The place of a pose among the landmarks ``rows`` (K,)."""
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
-        return Place(T_local_query, travel_m, segment, float(distances.mean()), "descriptor")
+        return Place(T_local_query, travel_m, segment, np.inf, "descriptor")
 
     def first_seen_travels_m(self, submap: Submap) -> FloatArray:
         """Travel [m] at which each landmark (N,) of a submap was first seen."""

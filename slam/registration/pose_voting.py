@@ -58,6 +58,7 @@ def vote_for_poses(
     *,
     tolerance_m: float,
     count: int,
+    weights: FloatArray | None = None,
 ) -> FloatArray:
     """The poses (H, 4, 4) of a query with most votes, at most ``count``, the best first, no two in adjoining cells.
 
@@ -67,6 +68,7 @@ def vote_for_poses(
         matches: rows of both.
         tolerance_m: by how much lengths of a match may differ.
         count: how many poses are wanted.
+        weights: (C,) of the votes of the matches; 1 by default.
     """
     if len(matches) == 0:
         return np.zeros((0, 4, 4))
@@ -76,7 +78,8 @@ def vote_for_poses(
     radius_m = float(np.sqrt(np.mean((query_positions - middle)[:, :2] ** 2) * 2.0))
     longest_m = np.hypot(*(query[:, 1] - query[:, 0])[:, :2].T)
     turns, places = _poses(query, reference, np.arange(len(query)))
-    votes = _Votes.of(turns, places[:, :2], longest_m, tolerance_m, radius_m)
+    given = np.ones(len(query)) if weights is None else weights
+    votes = _Votes.of(turns, places[:, :2], given, longest_m, tolerance_m, radius_m)
     members, starts = votes.peaks(count)
     turns, places = _poses(query[members], reference[members], starts)
     T = transform_from_xyz_yaw(places, np.angle(turns))
@@ -146,19 +149,26 @@ def _poses(query: FloatArray, reference: FloatArray, starts: IntArray) -> tuple[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Votes:
-    """``cells`` (V, 3) of x, y and heading with votes, their sorted ``keys`` (V,) and ``counts`` (V,), and the cell of
-    each vote, ``voted`` (C,); ``headings``: cells of a full turn.
+    """``cells`` (V, 3) of x, y and heading with votes, their sorted ``keys`` (V,), ``counts`` (V,) and ``weights``
+    (V,), and the cell of each vote, ``voted`` (C,); ``headings``: cells of a full turn.
     """
 
     cells: IntArray
     keys: IntArray
     counts: IntArray
+    weights: FloatArray
     voted: IntArray
     headings: int
 
     @classmethod
     def of(
-        cls, turns: ComplexArray, places: FloatArray, longest_m: FloatArray, tolerance_m: float, radius_m: float
+        cls,
+        turns: ComplexArray,
+        places: FloatArray,
+        weights: FloatArray,
+        longest_m: FloatArray,
+        tolerance_m: float,
+        radius_m: float,
     ) -> _Votes:
         # A match turns by its tolerance over its size, and moves the middle of the query by that times its distance.
         heading_rad = tolerance_m / float(np.median(longest_m))
@@ -167,13 +177,13 @@ class _Votes:
         x, y = np.floor((places - places.min(axis=0)) / edge_m).astype(np.int64).T
         heading = np.floor((np.angle(turns) + np.pi) * (headings / (2.0 * np.pi))).astype(np.int64) % headings
         keys, voted, counts = np.unique(_key(x, y, heading), return_inverse=True, return_counts=True)
-        return cls(_cells(keys), keys, counts, voted, headings)
+        return cls(_cells(keys), keys, counts, np.bincount(voted, weights=weights).astype(np.float64), voted, headings)
 
     def peaks(self, count: int) -> tuple[IntArray, IntArray]:
         """The votes (M,) in and around the ``count`` cells with most of them there, and where each peak starts (H,)."""
-        examined = np.argsort(-self.counts, kind="stable")[:MAX_EXAMINED]
+        examined = np.argsort(-self.weights, kind="stable")[:MAX_EXAMINED]
         around = self._around(examined)  # (E, 27), -1 where there is no vote
-        totals = np.where(around >= 0, self.counts[around], 0).sum(axis=1)
+        totals = np.where(around >= 0, self.weights[around], 0.0).sum(axis=1)
         taken = np.zeros(len(self.keys) + 1, dtype=bool)  # the last stands for cells without votes
         by_cell, ends = np.argsort(self.voted, kind="stable"), np.cumsum(self.counts)
         members = list[IntArray]()

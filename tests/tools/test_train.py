@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from descriptors.descriptellation.network import DescriptellationArchitecture
+from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.learned.weights import read_weights
-from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import make_index
 from descriptors.training import contrast, trainer
 from descriptors.training.contrast import ContrastTraining
@@ -133,7 +133,7 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, t
     assert result.code == 0, result.err
     path = tmp_path / "net" / WEIGHTS
     assert json.loads(result.out)["weights"] == str(path)
-    assert isinstance(make_index(str(path)), LikelihoodIndex) == (network == "descriptellation_lr")
+    assert isinstance(make_index(str(path)), PairIndex) == (network == "descriptellation_lr")
     assert json.loads(dslam(*typed).out)["best"] == json.loads(result.out)["best"]  # complete: nothing is done again
 
 

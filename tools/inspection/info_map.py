@@ -81,7 +81,7 @@ def _plain_imported(imported: ImportedMap) -> dict[str, Any]:
         "sigma_m": imported.sigma_m,
         "width_m": width_m,
         "height_m": height_m,
-        "quad_count": len(imported.quads),
+        "pair_count": len(imported.pairs),
         "latitude_deg": None if georeference is None else georeference.latitude_deg,
         "longitude_deg": None if georeference is None else georeference.longitude_deg,
         "source": imported.metadata.get("source", ""),

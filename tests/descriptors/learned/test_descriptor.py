@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
+from descriptors.index import VectorIndex
 from descriptors.learned.descriptor import LearnedDescriptor
 from descriptors.learned.networks import BATCH, load_network, make_network, pad_constellations
 from descriptors.learned.weights import Weights, save_weights
@@ -90,6 +91,7 @@ def test_radius_is_that_of_the_architecture(descriptor):
 def test_candidates_of_the_paper_s_network_are_of_any_class():
     positions, labels = scattered(30, seed=2)
     index = make_index("descriptellation")
+    assert isinstance(index, VectorIndex)
     entries = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
     index.add(entries)
     matches = index.search(entries, 30, np.ones(30, dtype=np.bool_))

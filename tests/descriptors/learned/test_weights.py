@@ -160,12 +160,13 @@ def test_network_that_does_not_fit_its_architecture_is_refused_by_name(
 @pytest.mark.parametrize(
     ("change", "values", "message"),
     [
-        (None, {"rings": 3}, "rings: Unexpected"),
-        (lambda tensors: tensors.update(log_width=np.zeros(2, np.float32)), {}, "log_width"),
-        (lambda tensors: tensors.update(log_width=np.zeros(5)), {}, "log_width"),
-        (lambda tensors: tensors.update({"ring.2.bias": np.full(2, np.nan, np.float32)}), {}, "not finite"),
-        (None, {"radius_m": 1e300}, "its rings are invalid"),
-        (None, {"least_ring_m": 0.0}, "its rings are invalid"),
+        (None, {"kernels": 3}, "kernels: Unexpected"),
+        (lambda tensors: tensors.update(log_widths=np.zeros(2, np.float32)), {}, "log_widths"),
+        (lambda tensors: tensors.update(log_widths=np.zeros(3)), {}, "log_widths"),
+        (lambda tensors: tensors.update({"worth.2.bias": np.full(2, np.nan, np.float32)}), {}, "not finite"),
+        (None, {"outer": 0.1}, "its sizes are invalid"),
+        (None, {"sectors": 0}, "its sizes are invalid"),
+        (None, {"partners": 10**9}, "its sizes are invalid"),
     ],
 )
 def test_likelihood_that_does_not_fit_its_architecture_is_refused(

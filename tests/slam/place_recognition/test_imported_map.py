@@ -39,7 +39,7 @@ def test_a_file_gives_it_back(tmp_path: Path) -> None:
     save_imported_map(path, known)
     loaded = load_prior_map(path)
     assert isinstance(loaded, ImportedMap)
-    assert isinstance(loaded.quads.vertices, np.memmap)
+    assert isinstance(loaded.pairs.words, np.memmap)
     assert (loaded.vocabulary, loaded.georeference, loaded.sigma_m) == (("pole", "tree"), known.georeference, 0.3)
     for name in ("positions", "classes", "ids", "tiles", "tile_starts", "corner"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(known, name))

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from descriptors.constellation import Constellations
+from descriptors.index import VectorIndex
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
 from slam.odometry.pose import OdometryPose
+from slam.place_recognition.landmark_index import Batch, LandmarkVectors
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 
@@ -129,16 +132,53 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
     assert places.found_m(400.0, seed=2) == [400.0]
 
 
+class _Recorded:
+    """A descriptor that keeps the constellations it is given."""
+
+    name, radius_m = "recorded", 30.0
+
+    def __init__(self) -> None:
+        self.seen: list[Constellations] = []
+
+    def describe(self, constellations: Constellations) -> np.ndarray:
+        self.seen.append(constellations)
+        return np.ones((len(constellations), 2), dtype=np.float32)
+
+
 @pytest.mark.parametrize("sensor_range_m", [10.0, 100.0])
-def test_descriptors_see_lengths_in_sensor_ranges(places, sensor_range_m):
-    other = Places(Config.model_validate({"calibration": {"detection": {"sensor_range_m": sensor_range_m}}}))
+def test_vectors_see_lengths_in_sensor_ranges(places, sensor_range_m):
     query = places.query(0.0)
-    scaled = query.positions * sensor_range_m / CONFIG.sensor_range_m
-    seen, expected = (
-        each.retriever._constellations(positions, query.labels)
-        for each, positions in ((other, scaled), (places, query.positions))
-    )
-    np.testing.assert_allclose(seen.positions, expected.positions)
+    entries = np.arange(COUNT)
+    seen = []
+    for range_m in (CONFIG.sensor_range_m, sensor_range_m):
+        config = Config.model_validate({"calibration": {"detection": {"sensor_range_m": range_m}}})
+        descriptor = _Recorded()
+        landmarks = LandmarkVectors(config, VectorIndex(descriptor))
+        scaled = query.positions * range_m / CONFIG.sensor_range_m
+        landmarks.add(Batch(scaled, query.labels, entries, entries, 0), tuple(places.map.vocabulary))
+        seen.append(descriptor.seen[0].positions)
+    np.testing.assert_allclose(seen[0], seen[1])
+
+
+def test_places_of_segments_are_told_apart(places):
+    """Frames of two segments of the odometry overlap."""
+    places.add(50.0, 100.0)
+    places.add(50.0, 100.0, seed=2, segment=1)
+    places.retriever.index_inactive_landmarks(after(NOW_M))
+    for seed, segment in ((1, 0), (2, 1)):
+        best = places.retriever.propose(places.query(50.0, seed), before_m=BEFORE_M)[0]
+        assert (round(float(best.T_local_query[0, 3]), 1), best.segment) == (50.0, segment)
+
+
+def test_landmarks_are_indexed_again_when_their_spacing_has_changed(places):
+    places.add(50.0, 100.0)
+    places.retriever.index_inactive_landmarks(after(200.0))
+    before_m = places.retriever._index._index.unit_m
+    for row in range(4):
+        places.add(400.0, 101.0 + row, seed=10 + row)
+    places.retriever.index_inactive_landmarks(after(NOW_M))
+    assert places.retriever._index._index.unit_m < before_m / 1.25
+    assert places.found_m(50.0) == [50.0]
 
 
 def test_class_shares_are_those_of_what_is_indexed(places):

@@ -27,7 +27,7 @@ def recall(
         typer.Option(
             "--descriptor",
             metavar="NAME",
-            help="Descriptor: a name, quads, a weights file or module:Class. Repeatable; by default all.",
+            help="Descriptor: a name, a weights file or module:Class. Repeatable; by default all.",
         ),
     ] = None,
     size: Annotated[
@@ -70,7 +70,7 @@ def recall(
     markdown: Markdown = False,
     json: Json = False,
 ) -> None:
-    """Compare descriptors and quads of objects: recall of places in a map of objects.
+    """Compare descriptors: recall of places in a map of objects.
 
     By default a query holds the objects within 30 m of a path of 50 m; a tenth of them is missing, a tenth of the query
     is clutter, and positions have 0.2 m of noise. If several values of these options are given, one option is varied at
@@ -86,9 +86,8 @@ def recall(
     from tools import console
     from tools.lab.retrieval.contest import Contest, add_results, run_contest, side_by_side
     from tools.lab.retrieval.contest_picture import draw_contest
-    from tools.lab.retrieval.proposers import QUADS
 
-    proposers = dict.fromkeys([*(descriptor or [*DESCRIPTOR_NAMES, QUADS]), RandomVector.name])
+    proposers = dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])
     contest = Contest(
         proposers=tuple(proposers),
         sizes=tuple(size or [10_000]),

@@ -33,7 +33,7 @@ from slam.registration.registration import refine
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
-from tools.lab.retrieval.proposers import QUADS, VOTES, Proposer, make_proposer
+from tools.lab.retrieval.proposers import Proposer, make_proposer
 
 KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "queries", "seed"]
 """Columns that tell one row from all others."""
@@ -101,8 +101,7 @@ def run_contest(
         DescriptorError: a descriptor that does not exist.
     """
     for name in contest.proposers:  # what cannot be made is refused before anything is measured
-        if name not in (QUADS, VOTES):
-            make_index(name)
+        make_index(name)
     order = _by_distance(objects.positions, np.random.default_rng(contest.seed))
     sizes = sorted({min(size, len(order)) for size in contest.sizes})
     runs = list(product(contest.classes, sizes, contest.proposers))

@@ -14,11 +14,13 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from descriptors.constellation import gather_constellations
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.index import VectorIndex
 from descriptors.registry import make_index
 from logs.messages import ObjectDetections
 from logs.storage.placement import write_text
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.display.map_picture import save_figure
 from slam.loop_closure.candidate import Candidate
@@ -31,6 +33,9 @@ SUCCESS_M, MISPLACED_M, TOP = 1.0, 10.0, 5
 MAP_SIGMA_M = 0.05
 NOISE_PER_M = 0.08
 """Of a noisy query's positions by range, along any axis: 0.1 / sqrt(3) from its error, and as much from the scale."""
+
+Find = Callable[[LocalQuery, int], tuple[IntArray, IntArray]]
+"""From a query and a number to its objects and, for each, that many objects of the map, as pairs (C,) and (C,)."""
 
 
 def benchmark_descriptors(
@@ -191,15 +196,45 @@ def _error_m(T_map_query: FloatArray | None, query: LocalQuery) -> float:
 def top_share(method: str, objects: LabelledMap, queries: Sequence[LocalQuery], count: int) -> float | None:
     """Share of the objects of a query whose counterpart is among their ``count`` nearest, its mean over the queries."""
     index = make_index(method)
-    index.add(gather_constellations(objects.positions, objects.labels, objects.vocabulary, radius_m=index.radius_m))
-    everywhere = np.ones(len(objects), dtype=np.bool_)
+    find = _likeliest_objects(index, objects) if isinstance(index, PairIndex) else _nearest_objects(index, objects)
     shares = []
     for query in queries:
         if len(query):
-            asked = gather_constellations(query.positions, query.labels, objects.vocabulary, radius_m=index.radius_m)
-            matches = index.search(asked, count, everywhere)
-            shares.append(np.count_nonzero(query.objects[matches.queries] == matches.entries) / len(query))
+            asked, found = find(query, count)
+            shares.append(np.count_nonzero(query.objects[asked] == found) / len(query))
     return float(np.mean(shares)) if shares else None
+
+
+def _nearest_objects(index: VectorIndex, objects: LabelledMap) -> Find:
+    """Objects of the map by their vectors."""
+
+    def gather(positions: FloatArray, labels: IntArray) -> Constellations:
+        return gather_constellations(positions, labels, objects.vocabulary, radius_m=index.radius_m)
+
+    index.add(gather(objects.positions, objects.labels))
+    everywhere = np.ones(len(objects), dtype=np.bool_)
+
+    def find(query: LocalQuery, count: int) -> tuple[IntArray, IntArray]:
+        matches = index.search(gather(query.positions, query.labels), count, everywhere)
+        return matches.queries, matches.entries
+
+    return find
+
+
+def _likeliest_objects(index: PairIndex, objects: LabelledMap) -> Find:
+    """Objects of the map by the likeliest of the pairs that they are in."""
+    index.add(objects.positions, objects.labels)
+
+    def find(query: LocalQuery, count: int) -> tuple[IntArray, IntArray]:
+        sigma_m = MAP_SIGMA_M + NOISE_PER_M * float(np.median(np.linalg.norm(query.positions, axis=1)))
+        matches = index.search(query.positions, query.labels, sigma_m=sigma_m)
+        pairs = np.column_stack([matches.queries.ravel(), matches.entries.ravel()])
+        first = np.unique(pairs, axis=0, return_index=True)[1]
+        pairs = pairs[np.sort(first)]  # the likeliest first
+        ranks = pd.Series(pairs[:, 0]).groupby(pairs[:, 0]).cumcount().to_numpy()
+        return pairs[ranks < count, 0], pairs[ranks < count, 1]
+
+    return find
 
 
 def fit_truth(objects: LabelledMap, query: LocalQuery, scenario: Scenario) -> FloatArray | None:

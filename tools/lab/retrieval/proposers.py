@@ -1,4 +1,4 @@
-"""What proposes places in a map of objects: a descriptor with its index, or the quads of imported maps."""
+"""What proposes places in a map of objects: the index of a descriptor, as loop closing has it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from descriptors.constellation import gather_constellations
+from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.index import VectorIndex
 from descriptors.registry import make_index
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.object_map.submap import Submap
-from slam.place_recognition.map_search import MapSearch
-from slam.place_recognition.quad_index import build_quad_index
-from slam.registration.parameters import registration_config
-from slam.registration.registration import register
+from slam.place_recognition.landmark_index import Batch, LandmarkVectors
+from slam.place_recognition.place_search import PlaceSearch
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import LabelledMap
-
-QUADS, VOTES = "quads", "quads without likelihood"
-ADDED_AT_ONCE = 50_000
-"""Objects whose neighbours are in memory at the same time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,59 +31,37 @@ class Proposer:
 
 
 def make_proposer(name: str, objects: LabelledMap) -> Proposer:
-    """The index of a map: :data:`QUADS`, :data:`VOTES`, or a descriptor by its name in the registry.
+    """The index of a map by a descriptor, by its name in the registry.
 
     Raises:
         DescriptorError: a descriptor that does not exist.
     """
-    if name in (QUADS, VOTES):
-        return _propose_by_quads(objects, by_likelihood=name == QUADS)
-    return _propose_by_descriptors(name, objects)
+    index = make_index(name)
+    return _by_pairs(index, objects) if isinstance(index, PairIndex) else _by_vectors(name, index, objects)
 
 
-def _propose_by_descriptors(name: str, objects: LabelledMap) -> Proposer:
-    """Matches each object of a query with its nearest descriptors, and registers the matches, as loop closing does."""
-    index, config = make_index(name), Config()
-    for start in range(0, len(objects), ADDED_AT_ONCE):
-        centres = np.arange(start, min(start + ADDED_AT_ONCE, len(objects)))
-        index.add(
-            gather_constellations(
-                objects.positions, objects.labels, objects.vocabulary, radius_m=index.radius_m, centres=centres
-            )
-        )
+def _by_pairs(index: PairIndex, objects: LabelledMap) -> Proposer:
+    """Searches the map as an imported one."""
+    index.add(objects.positions, objects.labels)
+    search = PlaceSearch(index, objects.positions, objects.labels, len(objects.vocabulary))
 
     def propose(query: Submap, count: int) -> FloatArray:
-        asked = gather_constellations(query.positions, query.labels, objects.vocabulary, radius_m=index.radius_m)
-        matches = index.search(asked, config.loop_closure.top_k, np.ones(len(index), dtype=np.bool_))
-        if not len(matches.queries):
-            return np.zeros((0, 4, 4))
-        entries, references = np.unique(matches.entries, return_inverse=True)
-        found = register(
-            query.positions,
-            objects.positions[entries],
-            np.column_stack([matches.queries, references]),
-            registration_config(config),
-            query_sigmas=query.sigmas,
-            reference_sigmas=np.full(len(entries), SURVEYED_SIGMA_M),
-            count=count,
-        )
-        poses = [each.T_reference_query for each in found if each.T_reference_query is not None]
-        return np.array(poses).reshape(-1, 4, 4)
+        sigma_m = float(np.hypot(np.median(query.sigmas), SURVEYED_SIGMA_M))
+        return search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=count)
 
     return Proposer(index.nbytes, propose)
 
 
-def _propose_by_quads(objects: LabelledMap, *, by_likelihood: bool) -> Proposer:
-    """Poses on which quads of the query and of the map agree: ``by_likelihood`` the likeliest first, as in imported
-    maps, else those with most votes.
-    """
-    quads = build_quad_index(objects.positions, objects.labels, sigma_m=SURVEYED_SIGMA_M)
-    search = MapSearch(quads, objects.positions, objects.labels, len(objects.vocabulary))
+def _by_vectors(name: str, index: VectorIndex, objects: LabelledMap) -> Proposer:
+    """Registers the nearest neighbours of each object, as loop closing does."""
+    config = Config().calibrated({"objects.landmark_sigma_m": SURVEYED_SIGMA_M})
+    closing = config.loop_closure.model_copy(update={"descriptor": name})
+    landmarks = LandmarkVectors(config.model_copy(update={"loop_closure": closing}), index)
+    rows = np.arange(len(objects))
+    landmarks.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
+    everywhere = np.ones(len(objects), dtype=np.bool_)
 
     def propose(query: Submap, count: int) -> FloatArray:
-        sigma_m = float(np.hypot(np.median(query.sigmas), SURVEYED_SIGMA_M))
-        if by_likelihood:
-            return search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=count)
-        return quads.find_poses(query.positions, query.labels, objects.positions, sigma_m=sigma_m, count=count)
+        return np.array([T for T, _ in landmarks.propose(query, everywhere, count)]).reshape(-1, 4, 4)
 
-    return Proposer(quads.vertices.nbytes + quads.starts.nbytes, propose)
+    return Proposer(index.nbytes, propose)

@@ -82,13 +82,13 @@ def test_comparison_is_written_as_csv_latex_and_figure(dslam: Run, tmp_path: Pat
 def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
     _, objects, *_ = write_world(tmp_path)
     asked = ("benchmark", "recall", "--objects", objects, "--size", 50, "--classes", 1, "--classes", 3, "--queries", 2)
-    result = dslam(*asked, "--descriptor", "quads", "--json")
+    result = dslam(*asked, "--descriptor", "descriptellation_lr", "--json")
     assert (result.code, result.err) == (0, "")
     figures = json.loads(result.out)["figures"]
     assert [(each["proposer"], each["map_objects"], each["map_classes"]) for each in figures] == [
-        ("quads", 50, 1),
+        ("descriptellation_lr", 50, 1),
         ("random", 50, 1),
-        ("quads", 50, 3),
+        ("descriptellation_lr", 50, 3),
         ("random", 50, 3),
     ]
     again = dslam(*asked, "--descriptor", "random", "--missing", 0.1, "--missing", 0.2, "--markdown", "-o", tmp_path)

@@ -26,8 +26,8 @@ def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObject
     )
 
 
-def test_descriptor_and_quads_find_more_places_than_chance_in_each_map() -> None:
-    proposers = ("descriptellation_lr", "quads", "random")
+def test_descriptors_find_more_places_than_chance_in_each_map() -> None:
+    proposers = ("descriptellation_lr", "gosmatch_vertex", "random")
     contest = Contest(proposers, sizes=(400, 1000), classes=(4,), queries=4)
     cells = run_contest(town(1500, 700.0), contest)
     assert cells["proposer"].tolist() == list(proposers) * 2
@@ -61,8 +61,11 @@ def test_results_are_added_to_those_in_file(tmp_path: Path) -> None:
     path = tmp_path / "contest.csv"
     first = run_contest(town(600, 400.0), Contest(("random",), sizes=(300,), queries=1))
     assert len(add_results(path, first)) == 1
-    both = add_results(path, pd.concat([first.assign(right=0.5), first.assign(proposer="quads")]))
-    assert both[["proposer", "right"]].to_numpy().tolist() == [["random", 0.5], ["quads", first["right"].iloc[0]]]
+    both = add_results(path, pd.concat([first.assign(right=0.5), first.assign(proposer="gosmatch_vertex")]))
+    assert both[["proposer", "right"]].to_numpy().tolist() == [
+        ["random", 0.5],
+        ["gosmatch_vertex", first["right"].iloc[0]],
+    ]
     assert len(pd.read_csv(path)) == 2
 
 
@@ -82,6 +85,8 @@ def test_degrees_and_unknown_descriptors_are_refused() -> None:
 
 
 def test_picture_of_several_maps_and_queries(tmp_path: Path) -> None:
-    contest = Contest(("random", "quads"), sizes=(100, 200), scenarios=(Scenario(), Scenario(missing=0.3)), queries=1)
+    contest = Contest(
+        ("random", "descriptellation_lr"), sizes=(100, 200), scenarios=(Scenario(), Scenario(missing=0.3)), queries=1
+    )
     draw_contest(tmp_path / "contest.png", run_contest(town(300, 250.0), contest))
     assert (tmp_path / "contest.png").stat().st_size > 10_000

@@ -1,25 +1,30 @@
-"""Where in a map of any size a query may be: quads propose poses, the likelihood of all objects orders them.
+"""Where in a map of any size a query may be: pairs of objects propose poses, the likelihood of all objects orders them.
 
-Poses with many votes of quads (:mod:`slam.place_recognition.quad_index`) are often wrong where a query has few right
-quads: some of its objects are missing from the map, others are clutter, or noise moves them. Each pose is therefore
-fitted to all objects that meet one of their class there, and scored by their log-likelihood ratio: an object that meets
-one counts by how exactly it does, one that meets none costs little.
+The index of pairs (:mod:`descriptors.descriptellation_lr.pair_index`) gives the pairs of the map that each pair of the
+query may be. Such a match is a pose; those of right matches meet, and the poses on which the likeliest matches agree
+are candidates. Each candidate is fitted to all objects that meet one of their class there, and scored by their
+log-likelihood ratio: an object that meets one counts by how exactly it does, one that meets none costs little.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.descriptellation_lr.pairs import DENSITY, spacing_m
 from slam.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.place_recognition.quad_index import QuadIndex
+from slam.registration.pose_voting import Matches, vote_for_poses
 
 COMPARED = 200
 """Poses with most votes that are scored; with 600 no more places are found."""
+VOTE_SIGMAS = 1.8
+"""Two poses of a right match differ by that many standard deviations of a coordinate over the length of a pair."""
+MIN_VOTE_NATS = 0.1
+"""Every match has a vote, also an unlikely one: many of them agree only at the right place."""
 MATCH_ODDS = 3.0
 """Of an object of a query to be one of the map: three of four are, the others are missing there or clutter."""
 REACH_SIGMAS = 3.5
@@ -60,28 +65,26 @@ class _Poses:
         return _Poses(self.middles[rows], self.turns[rows])
 
 
-class MapSearch:
+class PlaceSearch:
     """A map that can be searched.
 
     Args:
-        quads: the index of the map.
+        pairs: the index of the map, whose objects are numbered by their rows.
         positions: (M, 3) m, z up.
-        classes: (M,) numbers of classes, below ``class_count``.
+        labels: (M,) numbers of classes, below ``class_count``.
     """
 
-    def __init__(self, quads: QuadIndex, positions: FloatArray, classes: IntArray, class_count: int) -> None:
-        self._quads = quads
+    def __init__(self, pairs: PairIndex, positions: FloatArray, labels: IntArray, class_count: int) -> None:
+        self._pairs = pairs
         self._positions = positions
         plane = np.asarray(positions[:, :2], dtype=np.float64)
         self._plane = plane[:, 0] + 1j * plane[:, 1]
-        numbers = np.asarray(classes, dtype=np.int64)
-        nearest_m = np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1] if len(plane) > 1 else np.ones(1)
-        self._spacing_m = max(float(np.median(nearest_m)), float(np.finfo(np.float32).eps))
+        numbers = np.asarray(labels, dtype=np.int64)
+        self._spacing_m = max(spacing_m(plane), float(np.finfo(np.float32).eps))
         self._pitch_m = CLASS_PITCH_SPACINGS * self._spacing_m
         self._tree = cKDTree(np.column_stack([plane, self._pitch_m * numbers]))
-        # Half of the objects of a Poisson process of this density have another one within the median spacing.
-        density = np.log(2.0) / (np.pi * self._spacing_m**2)
-        self._densities = density * np.maximum(np.bincount(numbers, minlength=class_count), 1) / max(len(numbers), 1)
+        shares = np.maximum(np.bincount(numbers, minlength=class_count), 1) / max(len(numbers), 1)
+        self._densities = DENSITY / self._spacing_m**2 * shares
 
     def find_poses(
         self,
@@ -90,7 +93,7 @@ class MapSearch:
         *,
         sigma_m: float,
         count: int,
-        is_excluded: Callable[[IntArray], BoolArray] | None = None,
+        allowed: BoolArray | None = None,
     ) -> FloatArray:
         """The likeliest poses (H, 4, 4) of a query in the map, at most ``count``, best first.
 
@@ -99,13 +102,20 @@ class MapSearch:
             labels: (N,) classes, numbered as in the map.
             sigma_m: of a coordinate of an object, of query and map together.
             count: how many poses are wanted.
-            is_excluded: which objects (K,) of the map, by their rows, make no match.
+            allowed: which objects (M,) of the map may make a pair; all by default.
         """
-        T_voted = self._quads.find_poses(
-            positions, labels, self._positions, sigma_m=sigma_m, count=max(count, COMPARED), is_excluded=is_excluded
+        matches = self._pairs.search(positions, labels, sigma_m=sigma_m, allowed=allowed)
+        if not len(matches.nats):
+            return np.zeros((0, 4, 4))
+        rows, ends = np.unique(matches.entries, return_inverse=True)
+        T_voted = vote_for_poses(
+            positions,
+            self._positions[rows].astype(np.float64),
+            Matches(matches.queries, ends.reshape(-1, 2)),
+            weights=np.maximum(matches.nats, MIN_VOTE_NATS),
+            tolerance_m=VOTE_SIGMAS * sigma_m,
+            count=max(count, COMPARED),
         )
-        if not len(T_voted):
-            return T_voted
         query = _query(positions, labels, sigma_m)
         turns = T_voted[:, 0, 0] + 1j * T_voted[:, 1, 0]
         voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * query.middle, turns)

@@ -1,0 +1,292 @@
+"""An index of pairs of objects: which pairs of a map those of a query are, by the learned likelihood ratio.
+
+Each pair of the map has a bit for each cell around it. The bits lie cell by cell, those of 64 pairs in a word, so that
+one addition of words adds up what an observed object tells about 64 pairs (bit-sliced counters: O'Neil and Quass,
+SIGMOD 1997). Pairs that are added at once are sorted by class and length: a pair of a query is compared only with those
+that have its classes and its length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
+from descriptors.descriptellation_lr.pairs import (
+    Pairs,
+    cells_of,
+    find_ends,
+    gather_pairs,
+    length_tolerances,
+    spacing_m,
+)
+
+Words = NDArray[np.uint64]
+
+QUERY_PARTNERS = 5
+"""Partners of each object of a query: more than in the map, as clutter stands between some of them."""
+MAX_ASKED = 240
+"""Pairs of a query that are looked up, those that can tell most."""
+MATCHES_PER_PAIR = 60
+"""Likeliest pairs of the map for each pair of the query."""
+MAX_MATCHES = 3000
+"""Likeliest of all matches of a query."""
+STEP_NATS = 1.25
+"""Of a counter: most observed objects are worth one to three steps."""
+MAX_STEPS = 7
+PAIRS_AT_ONCE = 4096
+"""Pairs whose bits are computed at a time."""
+WORD = 64
+FILLER = np.uint32(0xFFFFFFFF)
+"""Classes of what fills the last word."""
+PAGE_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatches:
+    """C pairs of the query that may be pairs of the map, the likeliest first: ``queries`` (C, 2) rows of the query,
+    ``entries`` (C, 2) numbers of objects of the map, ``nats`` (C,) their log-likelihood ratios.
+    """
+
+    queries: NDArray[np.int64]
+    entries: NDArray[np.int64]
+    nats: NDArray[np.floating]
+
+
+class PairIndex:
+    """Pairs of a map that may grow.
+
+    ``unit_m``: length of a spacing; that of the objects that are added first if None.
+    """
+
+    def __init__(self, likelihood: LearnedLikelihood, unit_m: float | None = None) -> None:
+        self._likelihood = likelihood
+        self.unit_m = unit_m
+        self.words: Words = np.zeros((likelihood.architecture.cells, 0), dtype=np.uint64)
+        self.ends = np.zeros((0, 2), dtype=np.uint32)
+        self.lengths = np.zeros(0, dtype=np.float32)
+        self.classes = np.zeros(0, dtype=np.uint32)
+        self._sorted = 0
+
+    @classmethod
+    def of(
+        cls,
+        likelihood: LearnedLikelihood,
+        unit_m: float,
+        words: Words,
+        ends: NDArray[np.uint32],
+        lengths: NDArray[np.float32],
+        classes: NDArray[np.uint32],
+    ) -> PairIndex:
+        """The index with the arrays of one that was made at once.
+
+        Raises:
+            ValueError: arrays that do not fit together.
+        """
+        filled = words.shape[1] * WORD
+        if words.shape[0] != likelihood.architecture.cells or not len(ends) == len(lengths) == len(classes) == filled:
+            raise ValueError("its pairs are of another version")
+        index = cls(likelihood, unit_m)
+        index.words, index.ends, index.lengths, index.classes = words, ends, lengths, classes
+        index._sorted = int(np.searchsorted(classes, FILLER))
+        return index
+
+    def emptied(self, unit_m: float) -> PairIndex:
+        """An empty index with the same likelihood and another length of a spacing."""
+        return PairIndex(self._likelihood, unit_m)
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.classes != FILLER))
+
+    def read_ahead(self) -> None:
+        """Read each page of an index that lies in a file once, so that no query waits for them."""
+        for array in (self.words, self.ends, self.lengths, self.classes):
+            array.ravel()[:: PAGE_BYTES // array.itemsize].sum()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the pairs."""
+        return self.words.nbytes + self.ends.nbytes + self.lengths.nbytes + self.classes.nbytes
+
+    def add(
+        self,
+        positions: NDArray[np.float64],
+        labels: NDArray[np.int64],
+        *,
+        numbers: NDArray[np.int64] | None = None,
+        centres: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Add the pairs of objects.
+
+        Args:
+            positions: (N, 2+) m.
+            labels: (N,) classes.
+            numbers: (N,) of the objects, in matches; their rows by default. Those of -1 are in no pair.
+            centres: which objects (C,) are new; all by default. The others are only around them.
+        """
+        if self.unit_m is None:
+            self.unit_m = spacing_m(positions)
+        plane = positions[:, :2] / self.unit_m
+        tree = cKDTree(plane)
+        sizes = self._likelihood.architecture
+        ends = find_ends(plane, labels, tree, sizes.partners, centres=centres)
+        if numbers is not None:
+            ends = ends[(numbers[ends] >= 0).all(axis=1)]
+        apart = plane[ends[:, 1]] - plane[ends[:, 0]]
+        lengths = np.hypot(apart[:, 0], apart[:, 1])
+        classes = _class_codes(labels[ends])
+        order = np.lexsort((lengths, classes))
+        ends, lengths, classes = ends[order], lengths[order], classes[order]
+        blocks = []
+        for start in range(0, len(ends), PAIRS_AT_ONCE):
+            pairs = gather_pairs(plane, labels, ends[start : start + PAIRS_AT_ONCE], tree, sizes)
+            blocks.append(_packed(self._likelihood.bits(pairs)))
+        if not blocks:
+            return
+        if not len(self.ends):
+            self._sorted = len(ends)
+        filler = -len(ends) % WORD
+        numbered = ends if numbers is None else numbers[ends]
+        self.words = np.concatenate([self.words, *blocks], axis=1)
+        self.ends = np.concatenate([self.ends, numbered, np.zeros((filler, 2))]).astype(np.uint32)
+        self.lengths = np.concatenate([self.lengths, lengths, np.full(filler, np.inf)]).astype(np.float32)
+        self.classes = np.concatenate([self.classes, classes, np.full(filler, FILLER)]).astype(np.uint32)
+
+    def search(
+        self,
+        positions: NDArray[np.float64],
+        labels: NDArray[np.int64],
+        *,
+        sigma_m: float,
+        allowed: NDArray[np.bool_] | None = None,
+    ) -> PairMatches:
+        """The likeliest pairs of the map for the pairs of a query.
+
+        Args:
+            positions: (N, 2+) m.
+            labels: (N,) classes, numbered as in the map.
+            sigma_m: of a coordinate of an object, of query and map together.
+            allowed: which objects of the map, by their number, may be matched; all by default.
+        """
+        found = [_nothing()]
+        if len(positions) >= 2 and self.unit_m is not None:
+            pairs = self._asked(positions / self.unit_m, labels, sigma_m / self.unit_m)
+            sigmas = np.full(len(pairs), sigma_m / self.unit_m)
+            hits, misses = self._likelihood.worths(pairs, sigmas)
+            cells = cells_of(pairs, self._likelihood.architecture)
+            steps = np.clip(np.rint((hits + misses) / STEP_NATS), 1, MAX_STEPS).astype(np.int64)
+            misses = np.where(cells >= 0, misses, 0.0)
+            tolerances = length_tolerances(sigmas)
+            codes = _class_codes(labels[pairs.ends])
+            is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[:, None])[0]
+            for row, (begin, end) in enumerate(zip(pairs.offsets[:-1], pairs.offsets[1:], strict=True)):
+                inside = np.flatnonzero(cells[begin:end] >= 0) + begin
+                low, high = pairs.lengths[row] - tolerances[row], pairs.lengths[row] + tolerances[row]
+                for words, first, eligible in self._ranges(codes[row], low, high):
+                    if is_allowed is not None:
+                        eligible = eligible & is_allowed[first : first + len(eligible)]
+                    counters = _sum(words, cells[inside], steps[inside], first, len(eligible))
+                    places, counts = _largest(counters, eligible, MATCHES_PER_PAIR)
+                    nats = STEP_NATS * counts - float(misses[begin:end].sum())
+                    entries = self.ends[places + first * WORD].astype(np.int64)
+                    found.append(PairMatches(np.repeat(pairs.ends[row : row + 1], len(places), axis=0), entries, nats))
+        nats = np.concatenate([each.nats for each in found])
+        best = np.argsort(-nats, kind="stable")[:MAX_MATCHES]
+        queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
+        return PairMatches(queries[best], entries[best], nats[best])
+
+    def _asked(self, plane: NDArray[np.float64], labels: NDArray[np.int64], sigma: float) -> Pairs:
+        """The pairs of a query, those with most around them if there are too many."""
+        tree = cKDTree(plane[:, :2])
+        ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
+        pairs = gather_pairs(plane[:, :2], labels, ends, tree, self._likelihood.architecture)
+        if len(ends) <= MAX_ASKED:
+            return pairs
+        most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:MAX_ASKED]
+        return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
+
+    def _ranges(self, classes: np.uint32, low: float, high: float) -> list[tuple[Words, int, Words]]:
+        """Where pairs of these classes and of a length in between may be: all words, the first, and a mask."""
+        ranges = []
+        known = self.classes[: self._sorted]
+        begin, end = known.searchsorted(classes, side="left"), known.searchsorted(classes, side="right")
+        begin, end = begin + np.searchsorted(self.lengths[begin:end], np.array([low, high], dtype=np.float32))
+        if end > begin:
+            first, last = begin // WORD, -(-end // WORD)
+            mask = np.full(last - first, ~np.uint64(0))
+            mask[0] &= ~np.uint64(0) << np.uint64(begin % WORD)
+            if end % WORD:
+                mask[-1] &= ~np.uint64(0) >> np.uint64(WORD - end % WORD)
+            ranges.append((self.words, first, mask))
+        tail = -(-self._sorted // WORD)
+        if tail < self.words.shape[1]:
+            rows = slice(tail * WORD, None)
+            is_like = (self.classes[rows] == classes) & (self.lengths[rows] >= low) & (self.lengths[rows] <= high)
+            if is_like.any():
+                ranges.append((self.words, tail, _packed(is_like[:, None])[0]))
+        return ranges
+
+
+def _class_codes(labels: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Both classes (P, 2) of pairs in one number (P,)."""
+    return ((labels[:, 0] << 16) + (labels[:, 1] & 0xFFFF)).astype(np.uint32)
+
+
+def _packed(bits: NDArray[np.bool_]) -> Words:
+    """Bits (P, cells) as words (cells, ceil(P / 64))."""
+    filled = np.zeros((-(-len(bits) // WORD) * WORD, bits.shape[1]), dtype=np.bool_)
+    filled[: len(bits)] = bits
+    return np.packbits(filled, axis=0, bitorder="little").T.copy().view(np.uint64)
+
+
+def _sum(words: Words, cells: NDArray[np.int64], steps: NDArray[np.int64], first: int, count: int) -> list[Words]:
+    """Sums of ``steps`` (K,) over the ``cells`` (K,) whose bit is set, by carry-save adders: counters bit by bit."""
+    levels = [[words[cell, first : first + count] for cell in cells[steps >> bit & 1 > 0]] for bit in range(3)]
+    counters = list[Words]()
+    while levels:
+        level, carried = levels.pop(0), list[Words]()
+        while len(level) > 2:
+            a, b, c = level.pop(), level.pop(), level.pop()
+            either = a ^ b
+            level.insert(0, either ^ c)
+            carried.append((a & b) | (either & c))
+        if len(level) == 2:
+            carried.append(level[0] & level[1])
+            level = [level[0] ^ level[1]]
+        counters.append(level[0] if level else np.zeros(count, dtype=np.uint64))
+        if carried:
+            if not levels:
+                levels.append([])
+            levels[0] = carried + levels[0]
+    return counters
+
+
+def _largest(counters: list[Words], eligible: Words, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places and values of the ``count`` largest counters of those that are ``eligible``, and of ties at the end as
+    long as they are not too many.
+    """
+    above, equal = np.zeros_like(eligible), eligible
+    for counter in reversed(counters):
+        more = above | (equal & counter)
+        if int(np.bitwise_count(more).sum()) > count:
+            equal = equal & counter
+        else:
+            above, equal = more, equal & ~counter
+    chosen = above | equal
+    where = np.flatnonzero(chosen)
+    if len(where) > 2 * count:
+        above_where = np.flatnonzero(above)
+        chosen, where = (above, above_where) if len(above_where) else (chosen, where[: 2 * count])
+    bits = np.unpackbits(chosen[where].view(np.uint8).reshape(-1, 8), axis=1, bitorder="little")
+    row, bit = np.nonzero(bits)
+    sliced = np.array([counter[where] for counter in counters])[:, row]  # (bits of a counter, C)
+    set_bits = (sliced >> bit.astype(np.uint64)) & np.uint64(1)
+    values = (np.uint64(1) << np.arange(len(counters), dtype=np.uint64)) @ set_bits
+    return where[row] * WORD + bit, values.astype(np.int64)
+
+
+def _nothing() -> PairMatches:
+    return PairMatches(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros(0))

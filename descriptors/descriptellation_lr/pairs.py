@@ -1,0 +1,224 @@
+"""Pairs of objects and the constellation around each, in the frame of the pair.
+
+Two objects determine a frame: its origin is the middle of both, its x axis points from the first to the second. What
+is around has a direction there, not only a distance, and still does not depend on the heading of a sensor. Lengths are
+in spacings, the median distance of an object of the map to its nearest neighbour, so that streets, forests and halls
+look alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass as validated
+from scipy.spatial import cKDTree
+
+FEATURES = 5
+"""Numbers that :attr:`Pairs.features` gives for each neighbour."""
+QUERY_FEATURES = 4
+"""Numbers that :func:`query_features` gives for each observed neighbour."""
+DENSITY = float(np.log(2.0) / np.pi)
+"""Objects on a square spacing of a Poisson process: half of them have another one within a spacing."""
+MIN_RADIUS = 0.05
+"""Distance, in spacings, below which a neighbour is no nearer to the middle of a pair."""
+MAX_SIGMA = 1.5
+"""Widest angle [rad] of a kernel: a neighbour in the middle of a pair is in no direction."""
+MAX_NEIGHBOURS = 32
+"""Neighbours of a pair that count, the nearest: twice as many as the radius has on average."""
+MIN_LENGTH = 0.1
+"""Shortest pair, in spacings; a shorter one has no heading."""
+MIN_SIGMA = 0.005
+"""Least noise, in spacings, that makes a difference."""
+LENGTH_SIGMAS = 2.0
+"""Lengths of the same pair differ by no more standard deviations, in 95 of 100 pairs."""
+GOLDEN_TURN = 2.0 * np.pi * 0.6180339887498949
+"""Angle by which each class is turned against the one before: patterns of different classes then fall into different
+cells, with as many bits as one class needs."""
+
+
+@validated(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
+class DescriptellationLRArchitecture:
+    """Sizes of the likelihood. Lengths are in spacings.
+
+    ``rings`` between ``inner`` and ``outer``, each of ``sectors`` cells; ``partners``: each object of the map makes a
+    pair with so many of its nearest neighbours; ``hidden``: units of the gate and of the worth.
+    """
+
+    name: str = "descriptellation_lr"
+    inner: float = 0.25
+    outer: float = 5.0
+    rings: int = 30
+    sectors: int = 32
+    partners: int = 3
+    hidden: int = 24
+
+    @property
+    def cells(self) -> int:
+        """Cells around a pair."""
+        return self.rings * self.sectors
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """Radii (R + 1,) of the rings."""
+        return np.linspace(self.inner, self.outer, self.rings + 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """P pairs of objects and their K neighbours.
+
+    ``ends`` (P, 2) rows of the objects, the lower class first; ``lengths`` (P,) spacings; ``offsets`` (P + 1,):
+    neighbours of the i-th pair are ``offsets[i]`` to ``offsets[i + 1]``; ``radii`` (K,) spacings and ``angles`` (K,)
+    rad of the neighbours in the frame of their pair, turned by their class; ``features`` (K, FEATURES).
+    """
+
+    ends: NDArray[np.int64]
+    lengths: NDArray[np.float64]
+    offsets: NDArray[np.int64]
+    radii: NDArray[np.float64]
+    angles: NDArray[np.float64]
+    features: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    @property
+    def owners(self) -> NDArray[np.int64]:
+        """Which pair (K,) each neighbour belongs to."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offsets))
+
+
+def spacing_m(positions: NDArray[np.float64]) -> float:
+    """Median distance [m] of an object (N, 2+) to its nearest neighbour elsewhere; 1 if there are fewer than two."""
+    plane = np.unique(positions[:, :2], axis=0)
+    if len(plane) < 2:
+        return 1.0
+    return float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
+
+
+def find_ends(
+    positions: NDArray[np.float64],
+    labels: NDArray[np.int64],
+    tree: cKDTree,
+    partners: int,
+    *,
+    centres: NDArray[np.int64] | None = None,
+    both_ways: bool = False,
+) -> NDArray[np.int64]:
+    """Each object with its nearest neighbours, each pair once: rows (P, 2), the lower class first.
+
+    Args:
+        positions: (N, 2) spacings.
+        labels: (N,) classes.
+        tree: of the positions.
+        partners: neighbours of each object.
+        centres: which objects (C,) to look from; all by default.
+        both_ways: pairs of one class in both directions, for a query does not know which one the map has.
+    """
+    rows = np.arange(len(positions)) if centres is None else centres
+    count = min(partners, len(positions) - 1)
+    if count < 1 or not len(rows):
+        return np.zeros((0, 2), dtype=np.int64)
+    near = np.asarray(tree.query(positions[rows], k=count + 1)[1], dtype=np.int64)
+    pairs = np.column_stack([np.repeat(rows, count + 1), near.ravel()])
+    pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+    is_turned = labels[pairs[:, 0]] > labels[pairs[:, 1]]
+    pairs[is_turned] = pairs[is_turned, ::-1]
+    if both_ways:
+        pairs = np.concatenate([pairs, pairs[labels[pairs[:, 0]] == labels[pairs[:, 1]], ::-1]])
+    apart = positions[pairs[:, 1]] - positions[pairs[:, 0]]
+    return np.asarray(pairs[np.einsum("ij,ij->i", apart, apart) > MIN_LENGTH**2])
+
+
+def gather_pairs(
+    positions: NDArray[np.float64],
+    labels: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    tree: cKDTree,
+    architecture: DescriptellationLRArchitecture,
+) -> Pairs:
+    """The constellations of pairs.
+
+    Args:
+        positions: (N, 2) spacings.
+        labels: (N,) classes.
+        ends: (P, 2) rows of both.
+        tree: of the positions.
+        architecture: which radii count.
+    """
+    plane = positions[:, 0] + 1j * positions[:, 1]
+    first, second = plane[ends[:, 0]], plane[ends[:, 1]]
+    lengths, middles = np.abs(second - first), 0.5 * (first + second)
+    asked = np.column_stack([middles.real, middles.imag])
+    near_count = min(MAX_NEIGHBOURS + 2, len(positions))
+    distances, near = tree.query(asked, k=[*range(1, near_count + 1)], distance_upper_bound=architecture.outer)
+    is_other = np.isfinite(distances) & (near != ends[:, :1]) & (near != ends[:, 1:])
+    owners, ranks = np.nonzero(is_other)
+    rows = np.asarray(near)[owners, ranks]
+    local = (plane[rows] - middles[owners]) * ((second - first) / lengths)[owners].conj()
+    counts = np.bincount(owners, minlength=len(ends))
+    return Pairs(
+        ends,
+        lengths,
+        np.concatenate([[0], np.cumsum(counts)]),
+        np.abs(local),
+        np.angle(local * np.exp(1j * GOLDEN_TURN * labels[rows])),
+        _features(local, lengths[owners], owners, counts[owners], labels[rows]),
+    )
+
+
+def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> NDArray[np.int64]:
+    """The cell (K,) of each neighbour; -1 inside the inner ring and outside the outer one."""
+    rings = np.searchsorted(architecture.edges, pairs.radii, side="right") - 1
+    turns = pairs.angles / (2.0 * np.pi)
+    sectors = np.floor((turns - np.floor(turns)) * architecture.sectors).astype(np.int64) % architecture.sectors
+    is_inside = (rings >= 0) & (rings < architecture.rings)
+    return np.where(is_inside, rings * architecture.sectors + sectors, -1)
+
+
+def _features(
+    local: NDArray[np.complex128],
+    lengths: NDArray[np.float64],
+    owners: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    labels: NDArray[np.int64],
+) -> NDArray[np.float32]:
+    """Of each neighbour: its distance, the length of the pair, how many neighbours there are, how many of its class,
+    and how many of those are about as far away.
+    """
+    keys = np.unique(owners * (labels.max(initial=0) + 1) + labels, return_inverse=True)[1]
+    bands = np.minimum(np.abs(local), 63.0).astype(np.int64)
+    of_class = np.bincount(keys)[keys]
+    beside = np.bincount(keys * 64 + bands)[keys * 64 + bands]
+    return np.column_stack(
+        [
+            np.log(np.maximum(np.abs(local), MIN_RADIUS)),
+            np.log(lengths),
+            np.log(counts) - 2.0,
+            np.log(of_class / counts),
+            np.log(beside),
+        ]
+    ).astype(np.float32)
+
+
+def query_features(pairs: Pairs, sigmas: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Of each observed neighbour (K, 4): its distance, the length of the pair, the noise, and how many there are.
+
+    Args:
+        pairs: of the query.
+        sigmas: (P,) standard deviation of a coordinate around each pair, of query and map together, in spacings.
+    """
+    owners = pairs.owners
+    counts = np.diff(pairs.offsets)
+    return np.column_stack(
+        [np.log(np.maximum(pairs.radii, MIN_RADIUS)), np.log(pairs.lengths)[owners],
+         np.log(np.maximum(sigmas, MIN_SIGMA))[owners] + 2.5, np.log(np.maximum(counts, 1))[owners] - 2.0]
+    ).astype(np.float32)  # fmt: skip
+
+
+def length_tolerances(sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By how much (P,) the lengths of two pairs that are the same may differ; a length has two noisy ends."""
+    return np.asarray(LENGTH_SIGMAS * np.sqrt(2.0) * sigmas)

@@ -1,0 +1,127 @@
+"""What the likelihood ratio is trained on: which pair of a map a pair of a view is (InfoNCE).
+
+The negatives are all pairs of the map of nearly the same length. The index compares pairs of the same classes only,
+which are fewer in a map of this size.
+Oord et al., Representation Learning with Contrastive Predictive Coding, 2018, equation 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from descriptors.descriptellation_lr.network import DescriptellationLR, query_scores
+from descriptors.descriptellation_lr.pairs import (
+    DescriptellationLRArchitecture,
+    Pairs,
+    find_ends,
+    gather_pairs,
+    length_tolerances,
+    query_features,
+    spacing_m,
+)
+from descriptors.training.maps import TrainingMap
+from descriptors.training.views import draw_view
+
+MIN_SEEN = 3
+"""Objects of a view at least: a pair, and one beside it."""
+QUERY_PARTNERS = 5
+"""Partners of an object of a query: more than in the map, as clutter stands between some of them."""
+MAX_ASKED = 60
+"""Pairs of a view that are asked for, drawn at random: what a step takes in."""
+OUT_OF_THE_QUESTION = -1e4
+SIGMAS = 0.01, 0.15
+"""Least and most noise of a view, in spacings."""
+MAP_SIGMA = 0.04
+"""Most noise of a map, in spacings."""
+RIVALS = 1e5
+"""Pairs of nearly the same length in a map of a million objects. Those of a sample stand for as many."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairSample:
+    """Pairs ``known`` of a map, and pairs of views of it with their noise ``sigmas`` (Q,) in spacings; ``objects``
+    (Q,): which of the map each is; ``is_compared`` (Q, P): which ones it is told from, itself included.
+    """
+
+    known: Pairs
+    queries: tuple[Pairs, ...]
+    sigmas: NDArray[np.float64]
+    objects: NDArray[np.int64]
+    is_compared: NDArray[np.bool_]
+
+
+def draw_pair_sample(
+    drawn: TrainingMap,
+    architecture: DescriptellationLRArchitecture,
+    *,
+    views: int,
+    rng: np.random.Generator,
+    is_exact: bool = False,
+) -> PairSample | None:
+    """Views of a map; None if none of their pairs is one of the map."""
+    unit_m = spacing_m(drawn.positions)
+    map_sigma = 0.0 if is_exact else rng.uniform(0.0, MAP_SIGMA)
+    positions = drawn.positions[:, :2] / unit_m + rng.normal(0.0, map_sigma, (len(drawn), 2))
+    tree = cKDTree(positions)
+    ends = find_ends(positions, drawn.labels, tree, architecture.partners)
+    if not len(ends):
+        return None
+    queries, sigmas, objects = list[Pairs](), list[NDArray[np.float64]](), list[NDArray[np.int64]]()
+    for _ in range(views):
+        sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
+        view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m, is_exact=is_exact)
+        seen = view.positions[:, :2] / unit_m
+        if len(seen) < MIN_SEEN:
+            continue
+        seen_tree = cKDTree(seen)
+        asked = find_ends(seen, view.labels, seen_tree, QUERY_PARTNERS, both_ways=True)
+        found = _numbers_of(ends, view.objects[asked], len(drawn))
+        is_known = (found >= 0) & (drawn.labels[view.objects[asked]] == view.labels[asked]).all(axis=1)
+        rows = rng.permutation(np.flatnonzero(is_known))[:MAX_ASKED]
+        if len(rows):
+            queries.append(gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture))
+            sigmas.append(np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma)))
+            objects.append(found[rows])
+    if not queries:
+        return None
+    known = gather_pairs(positions, drawn.labels, ends, tree, architecture)
+    noise, right = np.concatenate(sigmas), np.concatenate(objects)
+    lengths = np.concatenate([each.lengths for each in queries])
+    is_compared = np.abs(lengths[:, None] - known.lengths) <= length_tolerances(noise)[:, None]
+    is_compared[np.arange(len(right)), right] = True
+    return PairSample(known, tuple(queries), noise, right, is_compared)
+
+
+def pair_scores(network: DescriptellationLR, sample: PairSample, device: torch.device) -> Tensor:
+    """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
+    bits = network.bits(network(sample.known, device))
+    scores, first = list[Tensor](), 0
+    for query in sample.queries:
+        sigmas = sample.sigmas[first : first + len(query)]
+        hits, misses = network.worths(query_features(query, sigmas), device)
+        scores.append(query_scores(bits, query, hits, misses, network.architecture))
+        first += len(query)
+    compared = torch.as_tensor(sample.is_compared, device=device)
+    return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
+
+
+def add_rivals(scores: Tensor, sample: PairSample) -> Tensor:
+    """The scores (Q, P) with those of the negatives raised as if there were :data:`RIVALS` of them."""
+    compared = torch.as_tensor(sample.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
+    raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
+    right = torch.as_tensor(sample.objects, device=scores.device)[:, None]
+    return raised.scatter(1, right, scores.gather(1, right))
+
+
+def _numbers_of(ends: NDArray[np.int64], asked: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Rows (Q,) of ``asked`` (Q, 2) among ``ends`` (P, 2) of ``count`` objects, in this direction; -1 if not there."""
+    keys, wanted = ends @ [count, 1], asked @ [count, 1]
+    order = np.argsort(keys)
+    found = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
+    return np.where((keys[found] == wanted) & (asked >= 0).all(axis=1), found, -1)
