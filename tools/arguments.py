@@ -37,6 +37,11 @@ CalibrationFile = Annotated[
         show_default=False,
     ),
 ]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)]
+TableFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--table", metavar="FILE.csv|.tex", help="Write the table as CSV or LaTeX. Repeatable."),
+]
 Topics = Annotated[
     list[str] | None,
     typer.Option(

@@ -53,7 +53,7 @@ _COMMANDS = {
     "fleet": "fleet:app",
     "evaluate": "evaluation.evaluate:evaluate",
     "compare": "evaluation.compare:compare",
-    "sweep": "evaluation.sweep:sweep",
+    "sweep": "lab.commands.sweep:sweep",
     "view": "results.view:view",
     "export": "results.export:export",
     "config": "settings.config:config",

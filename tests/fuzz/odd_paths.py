@@ -41,7 +41,7 @@ _WRITING = """
 replay drive.mcap -o ODD
 replay drive.mcap -o out.mcap --save-map ODD
 replay drive.mcap -o out.mcap --picture ODD
-evaluate mapped.mcap --json-file ODD
+evaluate mapped.mcap --html ODD
 evaluate mapped.mcap --html ODD
 export mapped.mcap --tum ODD
 export mapped.mcap --csv ODD

@@ -38,11 +38,6 @@ class TestJson:
                 assert told["counters"]["odometry_used"] == 164
                 assert told["counters"]["landmarks_confirmed"] > 20
 
-    def test_evaluation_goes_to_a_file_too(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
-        written = tmp_path / "written.json"
-        assert dslam("evaluate", mapped, "--json-file", written).code == 0
-        assert json.loads(dslam("evaluate", "--json", mapped).out) == json.loads(written.read_text())
-
 
 class TestRequirements:
     def test_met(self, dslam: Run, mapped: Path) -> None:

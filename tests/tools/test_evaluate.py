@@ -110,36 +110,33 @@ class TestSeveralLogs:
 
 
 class TestSweep:
-    def test_it_writes_tables(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
-        folder = tmp_path / "sweep"
-        command = ("sweep", short_log, "-o", folder, "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
-        result = dslam(*command, "--rules", "--set", "keyframe.distance_m=3")
+    def test_it_prints_and_writes_tables(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        table = tmp_path / "sweep.csv"
+        command = ("sweep", short_log, "-o", tmp_path / "sweep", "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
+        variant = ("--variant", "keyframe.distance_m=3;calibrate=false")
+        result = dslam(*command, *variant, "--table", table)
         assert (result.code, result.err) == (0, "")
-        assert "2 cells computed" in result.out
-        assert "rules" in result.out
-        endings = ("json", "md", "csv")
-        assert {path.name for path in folder.iterdir()} == {"cells", *(f"sweep.{ending}" for ending in endings)}
-        again = dslam(*command, "--json", "--set", "keyframe.distance_m=3", "--require", "trajectory.ate_m<=0")
+        assert "2 drives mapped, 0 mapped before" in result.out
+        assert "dropout=0.5" in table.read_text(encoding="utf-8")
+        again = dslam(*command, *variant, "--json", "--require", "trajectory.ate_m<=0")
         assert again.code == 1
         assert "dropout=0.5, seed 0: trajectory.ate_m is" in again.err
         told = json.loads(again.out)
-        assert (told["times"]["computed"], told["times"]["reused"]) == (0, 2)
-        assert told["changes"] == ["keyframe.distance_m=3.0"]
-        assert told["configuration"]["keyframe"]["distance_m"] == 3.0
+        assert told["computed"] == 0
+        assert [group["label"] for group in told["groups"]] == ["faults=none", "faults=dropout=0.5"]
 
-    def test_a_cell_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
-        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn")
+    def test_a_drive_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn", "--markdown")
         result = dslam("sweep", short_log, *sweep)
         assert result.code == 1
         assert result.err.startswith("dslam: failed: drop_label=unicorn, seed 0: ")
         assert result.err.count("\n") == 1
-        assert "undegraded" in result.out
+        assert "| faults=drop_label=unicorn (1 runs) | – |" in result.out
 
     def test_what_cannot_be_swept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         output = ("-o", tmp_path / "sweep")
         assert_refused(dslam("sweep", mapped, *output), "give the drive")
         assert_refused(dslam("sweep", SAMPLE, *output, "--degrade", "drop=1"), "did you mean")
         assert_refused(dslam("sweep", SAMPLE, *output, "--set", "keyframe.distance=1"), "keyframe.distance_m")
-        assert_refused(dslam("sweep", tmp_path / "none.mcap", *output), "none.mcap")
         assert_refused(dslam("sweep", SAMPLE, "-o", SAMPLE), str(SAMPLE))
         assert not (tmp_path / "sweep").exists()

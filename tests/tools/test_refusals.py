@@ -158,7 +158,6 @@ class TestOutputs:
         names = (tmp_path / "a.txt", f"{tmp_path}/{second}")
         for first, other in (names, names[::-1]):
             assert_refused(dslam("export", mapped, "--tum", first, "--kitti", other), "two outputs")
-            assert_refused(dslam("evaluate", mapped, "--json-file", first, "--picture", other), "two outputs")
         assert not (tmp_path / "a.txt").exists()
 
     def test_an_input_under_the_partial_name_of_the_output_is_kept(

@@ -45,12 +45,12 @@ def parse_fault(text: str) -> FaultCase:
 
 
 def parse_faults(texts: Sequence[str]) -> list[FaultCase]:
-    """Each of the faults, in the order given.
+    """The faults in the order given; each of the texts holds some, joined by commas.
 
     Raises:
         ConfigurationError: a name that does not exist, or a value that is not allowed.
     """
-    return [parse_fault(text) for text in texts]
+    return [parse_fault(part) for text in texts for part in text.split(",")]
 
 
 def all_cases() -> list[FaultCase]:

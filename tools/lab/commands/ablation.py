@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -11,27 +10,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import UNDEFINED, Markdown, report
+from tools.arguments import ConfigFile, Jobs, Json, Settings
+from tools.lab.tables import Markdown, ResultFolder, report, rows_of
 
 if TYPE_CHECKING:
     from slam.common.config import Config
-    from slam.evaluation.comparison import Comparison
+    from slam.sweeps.sweep import Sweep
 
 NOISE = "position_noise=0.001,odometry_translation_noise=0.001"
 """Of each copy: far below that of any sensor, so that copies differ only by chance."""
-
-FIGURES = ("trajectory.ate_m", "closures.precision", "closures.recall", "relocalization.success_rate",
-           "associations.precision")  # fmt: skip
 
 
 def ablation(
     data: Annotated[
         Path, typer.Argument(metavar="DATA", help="Folder with cities, kitti00 and robots.", show_default=False)
     ],
-    folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are reused.")
-    ],
+    folder: ResultFolder,
     drive: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this drive. Repeatable.")] = None,
     part: Annotated[
         list[str] | None,
@@ -40,9 +34,7 @@ def ablation(
     copies: Annotated[
         int, typer.Option(min=1, help="Perturbed copies of each drive, each with its own noise (1e-3).")
     ] = 10,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)
-    ] = None,
+    jobs: Jobs = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     markdown: Markdown = False,
@@ -59,24 +51,20 @@ def ablation(
 
     from slam.common.config import load_config
     from slam.evaluation.comparison import RULE
-    from slam.evaluation.report.figures import HEADLINE_FIGURES
     from tools.lab.drives.ablation_drives import DRIVES
     from tools.lab.drives.ablation_parts import DEFAULT, PARTS
 
     drives = _chosen(drive, DRIVES, "--drive")
-    parts = list(dict.fromkeys([DEFAULT, *_chosen(part, PARTS, "--part")]))
-    configs = {name: load_config(config_file, [*(settings or ()), *PARTS[name].settings]) for name in parts}
-    compared = {
-        name: _compare_parts(name, data, folder / _file_name(name), configs, copies, jobs or os.cpu_count() or 1)
-        for name in drives
-    }
-    tables = pd.concat({name: each.to_table().T for name, each in compared.items()}, names=["drive", "off"])
-    headings = [figure.heading for figure in HEADLINE_FIGURES if figure.key in FIGURES]
-    rows = tables.reindex(columns=headings).astype(object).fillna(UNDEFINED).reset_index().to_dict("records")
+    parts = dict.fromkeys([DEFAULT, *_chosen(part, PARTS, "--part")])
+    variants = {name: load_config(config_file, [*(settings or ()), *PARTS[name].settings]) for name in parts}
+    swept = {name: _map_copies(name, data, folder, variants, copies, jobs or os.cpu_count() or 1) for name in drives}
+    compared = {name: each.compare() for name, each in swept.items()}
+    rows = pd.concat({name: rows_of(each) for name, each in compared.items()}, names=["drive"]).reset_index("drive")
     report(
-        [{str(heading): cell for heading, cell in row.items()} for row in rows],
+        rows.to_dict("records"),
         f"{copies} copies with the noise {NOISE}, seeds 0 to {copies - 1}: mean ± deviation. {RULE}",
-        texts=["off"],
+        *(failure for each in swept.values() for failure in each.failures),
+        texts=["runs"],
         markdown=markdown,
         json={name: each.to_json_dict() for name, each in compared.items()} if json else None,
     )
@@ -90,42 +78,18 @@ def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: st
     return [name for name in there if not names or name in names]
 
 
-def _compare_parts(
-    drive: str, data: Path, folder: Path, configs: Mapping[str, Config], copies: int, jobs: int
-) -> Comparison:
+def _map_copies(drive: str, data: Path, folder: Path, variants: Mapping[str, Config], copies: int, jobs: int) -> Sweep:
     """Map the copies of a drive without each part; ``folder`` keeps the log and the copies that are finished."""
-    from slam.evaluation.comparison import Run, compare_runs
-    from slam.sweeps.degradations import parse_degradations
-    from slam.sweeps.sweep import run_sweep
+    from slam.sweeps.sweep import plan_sweep, run_sweep
     from tools import console
     from tools.lab.drives.ablation_drives import DRIVES
-    from tools.lab.drives.ablation_parts import DEFAULT, compute_without
+    from tools.lab.drives.ablation_parts import map_without
 
-    folder.mkdir(parents=True, exist_ok=True)
-    log = folder / "drive.mcap"
+    of_drive = folder / re.sub(r"\W+", "_", drive)
+    of_drive.mkdir(parents=True, exist_ok=True)
+    log = of_drive / "drive.mcap"
     if not log.exists():
         DRIVES[drive](log, data)
+    tasks = plan_sweep(log, [NOISE], variants, seeds=copies)
     with console.progress_bar(drive, drive) as move:
-        sweep = run_sweep(
-            log,
-            folder,
-            parse_degradations([NOISE])[1:],
-            configs[DEFAULT],
-            seeds=copies,
-            jobs=jobs,
-            variants=configs,
-            on_progress=move,
-            compute=compute_without,
-        )
-    for failure in sweep.failures:
-        typer.echo(f"{drive}: {failure}", err=True)
-    return compare_runs(
-        [
-            Run(cell.name, result.evaluation or {}, json_text.dumps({"off": cell.variant}))
-            for cell, result in sweep.results.items()
-        ]
-    )
-
-
-def _file_name(name: str) -> str:
-    return re.sub(r"\W+", "_", name)
+        return run_sweep(tasks, of_drive, jobs=jobs, on_progress=move, compute=map_without)

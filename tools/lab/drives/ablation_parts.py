@@ -12,7 +12,7 @@ from unittest.mock import patch
 import numpy as np
 
 from slam.backend.editable_graph import EditableGraph
-from slam.sweeps.cells import Cell, CellResult, compute_cell
+from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 
 DEFAULT = "nothing"
 
@@ -99,7 +99,7 @@ def switched_off(part: Part) -> Iterator[None]:
         yield
 
 
-def compute_without(cell: Cell, *, scratch: Path) -> CellResult:
-    """The cell with the part off that its variant names."""
-    with switched_off(PARTS[cell.variant]):
-        return compute_cell(cell, scratch=scratch)
+def map_without(task: DriveTask, *, scratch: Path) -> MappedDrive:
+    """Map a drive with the part off that its variant names."""
+    with switched_off(PARTS[task.variant]):
+        return map_drive(task, scratch=scratch)

@@ -45,12 +45,12 @@ def test_table_has_a_row_for_each_part_and_its_finished_copies_are_kept(dslam: R
     parts = ("--part", "existence of landmarks")
     result = dslam(*arguments, *parts, "--markdown")
     rows = [line.split(" | ")[:2] for line in result.out.splitlines() if line.startswith("| tiny")]
-    assert rows == [["| tiny", f"off={DEFAULT} (2 runs)"], ["| tiny", "off=existence of landmarks (2 runs)"]]
+    assert rows == [["| tiny", f"variant={part} (2 runs)"] for part in (DEFAULT, "existence of landmarks")]
     assert "2 copies with the noise" in result.out
     cells = {path: path.stat().st_mtime_ns for path in (data / "out" / "tiny" / "cells").glob("*.json")}
     assert len(cells) == 4
     groups = json.loads(dslam(*arguments, *parts, "--json").out)["tiny"]["groups"]
-    assert [group["label"] for group in groups] == [f"off={DEFAULT}", "off=existence of landmarks"]
+    assert [group["label"] for group in groups] == [f"variant={DEFAULT}", "variant=existence of landmarks"]
     assert cells == {path: path.stat().st_mtime_ns for path in cells}
 
 
