@@ -31,7 +31,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         info ?ANY
         info ?ANY --json
         info ?ANY --closures
-        info ?ANY --json --all"""),
+        info ?ANY --json --closures"""),
     "replay": (6, """
         replay ?drive|ros|json -o out.mcap
         replay ?drive|ros|json -o out.mcap --json

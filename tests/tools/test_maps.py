@@ -188,12 +188,9 @@ class TestInfo:
         result = dslam("info", town)
         assert result.code == 0
         for text in (
-            "format version 1",
             "gravity z of the frame map points up",
             "this is a saved map, not a drive",
             "closure count 0",
-            "descriptor descriptellation_lr",
-            "UTC, by the clock of the last drive",
             f"dslam relocalize LOG --map {town}",
         ):
             assert text in " ".join(result.out.split())

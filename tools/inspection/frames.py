@@ -6,12 +6,11 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from tools.inspection import MAX_LISTED
-
 if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
 
 _INDENT = "  "
+MAX_LINES = 40
 
 
 def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
@@ -28,7 +27,7 @@ def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
         topic = f"  ({above[frame][1]})" if frame in above else ""
         lines.append(f"{_INDENT * depth}{frame}{topic}")
         waiting += [(depth + 1, child) for child in sorted(children[frame], reverse=True)]
-    return lines[:MAX_LISTED] + [f"and {len(lines) - MAX_LISTED} more"] * (len(lines) > MAX_LISTED)
+    return lines[:MAX_LINES] + [f"and {len(lines) - MAX_LINES} more"] * (len(lines) > MAX_LINES)
 
 
 def find_faults(summary: LogSummary) -> list[str]:
