@@ -21,12 +21,6 @@ def simulate(
         int | None, typer.Option(min=0, metavar="N", help="Seed of the town: several drives through one town.")
     ] = None,
     length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
-    kidnap: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FROM_M:TO_M", help="Kidnap the robot: the drive jumps from one place of the tour to another."
-        ),
-    ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     json: Json = False,
@@ -42,13 +36,12 @@ def simulate(
     check_outputs([output], [objects, trajectory, config_file])
     import numpy as np
 
-    from slam.simulation.config import kidnap_overrides, load_simulation_config
+    from slam.simulation.config import load_simulation_config
     from slam.simulation.simulation import write_simulation
     from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
 
-    kidnapping = kidnap_overrides(kidnap) if kidnap is not None else []
-    config = load_simulation_config(config_file, [*(settings or ()), *kidnapping])
+    config = load_simulation_config(config_file, settings or ())
     if objects is not None and trajectory is not None:
         world = load_world(objects, trajectory)
     else:

@@ -8,7 +8,6 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from slam.common.config_tree import load_tree
-from slam.common.errors import SimulationError
 
 
 class _Branch(BaseModel):
@@ -120,19 +119,3 @@ def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = 
         ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
     """
     return load_tree(SimulationConfig, path, overrides)
-
-
-def kidnap_overrides(text: str) -> list[str]:
-    """The overrides for ``load_simulation_config`` that ``text``, "FROM_M:TO_M", stands for.
-
-    Raises:
-        SimulationError: the text is no such pair, or a number is out of range.
-    """
-    try:
-        from_m, to_m = (float(part) for part in text.split(":"))
-        KidnapConfig(from_m=from_m, to_m=to_m)
-    except ValueError as error:  # pydantic's ValidationError is one
-        raise SimulationError(
-            f"kidnap {text!r}: expected FROM_M:TO_M, FROM_M > 0 and TO_M >= 0 metres along the tour"
-        ) from error
-    return [f"kidnap.from_m={from_m!r}", f"kidnap.to_m={to_m!r}"]

@@ -13,7 +13,7 @@ from logs.reader import LogReader
 from logs.selection import select_topics
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
-from slam.simulation.config import SimulationConfig, kidnap_overrides
+from slam.simulation.config import SimulationConfig
 from slam.simulation.drive import START_NS
 from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.world import World
@@ -135,13 +135,6 @@ def test_kidnapping_is_a_gap_after_which_odometry_starts_anew(street: World) -> 
 def test_kidnapping_outside_the_tour_is_refused_at_the_call(street: World, kidnap: dict[str, float]) -> None:
     with pytest.raises(SimulationError, match=r"from 0 to 200\.0 m"):
         simulate(street, _config(kidnap=kidnap), seed=0)
-
-
-def test_kidnapping_as_text() -> None:
-    assert kidnap_overrides("12.5:300") == ["kidnap.from_m=12.5", "kidnap.to_m=300.0"]
-    for text in ("12", "1:2:3", "a:b", "0:5", "5:-1", "nan:1", ""):
-        with pytest.raises(SimulationError, match="FROM_M:TO_M"):
-            kidnap_overrides(text)
 
 
 @pytest.mark.parametrize(
