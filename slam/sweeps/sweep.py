@@ -20,7 +20,7 @@ from logs.topics import RecordKind
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.evaluation.comparison import Comparison, Run, compare_runs
-from slam.simulation.faults.registry import all_cases, parse_faults
+from slam.simulation.faults.registry import FAULTS, parse_faults
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 from slam.sweeps.result_folder import ResultFolder
 from slam.sweeps.workers import Death, compute_all
@@ -154,8 +154,8 @@ def _named(degradations: Sequence[str]) -> dict[str, bool]:
     found = dict[str, bool]()
     for text in degradations:
         if text == EVERY_FAULT:
-            found |= {case.name: case.fault.is_random for case in all_cases()}
+            found |= {fault.name: fault.is_random for fault in FAULTS.values() if "LABEL" not in fault.values}
         else:
-            cases = parse_faults([text] if text else [])
-            found[",".join(case.name for case in cases)] = any(case.fault.is_random for case in cases)
+            faults = parse_faults([text] if text else [])
+            found[",".join(fault.name for fault in faults)] = any(fault.is_random for fault in faults)
     return found

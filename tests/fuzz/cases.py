@@ -48,7 +48,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         export ?mapped --tum a.txt --kitti b.txt --g2o c.g2o"""),
     "degrade": (1, """
         degrade ?drive -o out.mcap --fault dropout=0.3
-        degrade ?drive -o out.mcap --fault reversed
+        degrade ?drive -o out.mcap --fault lengths_scaled
         degrade ?drive -o out.mcap --fault false_positives=3
         degrade ?drive -o out.mcap --fault label_confusion=0.2"""),
     "import": (1.5, """

@@ -120,12 +120,12 @@ class TestSweep:
         assert [group["label"] for group in told["groups"]] == ["faults=none", "faults=dropout=0.5"]
 
     def test_a_drive_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
-        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn", "--markdown")
+        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "keep_label=unicorn", "--markdown")
         result = dslam("sweep", short_log, *sweep)
         assert result.code == 1
-        assert result.err.startswith("dslam: failed: drop_label=unicorn, seed 0: ")
+        assert result.err.startswith("dslam: failed: keep_label=unicorn, seed 0: ")
         assert result.err.count("\n") == 1
-        assert "| faults=drop_label=unicorn (1 runs) | – |" in result.out
+        assert "| faults=keep_label=unicorn (1 runs) | – |" in result.out
 
     def test_what_cannot_be_swept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         output = ("-o", tmp_path / "sweep")

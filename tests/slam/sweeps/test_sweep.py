@@ -54,7 +54,7 @@ def test_each_degradation_is_planned_once_and_random_ones_for_every_seed(log):
     ]
     tasks = plan_sweep(log, ["", *DEFAULT_DEGRADATIONS], {"a": Config(), "b": Config(calibrate=False)}, seeds=2)
     assert len(tasks) == 2 * (1 + 2 * len(DEFAULT_DEGRADATIONS))
-    assert {"heading_jump=5:0.5", "labels_random", "reversed"} < set(named(log, EVERY_FAULT))
+    assert {"heading_jump=30:0.5", "labels_random", "messages_twice"} < set(named(log, EVERY_FAULT))
     with pytest.raises(ConfigurationError, match="did you mean dropout"):
         named(log, "drop=0.3")
 
@@ -100,7 +100,7 @@ def test_the_name_of_a_result_depends_on_all_that_it_is_made_from(log, tmp_path)
     folder = ResultFolder(tmp_path, log)
     other = [
         replace(task, seed=7),
-        replace(task, faults="reversed"),
+        replace(task, faults="messages_twice"),
         replace(task, config=load_tree(Config, None, ["keyframe.distance_m=3.0"])),
         replace(task, topics=(("odometry", "/wheels"),)),
         replace(task, variant="other"),
