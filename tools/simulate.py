@@ -58,7 +58,6 @@ def simulate(
                 "output": str(output),
                 "world": world.name,
                 "seed": seed,
-                "driven_m": summary.driven_m,
                 "duration_s": summary.duration_s,
                 "object_count": len(world.object_ids),
                 "detection_count": summary.detection_count,
@@ -67,7 +66,7 @@ def simulate(
         )
         return
     console.show(
-        f"{output}: {summary.driven_m:.0f} m in {summary.duration_s:.0f} s through {world.name} (seed {seed}), "
+        f"{output}: {summary.duration_s:.0f} s through {world.name} (seed {seed}), "
         f"{len(world.object_ids)} objects of {len(world.vocabulary)} classes",
         console.pairs({f"  {topic}": f"{count} messages" for topic, count in summary.message_counts.items()}),
         f"  {summary.detection_count} objects detected",
