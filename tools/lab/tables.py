@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from slam.evaluation.comparison import Comparison
 
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
@@ -32,10 +30,10 @@ def percent(share: float | None, digits: int = 1) -> str:
     return number(share, digits, 100.0)
 
 
-def rows_of(comparison: Comparison) -> pd.DataFrame:
+def rows_of(comparison: Comparison) -> list[dict[str, str]]:
     """A row for each group of runs, with some of the figures."""
     table = comparison.to_table().T.reindex(columns=list(COMPARED)).astype(object).fillna(UNDEFINED)
-    return table.rename_axis("runs").reset_index()
+    return [{"runs": str(name)} | row for name, row in table.to_dict("index").items()]
 
 
 def report(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import typer
 
-from tools.lab.commands.ablation import ablation
 from tools.lab.commands.descriptors import descriptors
 from tools.lab.commands.fleet import fleet
 from tools.lab.commands.kidnapping import kidnapping
@@ -14,5 +13,5 @@ from tools.lab.commands.retrieval import retrieval
 from tools.lab.commands.robots import robots
 
 app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
-for command in (ablation, descriptors, fleet, kidnapping, recall, relocalization, retrieval, robots):
+for command in (descriptors, fleet, kidnapping, recall, relocalization, retrieval, robots):
     app.command()(command)
