@@ -1,4 +1,4 @@
-"""The tree of frames of a log, and what in it keeps detections from the body."""
+"""What in the frames and clocks of a log keeps detections from the body."""
 
 from __future__ import annotations
 
@@ -8,26 +8,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
-
-_INDENT = "  "
-MAX_LINES = 40
-
-
-def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
-    """A line for each frame, below its parent, with the topic that connects the two; frames without one stand alone."""
-    above = {child: (parent, topic.topic) for topic in topics for parent, child in topic.frame_edges}
-    children = defaultdict[str, list[str]](list)
-    for child, (parent, _) in above.items():
-        children[parent].append(child)
-    frames = {frame for topic in topics for frame in topic.frames} | children.keys()
-    lines: list[str] = []
-    waiting = [(0, root) for root in sorted(frames - above.keys(), reverse=True)]
-    while waiting:
-        depth, frame = waiting.pop()
-        topic = f"  ({above[frame][1]})" if frame in above else ""
-        lines.append(f"{_INDENT * depth}{frame}{topic}")
-        waiting += [(depth + 1, child) for child in sorted(children[frame], reverse=True)]
-    return lines[:MAX_LINES] + [f"and {len(lines) - MAX_LINES} more"] * (len(lines) > MAX_LINES)
 
 
 def find_faults(summary: LogSummary) -> list[str]:

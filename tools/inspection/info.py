@@ -34,7 +34,7 @@ def info(
     topics: Topics = None,
     settings: Settings = None,
 ) -> None:
-    """Show what a log holds: topics, rates, clocks, the tree of frames, and what a replay would use or why it cannot.
+    """Show what a log holds: topics, rates, clocks, frames, and what a replay would use or why it cannot.
 
     Example: dslam info drive.mcap --topic odometry=/wheel_odometry
 
@@ -89,7 +89,8 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     is_mapped = REPLAYED in summary.metadata
     listed = {"landmarks" if is_mapped else "objects": _classes(summary)}
     if not is_mapped:
-        listed["frames"] = "\n".join(frames.draw_tree(summary.topics))
+        edges = [f"{parent} -> {child}  ({t.topic})" for t in summary.topics for parent, child in t.frame_edges]
+        listed["frames"] = "\n".join(edges[:MAX_LISTED])
         listed["not placed"] = "\n".join(frames.find_faults(summary))
     of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
     faults = [
