@@ -163,15 +163,9 @@ def labels_one_class(log: Recording) -> None:
     _rename(log, lambda label: "object")
 
 
-def labels_case(log: Recording) -> None:
-    """Labels are in capitals from half time on."""
-    _rename(log, str.upper, log.stamp_at(0.5))
-
-
-def _rename(log: Recording, rename: Callable[[str], str], begin_ns: int = 0) -> None:
+def _rename(log: Recording, rename: Callable[[str], str]) -> None:
     for scan in log.scans:
-        if scan.stamp_ns >= begin_ns:
-            scan.change(labels=tuple(map(rename, scan.seen.labels)))
+        scan.change(labels=tuple(map(rename, scan.seen.labels)))
 
 
 def _from_sensor(log: Recording) -> list[tuple[Scan, FloatArray]]:

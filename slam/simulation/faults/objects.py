@@ -2,50 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-from slam.common.geometry import apply, invert
-from slam.simulation.faults.parameters import Duration, Number, Share
+from slam.simulation.faults.parameters import Share
 from slam.simulation.faults.recording import Message, Recording
 
 _Speed = Annotated[float, Field(ge=0.0, le=1e3, description="m/s")]
 _LengthFactor = Annotated[float, Field(ge=1e-6, le=1e6, description="factor")]
-_BURST_RADIUS_M = 60.0
 _IN_VIEW_AGAIN_NS = 10_000_000_000
 """An object that was not seen for so long has gone elsewhere when it comes back."""
-
-
-def scan_repeated(log: Recording, seconds: Duration = 10.0) -> None:
-    """The last scan before half time is repeated for S."""
-    begin_ns, end_ns = log.from_half(seconds)
-    last = next((scan for scan in reversed(log.scans) if scan.stamp_ns < begin_ns), None)
-    for scan in log.scans:
-        if last is not None and begin_ns <= scan.stamp_ns < end_ns:
-            stamp_ns, scan.message = scan.stamp_ns, replace(scan.message, record=last.seen)
-            scan.change(last.ids, stamp_ns=stamp_ns)
-
-
-def objects_burst(log: Recording, count: Number = 5000, seconds: Duration = 3.0, *, rng: np.random.Generator) -> None:
-    """NUMBER more objects of the classes of the log appear for S from half time on."""
-    begin_ns, end_ns = log.from_half(seconds)
-    labels, frames = log.labels or ["object"], log.body_frames()
-    radius_m = _BURST_RADIUS_M * np.sqrt(rng.random(count))
-    angle_rad = rng.uniform(-np.pi, np.pi, count)
-    around = np.column_stack([radius_m * np.cos(angle_rad), radius_m * np.sin(angle_rad), np.zeros(count)])
-    standing = apply(log.poses_at([begin_ns])[0], around)
-    of_class = tuple(labels[i] for i in rng.integers(len(labels), size=count))
-    for scan, T_odom_body in zip(log.scans, log.scan_poses(), strict=True):
-        if begin_ns <= scan.stamp_ns < end_ns:
-            name = scan.seen.frame_id
-            positions = apply(invert(T_odom_body @ frames(name)), standing)
-            scan.add(ObjectDetections(scan.stamp_ns, name, positions, of_class, np.ones(count)))
 
 
 def objects_moving(log: Recording, share: Share = 0.5, speed_m_s: _Speed = 2.0, *, rng: np.random.Generator) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw, yaw_rad
 from slam.simulation.faults.parameters import Degrees, Duration, Factor, Metres, Number, Part
-from slam.simulation.faults.recording import Message, Recording
+from slam.simulation.faults.recording import Recording
 
 _Rate = Annotated[float, Field(ge=-1e4, le=1e4, description="deg/s")]
 _TranslationNoise = Annotated[float, Field(ge=0.0, le=10.0, description="m / sqrt(m)")]
@@ -100,26 +99,6 @@ def odometry_yaw_noise(log: Recording, sigma: _YawNoise = 0.005, *, rng: np.rand
     errors = sigma * _root_m(steps) * rng.standard_normal(len(steps))
     steps[:, :3, :3] = steps[:, :3, :3] @ _turn(errors)[:, :3, :3]
     log.steps = steps
-
-
-def odometry_z_down(log: Recording) -> None:
-    """Odometry and body have y to the right and z down, as in aviation; the detections do not."""
-    T_flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    log.poses = T_flip @ log.poses @ T_flip
-
-
-def odometry_interleaved(log: Recording, offset_m: Metres = 1.0) -> None:
-    """A second odometry is on the same topic, with its origin M aside."""
-    stamps_ns = log.stamps_ns
-    middles_ns = stamps_ns[:-1] + np.diff(stamps_ns) // 2
-    between = transform_from_xyz_yaw(np.array([0.0, offset_m, 0.0]), 0.0) @ log.poses_at(middles_ns)
-    added = []
-    for row in np.flatnonzero(np.diff(stamps_ns) > 1).tolist():
-        message, later = log.odometry[row : row + 2]
-        record = replace(message.record, stamp_ns=int(middles_ns[row]), T_odom_body=between[row])
-        log_time_ns = (message.log_time_ns + later.log_time_ns) // 2
-        added.append(Message(message.topic, log_time_ns, record, message.number))
-    log.odometry = sorted([*log.odometry, *added], key=lambda message: message.log_time_ns)
 
 
 def _half_row(log: Recording) -> int:

@@ -25,21 +25,10 @@ def detections_clock_back(log: Recording, seconds: Duration = 30.0) -> None:
     log.restamp_scans(lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= half_ns))
 
 
-def odometry_clock_back(log: Recording, seconds: Duration = 30.0) -> None:
-    """The clock of the odometry is S behind from half time on."""
-    log.stamps_ns = log.stamps_ns - seconds_ns(seconds) * (log.stamps_ns >= log.stamp_at(0.5))
-
-
 def detections_clock_slow(log: Recording, parts_per_million: _Ppm = 200.0) -> None:
     """The clock of the detections is slow by so many parts in a million."""
     first_ns = log.stamp_at(0.0)
     log.restamp_scans(lambda stamp_ns: stamp_ns - round((stamp_ns - first_ns) * parts_per_million * 1e-6))
-
-
-def stamps_coarse(log: Recording, seconds: Duration = 1.0) -> None:
-    """Stamps of detections are cut to multiples of S."""
-    unit_ns = max(seconds_ns(seconds), 1)
-    log.restamp_scans(lambda stamp_ns: stamp_ns // unit_ns * unit_ns)
 
 
 def stamps_in_microseconds(log: Recording) -> None:
@@ -51,13 +40,6 @@ def scan_rate(log: Recording, rate_hz: Hertz = 1.0) -> None:
     """Detections come at HZ at most."""
     kept = _thinned([scan.stamp_ns for scan in log.scans], rate_hz)
     log.scans = [scan for scan in log.scans if scan.stamp_ns in kept]
-
-
-def frame_rate(log: Recording, rate_hz: Hertz = 1.0) -> None:
-    """Odometry and detections come at HZ at most."""
-    kept = _thinned(log.stamps_ns.tolist(), rate_hz)
-    log.odometry = [message for message in log.odometry if message.record.stamp_ns in kept]
-    scan_rate(log, rate_hz)
 
 
 def detections_stop(log: Recording, fraction: Part = 0.5) -> None:

@@ -10,7 +10,7 @@ from slam.simulation.faults.recording import Recording
 from slam.simulation.faults.registry import FAULTS, parse_faults
 from tests.slam.simulation.faults.streams import drive, faulty, positions
 
-QUICK = {"objects_burst": "objects_burst=20:3", "keep_label": "keep_label=tree"}
+QUICK = {"keep_label": "keep_label=tree"}
 
 
 def contents(log: Recording, topic: str = "") -> list[str]:
