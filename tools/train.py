@@ -10,10 +10,7 @@ import typer
 from tools.arguments import Json
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from descriptors.training.contrast import ContrastTraining
-    from descriptors.training.folder import Epoch
     from descriptors.training.maps import TrainingMap
 
 LIKELIHOOD = "descriptellation_lr"
@@ -94,7 +91,10 @@ def train(
     if json:
         console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})
         return
-    console.show(_table(history), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
+    figures = ", ".join(
+        f"{name.replace('_', ' ')} {value:.4g}" for name, value in best.as_row().items() if value is not None
+    )
+    console.show(f"weights of the best epoch: {folder / WEIGHTS}", figures)
 
 
 def _shipped(network: str) -> Path | None:
@@ -138,18 +138,3 @@ def _load_map(path: Path) -> TrainingMap:
         raise InputDataError(f"{path}: positions in degrees; give metres")
     found, numbers = np.unique(np.asarray(objects.labels), return_inverse=True)
     return TrainingMap(np.asarray(objects.positions, dtype=np.float64), numbers.astype(np.int64), len(found))
-
-
-def _table(history: list[Epoch]) -> Table:
-    from tools import console
-
-    rows = [{name.replace("_", " "): _cell(name, value) for name, value in epoch.as_row().items()} for epoch in history]
-    return console.table(rows)
-
-
-def _cell(name: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if "top" in name:
-        return f"{100 * value:.1f} %"
-    return f"{value:.4f}" if "loss" in name else f"{value:.0f}"
