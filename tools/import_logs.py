@@ -16,8 +16,6 @@ app = typer.Typer(
 )
 app.command("map")(maps.map_of_objects)
 app.command("semantic-kitti")(clouds.semantic_kitti)
-app.command("paris-lille")(clouds.urban)
-app.command("iqmulus")(clouds.urban)
 app.command()(clouds.ply)
 
 
@@ -36,7 +34,6 @@ def kitti_objects(
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the left camera; for evaluation only.")
     ] = None,
-    sequence: Annotated[str | None, typer.Option(help="Name of the sequence, if there are several.")] = None,
     json: Json = False,
 ) -> None:
     """KITTI odometry with objects clustered from its scans.
@@ -53,7 +50,6 @@ def kitti_objects(
         calib=calib,
         times=times,
         ground_truth=ground_truth,
-        sequence=sequence,
     )
     write_drive(output, drive.records(), drive.source, json=json)
 
@@ -61,10 +57,8 @@ def kitti_objects(
 @app.command("csv")
 def csv(
     output: NewLog,
-    odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the body: TUM, KITTI, EuRoC or CSV.")],
-    detections: Annotated[
-        Path, typer.Option(metavar="TABLE", help="CSV with a header, or JSON lines; positions in the body frame.")
-    ],
+    odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the body: TUM, KITTI or CSV.")],
+    detections: Annotated[Path, typer.Option(metavar="TABLE", help="CSV with a header; positions in the body frame.")],
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the body; for evaluation only.")
     ] = None,

@@ -11,7 +11,6 @@ import numpy as np
 from logs.clouds.class_names import SEMANTIC_KITTI_OBJECTS
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.objects import find_objects
-from logs.clouds.residuals import check_poses
 from logs.errors import DatasetError
 from logs.importers.imported_log import ImportedRecord
 from logs.importers.kitti import KittiDrive, read_drive
@@ -32,7 +31,7 @@ class SemanticKitti:
         """The objects of each scan.
 
         Raises:
-            DatasetError: a scan that is damaged, or objects that do not stand still under the poses of the drive.
+            DatasetError: a scan that is damaged.
         """
         found = []
         for done, (row, points, labels) in enumerate(self.scans, start=1):
@@ -44,8 +43,6 @@ class SemanticKitti:
             found.append(objects.detections(int(self.drive.stamps_ns[row]), "base_link"))
             if progress is not None:
                 progress(done / len(self.scans))
-        poses = self.drive.T_odom_body[[row for row, _, _ in self.scans]]
-        check_poses(found, poses, f"{self.drive.source['calib']} and {self.drive.source['odometry']}")
         return found
 
     def records(self, progress: Callable[[float], None] | None = None) -> Iterator[ImportedRecord]:
@@ -74,23 +71,22 @@ def read_semantic_kitti_scan(points: Path, labels: Path) -> LabelledCloud:
 
 
 def read_semantic_kitti(
-    *, scans: Path, labels: Path, odometry: Path, calib: Path, times: Path, ground_truth: Path | None = None
+    sequence: Path, *, odometry: Path | None = None, ground_truth: Path | None = None
 ) -> SemanticKitti:
     """Find the scans of a sequence and read what belongs to them.
 
     Args:
-        scans: folder with ``NNNNNN.bin``; the number is the row of poses and times, so that some may be left out.
-        labels: folder with ``NNNNNN.label``: labels or predictions.
-        odometry: poses of the left camera, KITTI format.
-        calib: KITTI's calibration; ``Tr`` maps velodyne to left camera.
-        times: seconds of each scan.
+        sequence: folder with velodyne/NNNNNN.bin, whose number is the row of poses and times, so that some may be left
+            out; labels/NNNNNN.label, poses.txt, times.txt and calib.txt, whose ``Tr`` maps velodyne to left camera.
+        odometry: poses of the left camera, KITTI format, instead of poses.txt.
         ground_truth: true poses of the left camera.
 
     Raises:
         DatasetError: a file that is missing or wrong, or numbers that do not fit together.
     """
-    drive = read_drive("semantic-kitti", odometry, calib, times, ground_truth, {})
-    return SemanticKitti(drive, tuple(_pairs(scans, labels, len(drive.stamps_ns))))
+    calib, times = sequence / "calib.txt", sequence / "times.txt"
+    drive = read_drive("semantic-kitti", odometry or sequence / "poses.txt", calib, times, ground_truth, {})
+    return SemanticKitti(drive, tuple(_pairs(sequence, len(drive.stamps_ns))))
 
 
 def _read(path: Path, dtype: str, width: int) -> np.ndarray:
@@ -106,14 +102,11 @@ def _read(path: Path, dtype: str, width: int) -> np.ndarray:
     return np.frombuffer(data, dtype=dtype).reshape(-1, width)
 
 
-def _pairs(scans: Path, labels: Path, count: int) -> Iterator[tuple[int, Path, Path]]:
-    points = sorted((path for path in scans.glob("*.bin") if path.stem.isdecimal()), key=lambda path: int(path.stem))
+def _pairs(sequence: Path, count: int) -> Iterator[tuple[int, Path, Path]]:
+    points = sorted(path for path in sequence.glob("velodyne/*.bin") if path.stem.isdecimal())
     if not points:
-        raise DatasetError(f"{scans} holds no scan NNNNNN.bin; give the folder velodyne of a sequence")
+        raise DatasetError(f"{sequence} holds no scan velodyne/NNNNNN.bin; give the folder of a sequence")
     for path in points:
         if int(path.stem) >= count:
             raise DatasetError(f"{path}: there are only {count} poses; give poses and times of this sequence")
-        label = labels / f"{path.stem}.label"
-        if not label.is_file():
-            raise DatasetError(f"{label}: missing; {path.name} needs its labels (--labels)")
-        yield int(path.stem), path, label
+        yield int(path.stem), path, sequence / "labels" / f"{path.stem}.label"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +11,16 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.importers.imported_log import ImportedRecord
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import Rows
-from logs.importers.text_files import SourceText, describe_sources, parse_numbers, read_source_text
+from logs.importers.tables import read_table
+from logs.importers.text_files import SourceText, describe_sources, read_source_text
 from logs.messages import FloatArray, GroundTruthPose, IntArray, ObjectDetections, Odometry
 from logs.validation import MAX_COORDINATE_M, nearest_rotations, rotation_errors
 
 ROTATION_TOLERANCE = 1e-3
 """Largest |R^T R - I| of a rotation that is taken for rounding (the files have 7 digits) and not for damage."""
+
+POSE_COLUMNS = [f"T{row}{column}" for row in range(3) for column in range(4)]
+"""The rows of a 3x4 pose, one after another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +85,21 @@ def parse_poses(source: SourceText) -> FloatArray:
     Rotations are made orthonormal by SVD.
 
     Raises:
-        DatasetError: a line that is no 12 finite numbers, or whose rotation is none.
+        DatasetError: a line that is no 12 finite numbers, or no rigid transform.
     """
-    return _rigid_transforms(source.name, *source.numbers(12))
+    table = read_table(source, POSE_COLUMNS)
+    T = np.tile(np.eye(4), (len(table.lines), 1, 1))
+    T[:, :3] = table.matrix().reshape(-1, 3, 4)
+    errors = rotation_errors(T[:, :3, :3])
+    wrong = (errors > ROTATION_TOLERANCE) | (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise DatasetError(
+            f"{source.name}, line {table.lines[row]}: not a rotation (|R^T R - I| = {errors[row]:.3g}), or farther "
+            f"away than {MAX_COORDINATE_M:g} m; expected a 3x4 pose, row-major"
+        )
+    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
+    return T
 
 
 def parse_calibration(source: SourceText) -> FloatArray:
@@ -93,12 +108,11 @@ def parse_calibration(source: SourceText) -> FloatArray:
     Raises:
         DatasetError: no such line, or not a rigid transform.
     """
-    for number, line in source.lines():
-        key, _, values = line.partition(":")
-        if key.strip() == "Tr":
-            row = np.array([parse_numbers(source.name, number, values.split(), 12)])
-            return np.asarray(_rigid_transforms(source.name, [number], row)[0])
-    raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
+    lines = [line.partition(":")[2] if line.startswith("Tr:") else "" for line in source.text.splitlines()]
+    T = parse_poses(replace(source, text="\n".join(lines)))
+    if not len(T):
+        raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
+    return np.asarray(T[0])
 
 
 def read_times(source: SourceText) -> Stamps:
@@ -107,9 +121,7 @@ def read_times(source: SourceText) -> Stamps:
     Raises:
         DatasetError: no line, one that is no time, or that does not come after the one before.
     """
-    lines = source.lines()
-    rows = Rows(source.name, None, " ", [line for line, _ in lines], [[text] for _, text in lines])
-    stamps = read_stamps(rows.table(["stamp_s"]))
+    stamps = read_stamps(read_table(source, ["stamp_s"]))
     stamps.check_increasing(strictly=True)
     return stamps
 
@@ -121,23 +133,3 @@ def body_poses(T_origin_camera: FloatArray, T_camera_velodyne: FloatArray) -> Fl
     """
     T_velodyne_camera = np.linalg.inv(T_camera_velodyne)
     return np.asarray(T_velodyne_camera @ T_origin_camera @ T_camera_velodyne, dtype=np.float64)
-
-
-def _rigid_transforms(name: str, lines: list[int], rows: FloatArray) -> FloatArray:
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3] = rows.reshape(-1, 3, 4)
-    errors = rotation_errors(T[:, :3, :3])
-    if (errors > ROTATION_TOLERANCE).any():
-        i = int((errors > ROTATION_TOLERANCE).argmax())
-        raise DatasetError(
-            f"{name}, line {lines[i]}: not a rotation (|R^T R - I| = {errors[i]:.3g}, allowed {ROTATION_TOLERANCE:g}; "
-            f"det R = {np.linalg.det(T[i, :3, :3]):.3g}); expected a 3x4 pose, row-major"
-        )
-    far = (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
-    if far.any():
-        i = int(far.argmax())
-        raise DatasetError(
-            f"{name}, line {lines[i]}: {T[i, :3, 3]} m is not finite or too far away; correct it, or remove the line"
-        )
-    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
-    return T

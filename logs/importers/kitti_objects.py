@@ -43,7 +43,6 @@ def read_kitti_objects(
     calib: Path,
     times: Path,
     ground_truth: Path | None = None,
-    sequence: str | None = None,
 ) -> KittiObjects:
     """Read and validate one sequence.
 
@@ -53,11 +52,10 @@ def read_kitti_objects(
         calib: KITTI odometry calibration; ``Tr`` maps velodyne to left camera.
         times: seconds of each scan.
         ground_truth: true poses of the left camera, same format as ``odometry``.
-        sequence: name of the folder, needed only where ``detections`` holds several.
 
     Raises:
         DatasetError: a file that is missing or wrong, or numbers of poses, times and scans that differ.
     """
-    scans = read_object_scans(detections, sequence=sequence)
+    scans = read_object_scans(detections)
     counts = {f"scans in {detections.name}": len(scans.positions)}
     return KittiObjects(read_drive("kitti-objects", odometry, calib, times, ground_truth, counts), scans)

@@ -19,7 +19,8 @@ from zlib import error as ZlibError  # noqa: N812 - a class, whatever zlib calls
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.text_files import MAX_DIGITS, source_text
+from logs.importers.tables import read_table
+from logs.importers.text_files import source_text
 from logs.messages import FloatArray
 from logs.storage.regular_file import MAX_BYTES, max_unpacked_bytes, open_regular, read_regular
 
@@ -45,10 +46,10 @@ class ObjectScans:
     sha256: str
 
 
-def read_object_scans(path: Path, *, sequence: str | None = None) -> ObjectScans:
+def read_object_scans(path: Path) -> ObjectScans:
     """Read ``bow.txt`` and ``centroids/NNNNNN.txt`` from an archive (.tar, .tar.gz, .tar.xz) or a folder.
 
-    The sequence is the folder that has ``bow.txt``, wherever it lies; where several have one, ``sequence`` names it.
+    The sequence is the folder that has ``bow.txt``, wherever it lies.
     Nothing is extracted to disk: members are read in memory, and other members than plain files are ignored.
 
     Raises:
@@ -56,22 +57,18 @@ def read_object_scans(path: Path, *, sequence: str | None = None) -> ObjectScans
             a line that is no three numbers; names the file and the line.
     """
     files = _read_folder(path) if path.is_dir() else _read_archive(path)
-    folder = _sequence_folder(path, files, sequence)
+    folder = _sequence_folder(path, files)
     separator = "/" if path.is_dir() else ":"
     bow_name = str(folder / "bow.txt")
     bow = source_text(f"{path.name}{separator}{bow_name}", files[bow_name])
-    counts = [(line, _class_counts(bow.name, line, text)) for line, text in bow.lines()]
+    counts = [[int(number) for number in row] for row in read_table(bow, LABELS).matrix().tolist()]
     names = _scan_names(path, files, folder, len(counts))
     positions, labels = [], []
-    for index, ((line, count), name) in enumerate(zip(counts, names, strict=True)):
+    for count, name in zip(counts, names, strict=True):
         file = source_text(f"{path.name}{separator}{name}", files[name])
-        _, points = file.numbers(3)
-        if len(points) != sum(count):
-            told = ", ".join(f"{n} {label}" for n, label in zip(count, LABELS, strict=True))
-            raise DatasetError(
-                f"scan {index}: {file.name} has {len(points)} centroids, but {bow.name}, line {line} counts "
-                f"{sum(count)} ({told})"
-            )
+        points = read_table(file, "xyz").matrix()
+        if min(count) < 0 or len(points) != sum(count):
+            raise DatasetError(f"{file.name} has {len(points)} centroids, but {bow.name} counts {count} for this scan")
         positions.append(points)
         labels.append(tuple(np.repeat(LABELS, count).tolist()))
     digest = hashlib.sha256(b"".join(files[name] for name in (bow_name, *names)))
@@ -131,39 +128,23 @@ class _Member(tarfile.TarInfo):
         return int(super()._block(count))  # type: ignore[misc]
 
 
-def _sequence_folder(path: Path, files: Mapping[str, bytes], sequence: str | None) -> PurePosixPath:
-    folders = sorted(PurePosixPath(name).parent for name in files if PurePosixPath(name).name == "bow.txt")
-    if not folders:
-        raise DatasetError(f"{path} holds no bow.txt; expected <sequence>/bow.txt and <sequence>/centroids/NNNNNN.txt")
-    if sequence is not None:
-        folders = [folder for folder in folders if folder.name == sequence]
+def _sequence_folder(path: Path, files: Mapping[str, bytes]) -> PurePosixPath:
+    folders = [PurePosixPath(name).parent for name in files if PurePosixPath(name).name == "bow.txt"]
     if len(folders) != 1:
-        wanted = "" if sequence is None else f" named {sequence!r}"
         raise DatasetError(
-            f"{path}: {len(folders)} sequences{wanted} where one is needed ({', '.join(map(str, folders)) or 'none'}); "
-            "name the sequence"
+            f"{path} holds {len(folders)} files bow.txt where one is needed; expected one sequence, with bow.txt and "
+            "centroids/NNNNNN.txt"
         )
     return folders[0]
-
-
-def _class_counts(name: str, line: int, text: str) -> list[int]:
-    fields = [field.strip() for field in text.split(",")]
-    if len(fields) != len(LABELS) or not all(field.isdecimal() and len(field) <= MAX_DIGITS for field in fields):
-        expected = ",".join(f"{label}s" for label in LABELS)
-        raise DatasetError(f"{name}, line {line}: {text!r} is not '{expected}' counts")
-    return [int(field) for field in fields]
 
 
 def _scan_names(path: Path, files: Mapping[str, bytes], folder: PurePosixPath, scan_count: int) -> list[str]:
     """Name of the file of each scan."""
     members = [PurePosixPath(name) for name in sorted(files)]
     numbered = sorted((int(each.stem), str(each)) for each in members if each.parent == folder / "centroids")
-    numbers = [number for number, _ in numbered]
-    if numbers != list(range(scan_count)):
-        twice = [number for number in numbers if numbers.count(number) > 1]
-        wrong = min([*twice, *({*numbers} ^ {*range(scan_count)})])
+    if [number for number, _ in numbered] != list(range(scan_count)):
         raise DatasetError(
-            f"{path}: bow.txt counts {scan_count} scans, centroids holds {len(numbers)} files; scan {wrong} has "
-            "not one line and one file"
+            f"{path}: bow.txt counts {scan_count} scans, centroids holds {len(numbered)} files; each scan needs one "
+            f"line and one file, numbered from 0 to {scan_count - 1}"
         )
     return [name for _, name in numbered]

@@ -48,8 +48,7 @@ def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
     named = [[], ["--name", "80=pole"], ["--name", "80=pole", "--name", "81=trunk"]][int(rng.integers(3))]
     if rng.random() < 0.6:
         (folder / "cloud.ply").write_bytes(mutate_ply(rng))
-        command = str(rng.choice(["ply", "paris-lille"]))
-        return ["import", command, "out.mcap", "--file", "cloud.ply", *(named if command == "ply" else [])]
+        return ["import", "ply", "out.mcap", "--file", "cloud.ply", *named]
     write_sequence(folder, rng)
     return ["import", "semantic-kitti", "out.mcap", "--sequence", ".", "--odometry", "poses.txt"]
 

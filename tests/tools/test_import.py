@@ -84,10 +84,6 @@ def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
 @pytest.mark.slow
 def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
     cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))
-    result = dslam("import", "paris-lille", tmp_path / "map.mcap", "--file", cloud)
-    assert (result.code, result.err) == (0, "")
-    assert "original: 9 objects, 6 classes" in result.out
-    assert "preprocessed: 6 objects, 3 classes" in result.out
     told = json.loads(
         dslam("import", "ply", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
               "302020600=sign", "--json").out

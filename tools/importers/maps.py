@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,7 +32,7 @@ def map_of_objects(
         typer.Option(
             metavar="FILE",
             help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), or a table: "
-            "CSV with a header, or JSON lines; also packed by gzip.",
+            "CSV with a header; also packed by gzip.",
         ),
     ],
     tag: Annotated[
@@ -73,7 +72,7 @@ def map_of_objects(
         from logs.importers.maps.osm import read_osm
 
         objects = read_osm(file, tags=tag or ())
-    elif suffix in (".geojson", ".geojsonl", ".json"):
+    elif suffix in (".geojson", ".json"):
         from logs.importers.maps.geojson import read_geojson
 
         objects = read_geojson(file)
@@ -93,9 +92,8 @@ def make_map(
     sigma_m: float,
     *,
     json: bool,
-    more: Mapping[str, object] | None = None,
 ) -> None:
-    """Write the map of ``objects`` and print what is in it, and ``more`` of its source."""
+    """Write the map of ``objects`` and print what is in it."""
     from slam.localization.map_import import import_map
     from slam.place_recognition.imported_map import save_imported_map
     from tools import console
@@ -114,7 +112,6 @@ def make_map(
                 "class_counts": dict(counts),
                 "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
                 "notes": list(objects.notes),
-                **{name.replace(" ", "_"): value for name, value in (more or {}).items()},
             }
         )
         return
@@ -130,6 +127,5 @@ def make_map(
         f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
         f"  {classes}{others}",
         f"  origin at {where}" if georeference is not None else f"  origin {where}",
-        *(f"  {name}: {value}" for name, value in (more or {}).items()),
         *(f"  note: {note}" for note in objects.notes),
     )
