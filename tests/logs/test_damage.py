@@ -43,7 +43,7 @@ def chunk_offsets(data, tmp_path):
     path = tmp_path / "for_offsets.mcap"
     path.write_bytes(data)
     with open(path, "rb") as stream:
-        return [block for block in read_index("", stream, len(data), ReadingLimits()).blocks if block.is_chunk]
+        return read_index("", stream, ReadingLimits()).blocks
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -83,14 +83,14 @@ def test_a_log_without_its_summary_is_read_whole(whole, tmp_path):
 def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(whole, tmp_path, with_summary):
     chunk = chunk_offsets(whole, tmp_path)[1]
     damaged = bytearray(whole)
-    damaged[chunk.offset + 33] ^= 0xFF  # in the stored checksum: 9 bytes of header, two times, the size
+    damaged[chunk.chunk_start_offset + 33] ^= 0xFF  # in the stored checksum: 9 bytes of header, two times, the size
     path = tmp_path / "log.mcap"
     path.write_bytes(damaged if with_summary else damaged[:-100])
     found, counters = stamps(path)
     assert 0 < len(found) < COUNT
-    assert found == sorted(set(range(1, COUNT + 1)) - set(range(chunk.start_ns, chunk.end_ns + 1)))
+    assert found == sorted(set(range(1, COUNT + 1)) - set(range(chunk.message_start_time, chunk.message_end_time + 1)))
     assert counters["lost_chunks"] == 1
-    assert counters["lost_bytes"] >= chunk.length
+    assert counters["lost_bytes"] >= chunk.chunk_length
 
 
 def test_a_summary_with_a_bad_checksum_is_not_believed(whole, tmp_path):
