@@ -20,7 +20,7 @@ ROTATION_TOLERANCE = 1e-3
 _COUNT = -1
 """Length of an array that has a row for each label."""
 _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
-    m.Odometry: {"T_odom_body": (4, 4), "covariance": (6, 6)},
+    m.Odometry: {"T_odom_body": (4, 4)},
     m.Transform: {"T_parent_child": (4, 4)},
     m.GroundTruthPose: {"T_world_body": (4, 4)},
     m.SlamPose: {"T_map_body": (4, 4), "T_map_odom": (4, 4)},
@@ -31,7 +31,7 @@ _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
         "sizes": (_COUNT, 3),
     },
 }
-_OPTIONAL = ("covariance", "T_map_odom", "covariances", "sizes")
+_OPTIONAL = ("T_map_odom", "covariances", "sizes")
 
 
 def check_record(record: m.Record) -> None:

@@ -14,7 +14,6 @@ from logs.validation import (
     MAX_COORDINATE_M,
     FloatArray,
     Refusal,
-    covariance_to_body,
     transform_from_quaternion,
     usable_covariance,
     usable_covariances,
@@ -26,6 +25,11 @@ UNKNOWN_LABEL = "unknown"
 Records = tuple[Record, ...]
 Place = tuple[int, str]
 """Stamp [ns] and frame."""
+
+
+POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
+FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
+"""What a pose, and the pose of a frame in another, may be on a topic."""
 
 
 class Context(NamedTuple):
@@ -63,18 +67,12 @@ def transform_of(position: Any, orientation: Any) -> FloatArray:
     )
 
 
-def pose_records(
-    context: Context, place: Place, pose: Any, covariance: Sequence[float] = (), body_frame_id: str = ""
-) -> Records:
-    """The record that a pose is on a topic of this kind; an empty frame name becomes the usual one.
-
-    ``covariance``: 36 numbers in the order of ROS and Foxglove, or none.
-    """
+def pose_records(context: Context, place: Place, pose: Any, body_frame_id: str = "") -> Records:
+    """The record that a pose is on a topic of this kind; an empty frame name becomes the usual one."""
     stamp_ns, frame_id = place
     T = transform_of(pose.position, pose.orientation)
-    P = _covariance_6x6(covariance, T, context.counters)
     if context.kind == RecordKind.ODOMETRY:
-        return (Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link", P),)
+        return (Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link"),)
     if context.kind == RecordKind.GROUND_TRUTH:
         return (GroundTruthPose(stamp_ns, T, frame_id or "world"),)
     return (SlamPose(stamp_ns, T),)
@@ -93,23 +91,6 @@ def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]
         for t in transforms
         if t.parent_frame_id.strip("/") == "odom"
     )
-
-
-def _covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str]) -> FloatArray | None:
-    """``(6, 6)`` in the records' form; None where unknown or unusable."""
-    if len(values) == 0:
-        return None
-    if len(values) != 36:
-        raise Refusal("lengths disagree", f"covariance of {len(values)} numbers, expected 36")
-    P = np.array(values, dtype=np.float64).reshape(6, 6)
-    given = P.any(axis=0) | P.any(axis=1)
-    if not given.all():
-        # A robot on a plane leaves the rest at zero, which would mean that it is known exactly.
-        if given.any():
-            usable_covariance(P[np.ix_(given, given)], counters)
-        return None
-    usable = usable_covariance(P, counters)
-    return None if usable is None else covariance_to_body(usable, T)
 
 
 def fix_records(context: Context, place: Place, message: Any) -> Records:

@@ -37,7 +37,7 @@ def every_kind(rng):
     """(topic, kind, record) of every kind of record that can be read back."""
     k, e, o, n = 4, 5, 6, 7
     return [
-        ("/odom", "odometry", m.Odometry(10, random_transform(rng), "odom", "base", random_covariance(rng, 6))),
+        ("/odom", "odometry", m.Odometry(10, random_transform(rng), "odom", "base")),
         ("/odom", "odometry", m.Odometry(11, random_transform(rng))),
         ("/detections", "detections", random_detections(rng, n, stamp_ns=12)),
         ("/detections", "detections", random_detections(rng, n, full=False, stamp_ns=13)),

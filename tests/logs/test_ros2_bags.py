@@ -254,7 +254,7 @@ def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monk
     inner = mcap_file.read_block  # type: ignore[attr-defined]
 
     def read_block(stream, block, max_bytes):
-        loaded.append(block.offset)
+        loaded.append(block.chunk_start_offset)
         return inner(stream, block, max_bytes)
 
     monkeypatch.setattr(mcap_file, "read_block", read_block)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from logs.decoders.decode import decode
-from logs.decoders.registry import ROS2_DETECTIONS
+from logs.decoders.registry import ROS_DETECTIONS
 from logs.errors import InvalidRecordError, TopicSelectionError
 from logs.messages import LabelledScan, ObjectDetections
 from logs.selection import select_all, select_topics
@@ -148,7 +148,7 @@ def test_poses_are_named_after_their_topic() -> None:
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
 
 
-@pytest.mark.parametrize("type_name", ROS2_DETECTIONS)
+@pytest.mark.parametrize("type_name", ROS_DETECTIONS)
 def test_an_empty_message_is_an_empty_scan(type_name: str) -> None:
     found = decoded(type_name, {})
     counts = [len(record.classes if isinstance(record, LabelledScan) else record.labels) for record in found]

@@ -2,10 +2,8 @@ import logging
 import math
 from collections import Counter
 
-import gtsam
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as FoxgloveOdometry
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +18,7 @@ from logs.schemas import dslam_pb2 as pb
 from logs.selection import Selection
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
-from tests.logs.examples import random_covariance, random_transform
+from tests.logs.examples import random_transform
 
 
 def raw(message, topic="/topic", log_time_ns=77):
@@ -67,59 +65,6 @@ def test_quaternions_of_any_rotation(seed):
     T = random_transform(np.random.default_rng(seed))
     expected = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
     np.testing.assert_allclose(validation.quaternion_xyzw(T), expected, atol=1e-14)
-
-
-def test_covariances_change_order_and_frame():
-    """Against the definition: perturb the pose as ROS means it, look at it as GTSAM does."""
-    rng = np.random.default_rng(3)
-    for _ in range(5):
-        T = random_transform(rng)
-        P_parent = random_covariance(rng, 6)
-        pose_mean = gtsam.Pose3(T)
-
-        def tangent(step, T=T, pose_mean=pose_mean):
-            moved = np.eye(4)
-            moved[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ T[:3, :3]  # about the parent's axes
-            moved[:3, 3] = T[:3, 3] + step[:3]
-            return pose_mean.localCoordinates(gtsam.Pose3(moved))
-
-        J = np.stack([(tangent(h) - tangent(-h)) / 2e-5 for h in np.eye(6) * 1e-5], axis=1)
-        np.testing.assert_allclose(validation.covariance_to_body(P_parent, T), J @ P_parent @ J.T, rtol=1e-6, atol=1e-6)
-        back = validation.covariance_to_parent(validation.covariance_to_body(P_parent, T), T)
-        np.testing.assert_allclose(back, P_parent, atol=1e-12)
-
-
-def odometry_with_covariance(P):
-    message = FoxgloveOdometry(frame_id="odom", body_frame_id="base", pose_covariance=np.ravel(P).tolist())
-    message.pose.orientation.w = 1.0
-    counters = Counter()
-    (record,) = decode(raw(message), "odometry", counters)
-    return record.covariance, dict(counters)
-
-
-ABSURD = np.eye(6) + 1.7e308 * (np.eye(6, k=1) + np.eye(6, k=-1))
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    ("P", "ignored"),
-    [
-        (np.zeros((6, 6)), 0),
-        ([], 0),
-        (np.diag([1.0, 1, 1, 1, 1, 0]), 0),  # unknown in part
-        (-np.eye(6), 1),
-        (np.full((6, 6), np.nan), 1),
-        (np.diag([np.inf] * 6), 1),
-        (ABSURD, 1),
-    ],
-)
-def test_unknown_covariance_is_none_and_unusable_one_is_counted(P, ignored):
-    assert odometry_with_covariance(P) == (None, {"ignored_covariances": 1} if ignored else {})
-
-
-def test_a_covariance_of_another_size_is_refused():
-    with pytest.raises(InvalidRecordError, match="lengths disagree"):
-        odometry_with_covariance(np.eye(3))
 
 
 def test_objects_without_a_position_are_dropped_and_counted():

@@ -165,7 +165,6 @@ SEEN = {"stamp_ns": 1, "frame_id": "", "positions": np.zeros((2, 3)), "labels": 
         (m.Transform(1, "a", "b", np.diag([1.0, 1.0, -1.0, 1.0])), "T_parent_child is not a rotation"),
         (m.GroundTruthPose(1, np.eye(4) + np.outer(np.eye(4)[3], [5, 0, 0, 0])), "last row"),
         (m.Odometry(1.5, np.eye(4)), "stamp_ns is 1.5; give a whole number"),
-        (m.Odometry(1, np.eye(4), covariance=np.eye(3)), r"covariance .* of shape \(6, 6\)"),
         (m.ObjectDetections(**{**SEEN, "positions": np.zeros((3, 3))}), r"positions .* of shape \(2, 3\)"),
         (m.ObjectDetections(**{**SEEN, "scores": np.array(["x", "y"])}), "scores is <U1"),
         (m.ObjectDetections(**{**SEEN, "labels": (1, 2)}), "labels is not a tuple of texts"),
