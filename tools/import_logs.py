@@ -24,9 +24,7 @@ def kitti_objects(
     output: NewLog,
     detections: Annotated[
         Path,
-        typer.Option(
-            metavar="ARCHIVE|FOLDER", help="Folder with bow.txt and centroids/, as in the GOSMatch repository."
-        ),
+        typer.Option(metavar="FOLDER", help="Folder with bow.txt and centroids/, as in the archives of GOSMatch."),
     ],
     odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the left camera, KITTI format.")],
     calib: Annotated[Path, typer.Option(metavar="FILE", help="KITTI's calib.txt; Tr is velodyne to left camera.")],
@@ -38,7 +36,7 @@ def kitti_objects(
 ) -> None:
     """KITTI odometry with objects clustered from its scans.
 
-    Example: dslam import kitti-objects kitti00.mcap --detections 00.tar.xz --odometry vo.txt --calib calib.txt
+    Example: dslam import kitti-objects kitti00.mcap --detections 00 --odometry vo.txt --calib calib.txt
     --times times.txt --ground-truth poses/00.txt
     """
     check_outputs([output], [detections, odometry, calib, times, ground_truth])

@@ -2,38 +2,39 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from logs.errors import DatasetError
 from logs.importers.imported_log import ImportedRecord
 from logs.importers.kitti import KittiDrive, read_drive
-from logs.importers.object_scans import ObjectScans, read_object_scans
+from logs.importers.tables import read_table
+from logs.importers.text_files import read_source_text
 from logs.messages import ObjectDetections
+
+LABELS = ("vehicle", "trunk", "pole")
+"""The classes in the order in which ``bow.txt`` counts them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KittiObjects:
-    """One validated sequence: its drive, and the scans of each of its poses."""
+    """One validated sequence: its drive, and the detections of each of its poses (scores 1, no covariances).
+
+    ``source``: the names of the files and their SHA-256; of the detections, that of ``bow.txt`` and then the centroids
+    in the order of scans.
+    """
 
     drive: KittiDrive
-    scans: ObjectScans
-
-    @property
-    def source(self) -> dict[str, str]:
-        """The names of the files and their SHA-256."""
-        return {**self.drive.source, "detections": self.scans.sequence, "detections_sha256": self.scans.sha256}
+    detections: tuple[ObjectDetections, ...]
+    source: dict[str, str]
 
     def records(self) -> Iterator[ImportedRecord]:
-        """For each scan in the order of time: odometry, detections (scores 1, no covariances), truth where known."""
-        return self.drive.records(enumerate(self._detections()))
-
-    def _detections(self) -> Iterator[ObjectDetections]:
-        scans = zip(self.drive.stamps_ns.tolist(), self.scans.positions, self.scans.labels, strict=True)
-        for stamp_ns, positions, labels in scans:
-            yield ObjectDetections(stamp_ns, "base_link", positions, labels, np.ones(len(labels)))
+        """For each scan in the order of time: odometry, detections, truth where known."""
+        return self.drive.records(enumerate(self.detections))
 
 
 def read_kitti_objects(
@@ -47,7 +48,7 @@ def read_kitti_objects(
     """Read and validate one sequence.
 
     Args:
-        detections: archive or folder with ``bow.txt`` and ``centroids/NNNNNN.txt``, metres, velodyne frame.
+        detections: folder with ``bow.txt`` and ``centroids/NNNNNN.txt``, metres, velodyne frame, as GOSMatch has them.
         odometry: estimated poses of the left camera, KITTI format.
         calib: KITTI odometry calibration; ``Tr`` maps velodyne to left camera.
         times: seconds of each scan.
@@ -56,6 +57,20 @@ def read_kitti_objects(
     Raises:
         DatasetError: a file that is missing or wrong, or numbers of poses, times and scans that differ.
     """
-    scans = read_object_scans(detections)
-    counts = {f"scans in {detections.name}": len(scans.positions)}
-    return KittiObjects(read_drive("kitti-objects", odometry, calib, times, ground_truth, counts), scans)
+    bow = read_source_text(detections / "bow.txt")
+    counts = [[int(number) for number in row] for row in read_table(bow, LABELS).matrix().tolist()]
+    scans = {f"scans in {bow.name}": len(counts)}
+    drive = read_drive("kitti-objects", odometry, calib, times, ground_truth, scans)
+    digest = hashlib.sha256(bow.text.encode())
+    found = []
+    for scan, (stamp_ns, count) in enumerate(zip(drive.stamps_ns.tolist(), counts, strict=True)):
+        file = read_source_text(detections / "centroids" / f"{scan:06d}.txt")
+        points = read_table(file, "xyz").matrix()
+        if min(count) < 0 or len(points) != sum(count):
+            raise DatasetError(f"{file.name} has {len(points)} centroids, but {bow.name} counts {count} for this scan")
+        labels = tuple(np.repeat(LABELS, count).tolist())
+        found.append(ObjectDetections(stamp_ns, "base_link", points, labels, np.ones(len(points))))
+        digest.update(file.text.encode())
+    name = detections.resolve().name
+    source = {**drive.source, "detections": name, "detections_sha256": digest.hexdigest()}
+    return KittiObjects(drive, tuple(found), source)

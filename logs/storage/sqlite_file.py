@@ -21,6 +21,11 @@ _TABLES = (
     "AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(t.name) WHERE hidden > 1)"
 )
 
+_SPANS = (
+    "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages WHERE typeof(timestamp) = 'integer' "
+    "GROUP BY topic_id"
+)
+
 
 class SqliteFile:
     """The rosbag2 database at ``path``; see :class:`logs.storage.storage.Storage`.
@@ -96,6 +101,7 @@ class SqliteFile:
         if missing := {"messages", "topics"} - tables:
             raise sqlite3.DatabaseError(f"no table {' and '.join(sorted(missing))}")
         definitions = self._read_definitions() if "message_definitions" in tables else {}
+        spans = {id: span for id, *span in self._database.execute(_SPANS)}
         channels: dict[int, ChannelInfo] = {}
         for id, *texts in self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id"):
             if not isinstance(id, int) or not all(isinstance(text, str) for text in texts):
@@ -104,29 +110,19 @@ class SqliteFile:
             self._limits.check_name(self._name, "a topic", topic)
             self._limits.check_name(self._name, "a type", type_name)
             schema = Schema(id, type_name, *(definitions.get(type_name) or known_definition(type_name)))
-            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), 0, None, None)
+            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
             self._limits.check_channels(self._name, len(channels))
-        spans = self._database.execute(
-            "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
-            f"WHERE typeof(timestamp) = 'integer' AND topic_id IN ({_marks(channels)}) GROUP BY topic_id",
-            tuple(channels),
-        )
-        for id, count, first_ns, last_ns in spans:
-            channels[id] = ChannelInfo(channels[id].channel, count, first_ns, last_ns)
         return channels
 
     def _read_definitions(self) -> dict[str, tuple[str, bytes]]:
         """Type name -> (encoding, definition)."""
         rows = self._database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions "
-            "WHERE length(encoded_message_definition) <= ? ORDER BY id",
+            "WHERE typeof(encoding) = 'text' AND typeof(encoded_message_definition) = 'text' "
+            "AND length(encoded_message_definition) <= ? ORDER BY id",
             (self._limits.message_bytes,),
         )
-        return {
-            type_name: (encoding, text.encode())
-            for type_name, encoding, text in rows
-            if isinstance(encoding, str) and isinstance(text, str)
-        }
+        return {type_name: (encoding, text.encode()) for type_name, encoding, text in rows}
 
 
 def _marks(parameters: Collection[int]) -> str:

@@ -1,11 +1,9 @@
-"""Command lines on data of others: clouds, archives of centroids, bags, and trainings that go on."""
+"""Command lines on data of others: clouds, folders of centroids, bags, and trainings that go on."""
 
 from __future__ import annotations
 
 import contextlib
-import io
 import sqlite3
-import tarfile
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,20 +52,15 @@ def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
 
 
 def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
-    """A sequence of KITTI with centroids in a folder or an archive, of which one file is altered."""
+    """A sequence of KITTI with centroids, of which one file is altered."""
     files = dict(_OBJECTS)
     name = str(rng.choice(list(files)))
     files[name] = mutate_text(files[name], rng)
-    given = "objects"
-    if rng.random() < 0.5:
-        given = str(rng.choice(["objects.tar", "objects.tar.gz", "objects.tar.xz"]))
-        content = _packed({each: files[each] for each in files if each.startswith("objects/")}, given.split(".")[-1])
-        (folder / given).write_bytes(mutate_bytes(content, rng) if rng.random() < 0.5 else content)
     for each, content in files.items():
         (folder / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / each).write_bytes(content)
     given_files = ["--odometry", "poses.txt", "--calib", "calib.txt", "--times", "times.txt"]
-    return ["import", "kitti-objects", "out.mcap", "--detections", given, *given_files]
+    return ["import", "kitti-objects", "out.mcap", "--detections", "objects/07", *given_files]
 
 
 def checkpoint_arguments(trainings: dict[str, bytes], folder: Path, rng: np.random.Generator) -> list[str]:
@@ -121,13 +114,3 @@ def _mutate_database(path: Path, rng: np.random.Generator) -> None:
                     case _ if columns:
                         column = str(rng.choice(columns))
                         connection.execute(f"UPDATE {table} SET {column} = ? {where}", (odd,))
-
-
-def _packed(files: dict[str, bytes], kind: str) -> bytes:
-    out = io.BytesIO()
-    with tarfile.open(fileobj=out, mode="w:" + kind.removeprefix("tar")) as archive:  # type: ignore[call-overload]
-        for name, content in files.items():
-            member = tarfile.TarInfo(name)
-            member.size = len(content)
-            archive.addfile(member, io.BytesIO(content))
-    return out.getvalue()

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import sqlite3
 import struct
-import tarfile
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +17,6 @@ from logs.container.json_text import parse_json
 from logs.decoders.decode import decode
 from logs.errors import DatasetError, InvalidRecordError, UnreadableLogError
 from logs.importers.maps.geojson import read_geojson
-from logs.importers.object_scans import read_object_scans
 from logs.reader import LogReader
 from logs.storage.arrays import read_arrays
 from logs.storage.bag_folder import find_bag_files
@@ -106,41 +102,6 @@ def test_a_description_of_a_recording_that_holds_what_yaml_cannot(tmp_path: Path
     (tmp_path / "metadata.yaml").write_text(LISTED.format(before=f"a: {value}"), encoding="utf-8")
     with pytest.raises(UnreadableLogError, match=r"not the metadata of a rosbag2 recording|names a\.db3"):
         find_bag_files(tmp_path)
-
-
-def tar_header(name: str, size: int, kind: bytes = b"0") -> bytes:
-    member = tarfile.TarInfo(name)
-    member.type = kind
-    header = bytearray(member.tobuf(tarfile.GNU_FORMAT))
-    header[124:136] = (size % 2**96).to_bytes(12, "big") if size < 0 else b"%011o\0" % size
-    header[148:156] = b" " * 8
-    header[148:156] = b"%06o\0 " % sum(header)
-    return bytes(header)
-
-
-def test_archives_with_sizes_below_zero_end(tmp_path: Path) -> None:
-    path = tmp_path / "a.tar"
-    path.write_bytes(tar_header("00/bow.txt", 0) + tar_header("a", -512) + bytes(1024))
-    with pytest.raises(DatasetError):
-        read_object_scans(path)
-
-
-def test_headers_of_archives_are_not_unpacked_to_any_size(tmp_path: Path) -> None:
-    path = tmp_path / "a.tar.gz"
-    path.write_bytes(gzip.compress(tar_header("a", 70_000_000, b"x") + bytes(70_000_000), 1))
-    with pytest.raises(DatasetError, match="unpacks to more than 64 MB"):
-        read_object_scans(path)
-
-
-def test_numbers_of_scans_of_thousands_of_digits(tmp_path: Path) -> None:
-    path = tmp_path / "a.tar"
-    with tarfile.open(path, "w", format=tarfile.PAX_FORMAT) as archive:
-        for name in ("00/bow.txt", f"00/centroids/{'1' * 5000}.txt"):
-            member = tarfile.TarInfo(name)
-            member.size = 6
-            archive.addfile(member, BytesIO(b"0,0,0\n"))
-    with pytest.raises(DatasetError, match="1 scans, centroids holds 0 files"):
-        read_object_scans(path)
 
 
 @pytest.mark.parametrize("header", ["{[]: 1}", "(" * 3000, "{1: 2, 'a': 3}"])

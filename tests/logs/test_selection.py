@@ -129,7 +129,8 @@ def test_several_topics_can_be_the_detections_but_one_the_odometry():
 def test_a_hint_never_names_the_truth_or_an_output():
     poses = ("/ground_truth", "/slam/pose", "/tf")
     there = [
-        TopicInfo(topic, "foxglove.FrameTransform", "protobuf", 5, (RecordKind.ODOMETRY,), 0, 1) for topic in poses
+        TopicInfo(topic, "foxglove.FrameTransform", "protobuf", 5, (RecordKind.TRANSFORMS, RecordKind.ODOMETRY), 0, 1)
+        for topic in poses
     ]
     with pytest.raises(TopicSelectionError, match="if one of /tf is meant"):
         select_topics(there)

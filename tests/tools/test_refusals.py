@@ -95,8 +95,8 @@ class TestRefusals:
         assert_refused(dslam("simulate", output, "--objects", "a.csv", "--trajectory", "b.csv"), "a.csv")
 
     def test_import_without_its_files(self, dslam: Run, tmp_path: Path) -> None:
-        files = ("--detections", "a.tar", "--odometry", "b.txt", "--calib", "c.txt", "--times", "d.txt")
-        assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "a.tar")
+        files = ("--detections", "a", "--odometry", "b.txt", "--calib", "c.txt", "--times", "d.txt")
+        assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "a/bow.txt")
 
     @pytest.mark.slow
     def test_view_of_a_truncated_log(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:

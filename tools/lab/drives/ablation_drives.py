@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -65,14 +66,17 @@ def _write_greenhouse(log: Path, data: Path) -> None:
 
 def _write_kitti(log: Path, data: Path) -> None:
     folder = data / "kitti00"
+    objects = log.with_suffix("")
+    shutil.unpack_archive(folder / "gosmatch_00.tar.xz", objects, filter="data")
     drive = read_kitti_objects(
-        detections=folder / "gosmatch_00.tar.xz",
+        detections=objects / "00",
         odometry=folder / "KITTI_00_SPTAM.txt",
         calib=folder / "calib.txt",
         times=folder / "KITTI_00_gt_times.txt",
         ground_truth=folder / "KITTI_00_gt.txt",
     )
     write_imported_log(log, drive.records(), drive.source)
+    shutil.rmtree(objects)
 
 
 def _write_robot(log: Path, data: Path, *, name: str) -> None:
