@@ -15,7 +15,6 @@ app = typer.Typer(
     help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
 )
 app.command("map")(maps.map_of_objects)
-app.command("semantic-kitti")(clouds.semantic_kitti)
 app.command()(clouds.ply)
 
 

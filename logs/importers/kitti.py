@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import ImportedRecord
 from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import read_table
-from logs.importers.text_files import SourceText, describe_sources, read_source_text
-from logs.messages import FloatArray, GroundTruthPose, IntArray, ObjectDetections, Odometry
+from logs.importers.text_files import SourceText
+from logs.messages import FloatArray
 from logs.validation import MAX_COORDINATE_M, nearest_rotations, rotation_errors
 
 ROTATION_TOLERANCE = 1e-3
@@ -21,62 +18,6 @@ ROTATION_TOLERANCE = 1e-3
 
 POSE_COLUMNS = [f"T{row}{column}" for row in range(3) for column in range(4)]
 """The rows of a 3x4 pose, one after another."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KittiDrive:
-    """stamps_ns (N,), ``T_odom_body`` (N, 4, 4) and, where known, ``T_world_body`` (N, 4, 4), metres.
-
-    The body is the velodyne (x forward, y left, z up); odom and world are the velodyne frame of the first pose.
-    ``source`` names each file and its SHA-256, without folders.
-    """
-
-    stamps_ns: IntArray
-    T_odom_body: FloatArray
-    T_world_body: FloatArray | None
-    source: dict[str, str]
-
-    def records(self, detections: Iterable[tuple[int, ObjectDetections]]) -> Iterator[ImportedRecord]:
-        """For each row and its detections, in the order of time: odometry, detections, truth where known."""
-        for row, found in detections:
-            yield Odometry(found.stamp_ns, self.T_odom_body[row])
-            yield found
-            if self.T_world_body is not None:
-                yield GroundTruthPose(found.stamp_ns, self.T_world_body[row])
-
-
-def read_drive(
-    dataset: str, odometry: Path, calib: Path, times: Path, ground_truth: Path | None, counts: dict[str, int]
-) -> KittiDrive:
-    """Read what a sequence has besides its scans.
-
-    Args:
-        dataset: its name, for ``source``.
-        odometry: estimated poses of the left camera, KITTI format.
-        calib: KITTI odometry calibration; ``Tr`` maps velodyne to left camera.
-        times: seconds of each scan.
-        ground_truth: true poses of the left camera.
-        counts: of what else there must be as many of as poses and times, by what a message calls it.
-
-    Raises:
-        DatasetError: a file that is missing or wrong, or numbers of poses and times that differ.
-    """
-    paths = {"odometry": odometry, "calib": calib, "times": times, "ground_truth": ground_truth}
-    texts = {role: read_source_text(path) for role, path in paths.items() if path is not None}
-    stamps = read_times(texts["times"])
-    T_camera_velodyne = parse_calibration(texts["calib"])
-    poses = {role: parse_poses(texts[role]) for role in ("odometry", "ground_truth") if role in texts}
-    numbers = {
-        **counts,
-        f"times in {times.name}": len(stamps.stamps_ns),
-        **{f"poses in {Path(texts[role].name).name}": len(T) for role, T in poses.items()},
-    }
-    if len(set(numbers.values())) != 1:
-        told = ", ".join(f"{number} {what}" for what, number in numbers.items())
-        raise DatasetError(f"{told}: the numbers must be equal; give files of one sequence")
-    bodies = {role: body_poses(T, T_camera_velodyne) for role, T in poses.items()}
-    source = describe_sources(dataset, texts.items())
-    return KittiDrive(stamps.stamps_ns, bodies["odometry"], bodies.get("ground_truth"), source)
 
 
 def parse_poses(source: SourceText) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 import zstandard
 
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
-from tests.fuzz.cloud_mutations import mutate_ply, write_sequence
+from tests.fuzz.cloud_mutations import mutate_ply
 from tests.fuzz.training_mutations import mutate_checkpoint
 
 NETWORKS = {"likelihood": "descriptellation_lr", "network": "descriptellation"}
@@ -42,13 +42,10 @@ def training_arguments(folder: str) -> list[str]:
 
 
 def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
-    """A labelled cloud, or a sequence of scans, that is altered."""
+    """A labelled cloud that is altered."""
     named = [[], ["--name", "80=pole"], ["--name", "80=pole", "--name", "81=trunk"]][int(rng.integers(3))]
-    if rng.random() < 0.6:
-        (folder / "cloud.ply").write_bytes(mutate_ply(rng))
-        return ["import", "ply", "out.mcap", "--file", "cloud.ply", *named]
-    write_sequence(folder, rng)
-    return ["import", "semantic-kitti", "out.mcap", "--sequence", ".", "--odometry", "poses.txt"]
+    (folder / "cloud.ply").write_bytes(mutate_ply(rng))
+    return ["import", "ply", "out.mcap", "--file", "cloud.ply", *named]
 
 
 def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:

@@ -141,17 +141,12 @@ def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_p
 
 
 @pytest.mark.parametrize("keep", [0.02, 0.6])
-def test_database_that_ends_early_is_read_or_refused(bags: dict[str, Path], tmp_path: Path, keep: float) -> None:
+def test_database_that_ends_early_is_refused(bags: dict[str, Path], tmp_path: Path, keep: float) -> None:
     broken = break_bag(bags["db3"], tmp_path)
     (path,) = broken.glob("*.db3")
     path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
-    try:
-        with LogReader(broken) as reader:
-            assert len(list(reader.messages())) < len(contents(bags["mcap"]))
-            assert "truncated" in reader.counters
-    except UnreadableLogError as error:
-        assert path.name in str(error)
-        assert "\n" not in str(error)
+    with pytest.raises(UnreadableLogError, match=r"part_0\.db3: [^\n]*$"):
+        LogReader(broken)
 
 
 @pytest.mark.parametrize("value", ["soon", 1e300, b"x"])

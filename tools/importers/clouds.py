@@ -1,4 +1,4 @@
-"""dslam import semantic-kitti and ply: labelled point clouds."""
+"""dslam import ply: labelled point clouds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tools.arguments import Json, NewLog, check_outputs
+from tools.arguments import Json, check_outputs
 from tools.importers.maps import SURVEYED_SIGMA_M, NewMap, Origin, Sigma, make_map
 
 Cloud = Annotated[
@@ -23,36 +23,6 @@ Names = Annotated[
 
 _LONGEST_NUMBER = 18
 """Digits of the number of a class, so that 64 bits hold it."""
-
-
-def semantic_kitti(
-    output: NewLog,
-    sequence: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", help="A sequence: velodyne/, labels/, poses.txt, calib.txt and times.txt."),
-    ],
-    odometry: Annotated[
-        Path | None, typer.Option(metavar="POSES", help="Poses of the left camera in KITTI's format, not poses.txt.")
-    ] = None,
-    ground_truth: Annotated[
-        Path | None, typer.Option(metavar="POSES", help="True poses of the left camera; for evaluation only.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """SemanticKITTI: objects of labelled LiDAR scans.
-
-    Example: dslam import semantic-kitti drive.mcap --sequence dataset/sequences/00 --odometry odometry.txt
-    --ground-truth dataset/sequences/00/poses.txt
-    """
-    check_outputs([output], [sequence, odometry, ground_truth])
-    from logs.clouds.semantic_kitti import read_semantic_kitti
-    from tools import console
-    from tools.importers.drives import write_drive
-
-    files = read_semantic_kitti(sequence, odometry=odometry, ground_truth=ground_truth)
-    with console.progress_bar("finding objects", "writing the log") as progress:
-        records = files.records(progress=progress)
-    write_drive(output, records, files.drive.source, json=json)
 
 
 def ply(

@@ -54,7 +54,7 @@ def test_records_in_body_frame(root: Path) -> None:
     drive = read_kitti_objects(**paths(root))
     records = list(drive.records())
     assert [type(record) for record in records] == [Odometry, ObjectDetections, GroundTruthPose] * 3
-    assert drive.drive.stamps_ns.tolist() == [0, 103_735_900, 470_581_612_346]
+    assert drive.stamps_ns.tolist() == [0, 103_735_900, 470_581_612_346]
     odometry, detections, truth = records[3:6]
     # The camera moved along its z, which is forward, so the body moved along its x; the truth moved to the right.
     np.testing.assert_allclose(odometry.T_odom_body[:3, 3], [1, 0, 0], atol=1e-12)
@@ -68,7 +68,7 @@ def test_records_in_body_frame(root: Path) -> None:
 def test_calibration_is_a_lever_arm(root: Path) -> None:
     # The camera turns 90 degrees to the left on the spot, so the velodyne behind it swings about it.
     write(root, "poses.txt", POSE + "0 0 -1 0 0 1 0 0 1 0 0 0\n" * 2)
-    T_odom_body = read_kitti_objects(**paths(root)).drive.T_odom_body
+    T_odom_body = read_kitti_objects(**paths(root)).T_odom_body
     np.testing.assert_array_equal(T_odom_body[0], np.eye(4))
     camera_in_body = np.array([0.3, 0.1, 0.2, 1.0])
     np.testing.assert_allclose(T_odom_body[1] @ camera_in_body, camera_in_body, atol=1e-12)
@@ -92,12 +92,12 @@ def test_log_names_its_source(root: Path) -> None:
         ("07/bow.txt", "1,1,1\n0,1,0\n0,0,0\n", r"000000.txt has 2 centroids, but .*bow.txt counts"),
         ("07/bow.txt", "3,0,-1\n0,1,0\n0,0,0\n", r"000000.txt has 2 centroids, but .*bow.txt counts"),
         ("07/bow.txt", f"1,0,{'9' * 5000}\n0,1,0\n0,0,0\n", "bow.txt, line 1"),
-        ("07/bow.txt", "1,0,1\n0,1,0\n", "2 scans in .*bow.txt, 3 times in times.txt"),
+        ("07/bow.txt", "1,0,1\n0,1,0\n", "2 scans in bow.txt, 3 times in times.txt"),
         ("07/bow.txt", None, "bow.txt: cannot be read"),
         ("07/centroids/000002.txt", "\n1 2 x\n", "000002.txt, line 2, column z: 'x' is not a finite number"),
         ("07/centroids/000001.txt", "1 2\n", "000001.txt, line 1: 2 values where 3"),
         ("07/centroids/000001.txt", None, "000001.txt: cannot be read"),
-        ("poses.txt", POSE * 2, "3 scans in .*bow.txt, 3 times in times.txt, 2 poses in poses.txt"),
+        ("poses.txt", POSE * 2, "3 scans in bow.txt, 3 times in times.txt, 2 poses in poses.txt"),
         ("truth.txt", POSE * 2, "2 poses in truth.txt"),
         ("times.txt", "", "times.txt has no rows"),
         ("times.txt", "0\n1\n1\n", "times.txt, line 3, column stamp_s: 1 occurs twice"),
@@ -123,5 +123,5 @@ def test_damage_is_refused_and_nothing_is_written(root: Path, name: str, text: s
 
 def test_rounded_rotation_is_made_orthonormal(root: Path) -> None:
     write(root, "poses.txt", POSE * 2 + "1 0 0 0 0 0.9999 0 0 0 0 1.0001 0\n")
-    R = read_kitti_objects(**paths(root)).drive.T_odom_body[2, :3, :3]
+    R = read_kitti_objects(**paths(root)).T_odom_body[2, :3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
