@@ -156,11 +156,8 @@ def _is_input(topic: str) -> bool:
 
 def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:
     """The one topic of the strongest schema that any has; none, or an error if one is needed, where several have it."""
-    ranked = {_WEAKER.get(i.schema_name, 0): set[str]() for i in inputs if _is_chosen(i, kind)}
-    for info in inputs:
-        if _is_chosen(info, kind):
-            ranked[_WEAKER.get(info.schema_name, 0)].add(info.topic)
-    fitting = sorted(ranked[min(ranked)]) if ranked else []
+    ranks = {info.topic: _WEAKER.get(info.schema_name, 0) for info in inputs if _is_chosen(info, kind)}
+    fitting = [topic for topic, rank in ranks.items() if rank == min(ranks.values())]
     if len(fitting) > 1 and is_needed:
         every = f", or use all: --topic {kind}={','.join(fitting)}" if kind == RecordKind.DETECTIONS else ""
         raise TopicSelectionError(

@@ -41,8 +41,7 @@ class SqliteFile:
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
         self._name = name
         self._limits = limits
-        self._is_complete = True
-        self._reading_counters: Counter[str] = Counter()
+        self._counters: Counter[str] = Counter()
         try:
             self._database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
             self._channels = self._read_channels()
@@ -53,10 +52,10 @@ class SqliteFile:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """``truncated`` (1: it could not be read to its end); of the latest pass over messages ``messages_too_large``
-        and ``messages_without_time``.
+        """Of the latest pass: ``truncated`` (1: it could not be read to its end), ``messages_too_large`` and
+        ``messages_without_time``.
         """
-        return {**self._reading_counters, "truncated": int(not self._is_complete)}
+        return self._counters
 
     def channels(self) -> list[ChannelInfo]:
         """The channels, with their numbers of messages and their times."""
@@ -66,7 +65,7 @@ class SqliteFile:
         self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
     ) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content."""
-        self._reading_counters.clear()
+        self._counters.clear()
         wanted = {id: i.channel for id, i in self._channels.items() if topics is None or i.channel.topic in topics}
         empty = [id for id, channel in wanted.items() if channel.topic in without_content]
         query = (
@@ -78,15 +77,15 @@ class SqliteFile:
         try:
             for id, topic_id, log_time_ns, data in self._database.execute(query, parameters):
                 if not (isinstance(log_time_ns, int) and 0 <= log_time_ns <= LAST_NS):
-                    self._reading_counters["messages_without_time"] += 1
+                    self._counters["messages_without_time"] += 1
                 elif data is None:
-                    self._reading_counters["messages_too_large"] += 1
+                    self._counters["messages_too_large"] += 1
                 else:  # SQLite puts what it likes into any column
                     content = data if isinstance(data, bytes) else b""
                     sequence = id % 2**32 if isinstance(id, int) else 0
                     yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, sequence, content)
         except _DATABASE_ERRORS:
-            self._is_complete = False
+            self._counters["truncated"] = 1
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """None: such files hold only messages."""

@@ -70,7 +70,7 @@ class TestTable:
             ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write it with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
             ("lat,lon\n24,160\n-30,170\n100,60\n", "not degrees"),
-            ("lat,lon\n160.1,24.9\n", "latitude and longitude are swapped"),
+            ("lat,lon\n160.1,24.9\n", "they are swapped"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
         ],
     )
@@ -98,7 +98,7 @@ class TestGeoJson:
     def test_faults(self, tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match=r"latitude 6\.6e\+06.*these are metres"):
             read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
-        with pytest.raises(DatasetError, match="are swapped"):
+        with pytest.raises(DatasetError, match="they are swapped"):
             read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
         with pytest.raises(DatasetError, match="EPSG:4326"):
             read_geojson(geojson(tmp_path / "a.json", feature(24.9, 60.1), crs={"name": "urn:ogc:def:crs:EPSG::3067"}))
