@@ -1,4 +1,4 @@
-"""Points of PLY files with all their fields.
+"""Points of binary PLY files with all their fields.
 
 Open3D ignores unsigned integers in PLY, in which labels are published. Greg Turk, "The PLY polygon file format".
 """
@@ -6,7 +6,6 @@ Open3D ignores unsigned integers in PLY, in which labels are published. Greg Tur
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,7 +19,7 @@ from logs.storage.regular_file import open_regular
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 _TYPES |= {"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4"}
 _TYPES |= {"uint32": "u4", "float32": "f4", "float64": "f8"}
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_BYTES = 100_000
 
 
@@ -36,7 +35,7 @@ def read_points(path: Path) -> Mapping[str, NDArray[Any]]:
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except (ValueError, OverflowError, IndexError, KeyError) as error:
-        raise DatasetError(f"{path}: not a readable PLY file ({error}); write it again") from error
+        raise DatasetError(f"{path}: not a readable binary PLY file ({error}); write it again") from error
     return {name: points[name] for name in points.dtype.names or ()}
 
 
@@ -45,7 +44,7 @@ def _read_points(stream: BinaryIO) -> NDArray[Any]:
 
     Raises:
         ValueError: it is no PLY file, its first element is not a vertex, or points are missing.
-        KeyError: an unknown format, or type of a property.
+        KeyError: text, or an unknown type of a property.
     """
     head, end, _ = stream.read(_HEADER_BYTES).partition(b"end_header")
     lines = [line.split() for line in head.decode("ascii").splitlines() if not line.startswith(("comment", "obj_info"))]
@@ -56,16 +55,7 @@ def _read_points(stream: BinaryIO) -> NDArray[Any]:
     row = np.dtype([(line[2], order + _TYPES[line[1]]) for line in lines[3:others]])
     stream.seek(len(head) + len(end))
     stream.readline()
-    names = row.names or ()
-    left = os.fstat(stream.fileno()).st_size - stream.tell() + (not order)  # the last end of a line may be left out
-    min_bytes = row.itemsize if order else 2 * len(names)
-    if not 0 <= count * min_bytes <= left:
-        raise ValueError(f"at most {left // max(min_bytes, 1)} of {count} points are there; the file is truncated")
-    if order or not count:
-        return np.fromfile(stream, row, count)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of lines without numbers
-        numbers = np.loadtxt(stream, max_rows=count, ndmin=2)
-    if numbers.shape != (count, len(names)):
-        raise ValueError(f"{numbers.shape[0]} lines of {numbers.shape[1]} numbers for {count} points")
-    return np.rec.fromarrays(list(numbers.T), dtype=[(name, np.float64) for name in names])
+    left = os.fstat(stream.fileno()).st_size - stream.tell()
+    if not 0 <= count * row.itemsize <= left:
+        raise ValueError(f"not all of {count} points are there; the file is truncated")
+    return np.fromfile(stream, row, count)

@@ -36,10 +36,10 @@ from logs.decoders.parts import (
     Place,
     Records,
     detection_records,
-    detections_record,
     fix_records,
     frame_records,
     pose_records,
+    usable_detections,
     xyz,
 )
 from logs.dslam_codec import CODECS
@@ -150,7 +150,7 @@ def _own(record: type, *kinds: RecordKind) -> dict[str, MessageDecoder]:
 
 def _detections(message: Any, context: Context) -> Records:
     codec = CODECS[m.ObjectDetections]
-    return (detections_record(**codec.values(message, context.counters), counters=context.counters),)
+    return (usable_detections(m.ObjectDetections(**codec.values(message, context.counters)), context.counters),)
 
 
 def _pose(message: Any, context: Context) -> Records:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.clouds.cloud_files import read_cloud
 from logs.container.json_text import parse_json
 from logs.decoders.decode import decode
 from logs.errors import DatasetError, InvalidRecordError, UnreadableLogError
@@ -112,16 +111,6 @@ def test_arrays_whose_header_is_another_expression(tmp_path: Path, header: str) 
         writer._writer.add_attachment(0, 0, "a", "a", content)
     with pytest.raises(UnreadableLogError, match="cannot be read as an array"):
         read_arrays(path)
-
-
-@pytest.mark.filterwarnings("error")
-def test_points_without_numbers_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.ply"
-    properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "label"))
-    head = f"ply\nformat ascii 1.0\nelement vertex 3\n{properties}end_header\n"
-    path.write_text(head + "\n" * 200, encoding="utf-8")
-    with pytest.raises(DatasetError):
-        read_cloud(path)
 
 
 def poses_message(seconds: str, frame: str) -> RawMessage:

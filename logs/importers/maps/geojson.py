@@ -14,8 +14,6 @@ from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.maps.object_table import CLASS_NAMES, UNKNOWN
 from logs.importers.text_files import read_source_text
 
-_GLOBAL_CRS = ("CRS84", "4326", "WGS84", "4979")
-
 
 class _Point(BaseModel):
     type: Literal["Point"]
@@ -35,7 +33,6 @@ class _Feature(BaseModel):
 class _FeatureCollection(BaseModel):
     type: Literal["FeatureCollection"]
     features: list[_Feature]
-    crs: Any = None
 
 
 def read_geojson(path: Path) -> MapObjects:
@@ -54,9 +51,6 @@ def read_geojson(path: Path) -> MapObjects:
             f"{path}: not a GeoJSON FeatureCollection ({place}: {first['msg'][:200]}); it may be truncated, export the "
             "layer again"
         ) from error
-    crs = str(collection.crs or "")
-    if crs and not any(name in crs.replace("::", ":").replace(" ", "").upper() for name in _GLOBAL_CRS):
-        raise DatasetError(f"{path}: coordinates of {crs[:80]}; export the layer in WGS 84 (EPSG:4326)")
     found = [(i, each, each.geometry) for i, each in enumerate(collection.features, start=1)]
     points = [(i, each, point) for i, each, point in found if isinstance(point, _Point)]
     others = Counter("without geometry" if g is None else g.type for _, _, g in found if not isinstance(g, _Point))
