@@ -5,6 +5,7 @@ Numbers that are not finite pass: a log holds what a sensor said, and its reader
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,15 @@ from logs.validation import rotation_errors
 ROTATION_TOLERANCE = 1e-3
 """Of the entries of R^T R: float32 and four digits stay below it."""
 
-_TRANSFORMS = ("T_odom_body", "T_parent_child", "T_world_body", "T_map_body", "T_map_odom")
-_ROWS = {"positions": (3,), "scores": (), "covariances": (3, 3), "sizes": (3,)}
-"""Arrays that have a row for each label, and the shape of a row."""
+_SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
+    m.Odometry: {"T_odom_body": (4, 4)},
+    m.Transform: {"T_parent_child": (4, 4)},
+    m.GroundTruthPose: {"T_world_body": (4, 4)},
+    m.SlamPose: {"T_map_body": (4, 4), "T_map_odom": (4, 4)},
+    m.ObjectDetections: {"positions": (-1, 3), "scores": (-1,), "covariances": (-1, 3, 3), "sizes": (-1, 3)},
+}
+"""Of the arrays of a record; -1: a row for each label."""
+_OPTIONAL = ("T_map_odom", "covariances", "sizes")
 
 
 def check_record(record: m.Record) -> None:
@@ -28,28 +35,23 @@ def check_record(record: m.Record) -> None:
         InvalidRecordError: another shape or type, or a matrix that is no rigid transform; names the field and the
             remedy.
     """
-    if not isinstance(record, m.Odometry | m.Transform | m.GroundTruthPose | m.SlamPose | m.ObjectDetections):
+    if type(record) not in _SHAPES:
         return
     if not isinstance(record.stamp_ns, int | np.integer):
         raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
-    if isinstance(record, m.ObjectDetections):
-        if not isinstance(record.labels, tuple) or not {*map(type, record.labels)} <= {str, np.str_}:
-            raise _error(record, "labels", "not a tuple of texts; give one for each position")
-        for name, row in _ROWS.items():
-            _check_array(record, name, (len(record.labels), *row))
-        return
-    for name in _TRANSFORMS:
-        T = _check_array(record, name, (4, 4))
-        if T is not None:
-            _check_transform(record, name, T)
-
-
-def _check_array(record: m.Record, name: str, shape: tuple[int, ...]) -> Any:
-    value = getattr(record, name, None)
-    if value is not None and not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.shape == shape):
-        found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-        raise _error(record, name, f"{found}; give a float64 array of shape {shape}")
-    return value
+    labels = record.labels if isinstance(record, m.ObjectDetections) else ()
+    if not isinstance(labels, tuple) or not {*map(type, labels)} <= {str, np.str_}:
+        raise _error(record, "labels", "not a tuple of texts; give one for each position")
+    for name, shape in _SHAPES[type(record)].items():
+        value = getattr(record, name)
+        wanted = tuple(len(labels) if length == -1 else length for length in shape)
+        if value is None and name in _OPTIONAL:
+            continue
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.shape != wanted:
+            found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+            raise _error(record, name, f"{found}; give a float64 array of shape {wanted}")
+        if shape == (4, 4):
+            _check_transform(record, name, value)
 
 
 def _check_transform(record: m.Record, name: str, T: Any) -> None:

@@ -7,7 +7,7 @@ import re
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -30,7 +30,7 @@ MAX_FRAMES = 100
 MAX_CLOSURES = 100_000
 """Later records of loop closures are not kept."""
 
-_FRAMES = ("parent_frame_id", "frame_id", "child_frame_id")
+_FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
@@ -170,7 +170,7 @@ class _TopicGathering:
         """Note the frames that a record names, and which of them it connects."""
         if len(self.frames) >= MAX_FRAMES:
             return
-        names = [getattr(record, name).lstrip("/") for name in _FRAMES if hasattr(record, name)]
+        names = [getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES]
         self.frames |= {*names} - {""}
         if len(names) == 2 and all(names):
             self.edges.add((names[0], names[1]))

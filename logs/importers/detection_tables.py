@@ -26,7 +26,6 @@ LABEL_NAMES = ("label", "class", "class_name", "category", "name", "type", "clas
 """Names of the column with the class, likeliest first."""
 _SCORES = ("score", "confidence", "probability")
 _SIDES = (("sx", "length"), ("sy", "width"), ("sz", "height"))
-_VARIANCE_UNITS = {"": 1.0, "m2": 1.0}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +62,8 @@ class DetectionTable:
 def read_detections(table: Table) -> DetectionTable:
     """The detections of ``table``.
 
-    Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, the covariance (cxx, cxy, ...) or
-    sigmas (sigma_x_m, ...), sizes (sx, sy, sz) or a diameter, track_id, frame and object_id (the truth).
+    Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), sizes
+    (sx, sy, sz) or a diameter, track_id, frame and object_id (the truth).
 
     Raises:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
@@ -139,28 +138,16 @@ def _lengths(table: Table, fields: tuple[str, ...]) -> FloatArray | None:
 
 
 def _covariances(table: Table) -> FloatArray | None:
-    """Covariances (R, 3, 3) m^2 from their entries, else from sigmas; zeros in rows where one is not known."""
-    entries: dict[tuple[int, int], FloatArray] = {}
-    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        column = table.find((f"c{'xyz'[i]}{'xyz'[j]}",), _VARIANCE_UNITS)
-        if column is not None:
-            entries[i, j] = table.optional_numbers(column)
-    sigmas = [_lengths(table, (f"sigma_{axis}",)) for axis in "xyz"]
-    entries = entries or {(i, i): sigma**2 for i, sigma in enumerate(sigmas) if sigma is not None}
-    if not entries:
+    """Covariances (R, 3, 3) m^2 from sigmas; zeros in rows where one is not known."""
+    x, y, z = (_lengths(table, (f"sigma_{axis}",)) for axis in "xyz")
+    if x is None and y is None and z is None:
         return None
-    if not {(0, 0), (1, 1)} <= entries.keys():
-        raise DatasetError(f"{table.name}: a covariance needs at least cxx, cxy and cyy, or sigma_x_m and sigma_y_m")
-    P = np.zeros((len(table.lines), 3, 3))
-    for (i, j), values in entries.items():
-        P[:, i, j] = P[:, j, i] = values
-    if (2, 2) not in entries:  # a planar detector
-        P[:, 2, 2] = 0.5 * (P[:, 0, 0] + P[:, 1, 1])
-    P[~np.isfinite(P).all(axis=(1, 2))] = 0.0
-    wrong = P.any(axis=(1, 2)) & (np.linalg.eigvalsh(P)[:, 0] <= 0.0)
-    if wrong.any():
-        raise table.error(int(wrong.argmax()), "cxx ...", "not positive definite; leave the cells empty if not known")
-    return P
+    if x is None or y is None:
+        raise DatasetError(f"{table.name}: noise needs at least the columns sigma_x_m and sigma_y_m")
+    variance_z = 0.5 * (x**2 + y**2) if z is None else z**2  # a planar detector
+    variances = np.stack([x**2, y**2, variance_z], axis=1)
+    variances[np.isnan(variances).any(axis=1)] = 0.0
+    return np.asarray(variances[:, :, None] * np.eye(3))
 
 
 def _sizes(table: Table) -> FloatArray | None:

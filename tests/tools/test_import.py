@@ -76,7 +76,7 @@ def test_the_lines_of_the_docs_write_a_log_that_can_be_replayed(
     assert told["counters"]["landmarks_confirmed"] == 2
 
 
-@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "cxx", "track_id", "frame"])
+@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "track_id", "frame"])
 def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
     assert word in dslam("import", "csv", "--help").out
 

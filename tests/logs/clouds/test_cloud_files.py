@@ -72,49 +72,27 @@ def test_a_label_alone_is_the_class_and_the_instance_may_be_in_its_upper_half(tm
     assert read_cloud(write_ply(tmp_path / "cloud.ply", points)).instances is None
 
 
-def damaged(path: Path, kind: str) -> Path:
-    points = street("class", "label")
-    if kind == "no class":
-        return write_ply(path, np.array(points[["x", "y", "z"]].tolist(), points.dtype.descr[:3]))
-    if kind == "no positions":
-        return write_ply(path, np.array(points[["class"]].tolist(), [("class", "<u4")]))
-    write_ply(path, points)
-    content = path.read_bytes()
-    changes = {
-        "cut off": content[:-100],
-        "no ply": b"solid stl\n" + content,
-        "no end": content.replace(b"end_header", b"comment end"),
-        "a list": content.replace(b"property uchar reflectance", b"property list uchar int reflectance"),
-        "faces first": content.replace(b"element vertex", b"element edge"),
-        "huge": content.replace(b"element vertex ", b"element vertex 999999999999999999"),
-        "two of a name": content.replace(b"property float y", b"property float x"),
-        "a fraction": content.replace(b"property uint label", b"property float class2"),
-    }
-    path.write_bytes(changes[kind])
-    return path
-
-
 @pytest.mark.parametrize(
-    ("kind", "fault"),
+    ("right", "wrong", "fault"),
     [
-        ("no class", "no field holds the class of a point .*; it has x, y, z"),
-        ("no positions", "no fields x, y and z; it has class"),
-        ("cut off", "not all of .* points are there; the file is truncated"),
-        ("huge", "not all of 9.* points are there; the file is truncated"),
-        ("two of a name", "field .x. occurs more than once"),
-        ("no ply", "does not begin with a header"),
-        ("no end", "not a readable binary PLY file"),
-        ("a list", "not a readable binary PLY file .'list'"),
-        ("faces first", "whose first element is the vertex"),
+        (b"uint class", b"uint kind", "no field holds the class of a point .*; it has x, y, z"),
+        (b"float x\n", b"float u\n", "no fields x, y and z; it has u, y"),
+        (b"element vertex ", b"element vertex 9999999999", "not all of 9.* points are there; the file is truncated"),
+        (b"element vertex ", b"element vertex 1", "not all of 1.* points are there; the file is truncated"),
+        (b"float y\n", b"float x\n", "field .x. occurs more than once"),
+        (b"ply\n", b"solid stl\n", "does not begin with a header"),
+        (b"end_header", b"comment end", "not a readable binary PLY file"),
+        (b"uchar reflectance", b"list uchar int reflectance", "not a readable binary PLY file .'list'"),
+        (b"element vertex", b"element edge", "whose first element is the vertex"),
     ],
 )
-def test_faults_are_one_line_with_the_file(tmp_path: Path, kind: str, fault: str) -> None:
+def test_damaged_ply_is_refused(tmp_path: Path, right: bytes, wrong: bytes, fault: str) -> None:
+    path = write_ply(tmp_path / "cloud.ply", street("class", "id"))
+    path.write_bytes(path.read_bytes().replace(right, wrong, 1))
     with pytest.raises(DatasetError, match=fault) as refused:
-        read_cloud(damaged(tmp_path / "cloud.ply", kind))
+        read_cloud(path)
     assert "cloud.ply" in str(refused.value)
     assert "\n" not in str(refused.value)
-    with pytest.raises(DatasetError, match=r"none\.ply: cannot be read"):
-        read_cloud(tmp_path / "none.ply")
 
 
 @pytest.mark.parametrize("astray", [1e9, 1e30, -1e300])

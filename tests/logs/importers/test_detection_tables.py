@@ -66,8 +66,6 @@ def test_scans_by_stamp_and_frame() -> None:
         ("sigma_x_m,sigma_y_m,sigma_z_cm", "0.1,0.2,30", np.diag([0.01, 0.04, 0.09])),
         ("sigma_x,sigma_y", "0.1,0.3", np.diag([0.01, 0.09, 0.05])),
         ("sigma_x,sigma_y", "0.1,", np.zeros((3, 3))),
-        ("cxx,cxy,cyy_m2", "0.4,0.1,0.2", [[0.4, 0.1, 0.0], [0.1, 0.2, 0.0], [0.0, 0.0, 0.3]]),
-        ("cxx,cxy,cxz,cyy,cyz,czz", "1,.1,.2,1,.3,1", [[1, 0.1, 0.2], [0.1, 1, 0.3], [0.2, 0.3, 1]]),
     ],
 )
 def test_read_covariances(columns: str, cells: str, expected: object) -> None:
@@ -107,8 +105,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         ("timestamp,x,y\n1700000000000000000,1,2\n", r"line 2, column timestamp: .*year 2262; .*stamp_ns"),
         ("timestamp,x,y\n1e999999999999999999,1,2\n", r"line 2, column timestamp: .*not a time"),
         ("stamp_s,x_m,y_m\n0,1,2\n0,2400,1\n0,-2600,2\n", r"column x_m: the median is 2400 m.*call the column x_mm"),
-        ("stamp_s,x,y,sigma_x\n0,1,2,.1\n", r"det\.csv: a covariance needs at least .*sigma_y_m"),
-        ("stamp_s,x,y,cxx,cxy,cyy\n0,1,2,1,0,1\n0,1,2,1,2,1\n", r"line 3, column cxx \.\.\.: not positive definite"),
+        ("stamp_s,x,y,sigma_x\n0,1,2,.1\n", r"det\.csv: noise needs at least .*sigma_y_m"),
     ],
 )
 def test_read_detections_refuses(text: str, message: str) -> None:
