@@ -151,13 +151,14 @@ def read_block(stream: BinaryIO, block: ChunkIndex, max_bytes: int) -> bytes:
     if block.chunk_length > max_bytes:
         raise OversizedChunkError(block.chunk_length)
     stream.seek(block.chunk_start_offset)
-    content = stream.read(block.chunk_length)
-    opcode, length = HEADER.unpack_from(content)
+    head = stream.read(HEADER.size)
+    content = stream.read(block.chunk_length - HEADER.size)
+    opcode, length = HEADER.unpack(head)
     if opcode in _DEFINITIONS or opcode == Opcode.MESSAGE:
-        return content
+        return head + content
     if (opcode, length) != (Opcode.CHUNK, block.chunk_length - HEADER.size):
         raise ValueError(f"no chunk of {block.chunk_length} bytes at {block.chunk_start_offset}")
-    chunk = mcap_records.Chunk.read(stream_of(content[HEADER.size :]))
+    chunk = mcap_records.Chunk.read(stream_of(content))
     if chunk.uncompressed_size > max_bytes:
         raise OversizedChunkError(chunk.uncompressed_size)
     data = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)

@@ -18,7 +18,6 @@ from logs.errors import DatasetError, InvalidRecordError, UnreadableLogError
 from logs.importers.maps.geojson import read_geojson
 from logs.reader import LogReader
 from logs.storage.arrays import read_arrays
-from logs.storage.bag_folder import find_bag_files
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.writer import LogWriter
 
@@ -91,16 +90,6 @@ def test_tables_that_compute_what_they_hold(tmp_path: Path) -> None:
     )
     with pytest.raises(UnreadableLogError, match="no table messages"):
         LogReader(database(tmp_path / "a.db3", TOPICS + computed))
-
-
-LISTED = "rosbag2_bagfile_information:\n  {before}\n  relative_file_paths: [a.db3]\n"
-
-
-@pytest.mark.parametrize("value", ["!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000])
-def test_a_description_of_a_recording_that_holds_what_yaml_cannot(tmp_path: Path, value: str) -> None:
-    (tmp_path / "metadata.yaml").write_text(LISTED.format(before=f"a: {value}"), encoding="utf-8")
-    with pytest.raises(UnreadableLogError, match=r"not the metadata of a rosbag2 recording|names a\.db3"):
-        find_bag_files(tmp_path)
 
 
 @pytest.mark.parametrize("header", ["{[]: 1}", "(" * 3000, "{1: 2, 'a': 3}"])

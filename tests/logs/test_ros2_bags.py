@@ -115,11 +115,13 @@ def test_folder_without_metadata_and_metadata_alone_are_refused(bags: dict[str, 
 
 
 NONE = "rosbag2_bagfile_information: "
-
-
-@pytest.mark.parametrize(
-    "text", ["", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}", "[" * 20_000]
+ODD = (
+    *("", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}", "[" * 20_000),
+    *(f"a: {value}" for value in ("!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000)),
 )
+
+
+@pytest.mark.parametrize("text", ODD)
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
     bag = break_bag(bags["mcap"], tmp_path)
     (bag / "metadata.yaml").write_text(text)
