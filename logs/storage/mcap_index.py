@@ -152,13 +152,12 @@ def read_block(stream: BinaryIO, block: ChunkIndex, max_bytes: int) -> bytes:
         raise OversizedChunkError(block.chunk_length)
     stream.seek(block.chunk_start_offset)
     head = stream.read(HEADER.size)
-    content = stream.read(block.chunk_length - HEADER.size)
     opcode, length = HEADER.unpack(head)
     if opcode in _DEFINITIONS or opcode == Opcode.MESSAGE:
-        return head + content
+        return head + stream.read(max(block.chunk_length - HEADER.size, 0))
     if (opcode, length) != (Opcode.CHUNK, block.chunk_length - HEADER.size):
         raise ValueError(f"no chunk of {block.chunk_length} bytes at {block.chunk_start_offset}")
-    chunk = mcap_records.Chunk.read(stream_of(content))
+    chunk = mcap_records.Chunk.read(stream_of(stream.read(length)))
     if chunk.uncompressed_size > max_bytes:
         raise OversizedChunkError(chunk.uncompressed_size)
     data = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
