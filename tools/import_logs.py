@@ -8,14 +8,13 @@ from typing import Annotated
 import typer
 
 from tools.arguments import Json, NewLog, check_outputs
-from tools.importers import clouds, maps
+from tools.importers import maps
 from tools.importers.drives import write_drive
 
 app = typer.Typer(
     help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
 )
 app.command("map")(maps.map_of_objects)
-app.command()(clouds.ply)
 
 
 @app.command("kitti-objects")

@@ -45,7 +45,7 @@ def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
     """A labelled cloud that is altered."""
     named = [[], ["--name", "80=pole"], ["--name", "80=pole", "--name", "81=trunk"]][int(rng.integers(3))]
     (folder / "cloud.ply").write_bytes(mutate_ply(rng))
-    return ["import", "ply", "out.mcap", "--file", "cloud.ply", *named]
+    return ["import", "map", "out.mcap", "--file", "cloud.ply", *named]
 
 
 def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:

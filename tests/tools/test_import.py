@@ -77,9 +77,9 @@ def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
 def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
     cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))
     told = json.loads(
-        dslam("import", "ply", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
+        dslam("import", "map", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
               "302020600=sign", "--json").out
     )  # fmt: skip
     assert told["class_counts"] == {"lamp": 3, "sign": 2}
-    refused = dslam("import", "ply", tmp_path / "c.mcap", "--file", cloud, "--name", "lamp")
+    refused = dslam("import", "map", tmp_path / "c.mcap", "--file", cloud, "--name", "lamp")
     assert_refused(refused, "'lamp' is not NUMBER=CLASS")
