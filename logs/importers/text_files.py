@@ -26,8 +26,8 @@ class SourceText:
 
     def lines(self) -> list[tuple[int, str]]:
         """Number (from 1) and text of each line that is neither blank nor a comment (#)."""
-        stripped = ((i, line.strip()) for i, line in enumerate(self.text.splitlines(), start=1))
-        return [(i, line) for i, line in stripped if line and not line.startswith("#")]
+        stripped = ((i, line.strip(" ")) for i, line in enumerate(self.text.splitlines(), start=1))
+        return [(i, line) for i, line in stripped if line.strip() and not line.startswith("#")]
 
 
 def read_source_text(path: Path) -> SourceText:

@@ -46,6 +46,11 @@ def test_read_detections_with_quoted_and_foreign_labels() -> None:
     assert table.detections.labels == ("pole; tall", "\N{GREEK SMALL LETTER PI}")
 
 
+def test_empty_cells_at_the_end_of_a_line_between_tabs() -> None:
+    table = read("stamp_s\tx\ty\tlabel\tobject_id\n0\t1\t2\ta\t\n0\t1\t2\t\t7\n")
+    assert (table.detections.labels, table.true_ids) == (("a", "object"), ["", "7"])
+
+
 def test_scans_by_stamp_and_frame() -> None:
     table = read(
         "stamp_s,label,x,y,frame,track_id,object_id\n0,a,1,2,front,4,1\n0,b,3,4,rear,5,-1\n0,c,5,6,front,6,3\n1,,,,,,\n"
