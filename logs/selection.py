@@ -137,13 +137,12 @@ def select_all(topics: Iterable[TopicInfo]) -> Selection:
 
 
 def _likely_kind(info: TopicInfo) -> RecordKind:
+    likely: tuple[RecordKind, ...] = ()
     if _is_truth(info.topic):
-        for kind in (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH):
-            if kind in info.kinds:
-                return kind
-    if info.topic.startswith(OUTPUT_PREFIX) and RecordKind.SLAM_POSE in info.kinds:
-        return RecordKind.SLAM_POSE
-    return info.kinds[0]
+        likely = (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH)
+    elif info.topic.startswith(OUTPUT_PREFIX):
+        likely = (RecordKind.SLAM_POSE,)
+    return next((kind for kind in likely if kind in info.kinds), info.kinds[0])
 
 
 def _is_truth(topic: str) -> bool:
