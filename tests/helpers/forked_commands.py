@@ -20,7 +20,7 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.pa
              "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.evaluation.comparison",
              "slam.sweeps.sweep", "slam.evaluation.report.tables",
              "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
-             "logs.clouds.semantic_kitti", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
+             "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 
 
 def import_commands() -> None:

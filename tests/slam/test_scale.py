@@ -42,7 +42,6 @@ def scaled(record: Record, scale: float) -> Record:
     """An input of the estimator with all its lengths scaled."""
     match record:
         case Odometry():
-            assert record.covariance is None
             return replace(record, T_odom_body=scaled_pose(record.T_odom_body, scale))
         case Transform():
             return replace(record, T_parent_child=scaled_pose(record.T_parent_child, scale))

@@ -19,7 +19,7 @@ Reference = Annotated[
     Path | None,
     typer.Option(
         metavar="LOG|POSES",
-        help="Ground truth: a log, or poses of the body (TUM, KITTI, EuRoC or CSV, also .gz).",
+        help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz).",
         show_default=False,
     ),
 ]

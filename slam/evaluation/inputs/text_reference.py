@@ -1,4 +1,4 @@
-"""True poses in a text file: TUM, KITTI, EuRoC or CSV, also packed by gzip."""
+"""True poses in a text file: TUM, KITTI or CSV, also packed by gzip."""
 
 from __future__ import annotations
 

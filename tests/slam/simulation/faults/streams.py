@@ -56,7 +56,7 @@ def messages() -> list[Message[Record]]:
         covariances = np.tile(COVARIANCE, (4, 1, 1))
         scan = ObjectDetections(stamp_ns, "lidar", seen, LABELS, np.ones(4), covariances, np.ones((4, 3)))
         found += [
-            Message("/odom", stamp_ns, Odometry(stamp_ns, odometry[i], covariance=np.eye(6))),
+            Message("/odom", stamp_ns, Odometry(stamp_ns, odometry[i])),
             Message("/detections", stamp_ns, scan),
             Message("/ground_truth/detections", stamp_ns, DetectionTruth(stamp_ns, IDS)),
             Message("/ground_truth", stamp_ns, GroundTruthPose(stamp_ns, truth[i])),
