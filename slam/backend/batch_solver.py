@@ -18,6 +18,19 @@ ROUGH_MIN_DECREASE = 0.5
 """The same by one standard deviation: the steps that follow are short ones, on which no fusion of landmarks depends."""
 
 
+def levenberg_marquardt(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    max_iterations: int = MAX_ITERATIONS,
+    min_decrease: float = MIN_DECREASE,
+) -> gtsam.LevenbergMarquardtOptimizer:
+    """The optimiser of a graph from ``values``; it ends with a step that lowers the cost by less than the decrease."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(max_iterations)
+    parameters.setAbsoluteErrorTol(min_decrease)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+
+
 @dataclass(frozen=True, slots=True)
 class Optimization:
     """How the batch optimisation ended."""
@@ -82,10 +95,7 @@ class BatchSolver(Solver):
         return graph_of(self._factors.values())
 
     def _optimize(self, max_iterations: int, min_decrease: float) -> Optimization:
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(max_iterations)
-        parameters.setAbsoluteErrorTol(min_decrease)
-        optimizer = gtsam.LevenbergMarquardtOptimizer(self.graph, self._values, parameters)
+        optimizer = levenberg_marquardt(self.graph, self._values, max_iterations, min_decrease)
         error_before = optimizer.error()
         self._values = optimizer.optimize()
         self._is_changed = False
