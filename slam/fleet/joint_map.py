@@ -27,7 +27,7 @@ from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
 
-TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
+TIE_SIGMA = 10.0
 """Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
 FUSIONS = 3
 """Rounds of fusing landmarks and optimising: better positions show more duplicates."""
@@ -105,7 +105,7 @@ def _placed(
     if not joins:
         return poses, np.zeros(0, dtype=np.bool_)
     extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
-    loose = np.diag(np.repeat([TIE_SIGMA_RAD, TIE_SIGMA_PITCHES * extent_m], 3) ** 2.0)
+    loose = np.diag(np.repeat([TIE_SIGMA, TIE_SIGMA * extent_m], 3) ** 2.0)
     starts = np.flatnonzero(np.diff(group.numbers)) + 1
     ties = [Edge(0, end, invert(poses[0]) @ poses[end], loose, EdgeKind.DISCONTINUITY) for end in starts.tolist()]
     held = PosePrior(0, poses[0], PRIOR_SIGMA_RANGES * sensor_range_m)

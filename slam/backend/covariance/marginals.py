@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slam.backend.covariance.covariance_estimation import (
+    POSE_SIZE,
     LinearSystem,
     covariance_blocks,
     outlier_limit,
@@ -25,7 +26,7 @@ from slam.common.arrays import FloatArray, IntArray
 logger = logging.getLogger(__name__)
 
 KeyArray = NDArray[np.uint64]
-POSE_SIZE, POINT_SIZE = 6, 3
+POINT_SIZE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
