@@ -33,12 +33,11 @@ def levenberg_marquardt(
 
 @dataclass(frozen=True, slots=True)
 class Optimization:
-    """How the batch optimisation ended."""
+    """How the batch optimisation ended; ``error``: the cost at its end, in nats."""
 
     converged: bool
     iterations: int
-    error_before: float
-    error_after: float
+    error: float
 
 
 class BatchSolver(Solver):
@@ -82,10 +81,9 @@ class BatchSolver(Solver):
 
     def _optimize(self, max_iterations: int, min_decrease: float) -> Optimization:
         optimizer = levenberg_marquardt(self.graph, self._values, max_iterations, min_decrease)
-        error_before = optimizer.error()
         self._values = optimizer.optimize()
         iterations = optimizer.iterations()
-        return Optimization(iterations < max_iterations, iterations, error_before, optimizer.error())
+        return Optimization(iterations < max_iterations, iterations, optimizer.error())
 
     def _start(self, values: gtsam.Values) -> None:
         self._values = gtsam.Values(values)

@@ -203,8 +203,10 @@ class FactorGraph(EditableGraph):
     def estimates(self) -> Estimates:
         """Where everything is as far as it is known now; nothing is solved for it."""
         attached = np.array(list(self._attached.anchors), dtype=np.int64)
-        new = [self._solver.new_values] if isinstance(self._solver, IncrementalSolver) else []
-        return read_estimates(self._solver.values(), *new).with_keyframes(attached, self.poses(attached)[:, :3, 3])
+        values = gtsam.Values(self._solver.values())
+        if isinstance(self._solver, IncrementalSolver):
+            values.insert(self._solver.new_values)
+        return read_estimates(values).with_keyframes(attached, self.poses(attached)[:, :3, 3])
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
