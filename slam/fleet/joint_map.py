@@ -13,7 +13,7 @@ from logs.messages import ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import PRIOR_SIGMA_RANGES, Edge, EdgeKind, PosePrior
 from slam.backend.graph_record import edges_of, observations_of
-from slam.backend.pose_graph_optimization import optimize_pose_graph
+from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge
-from slam.backend.outlier_rejection import reject_outlier_closures
+from slam.backend.pose_graph.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Accepted, Candidate, Stage

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.backend.factors import Edge, EdgeKind, Factor, PosePrior
-from slam.backend.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
+from slam.backend.pose_graph.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert
 

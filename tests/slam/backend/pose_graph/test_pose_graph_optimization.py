@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.backend.factors import Edge, EdgeKind, PosePrior
-from slam.backend.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
+from slam.backend.pose_graph.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
@@ -124,7 +124,7 @@ def test_the_initial_values_hardly_matter() -> None:
 
 
 def test_a_solution_that_did_not_converge_has_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slam.backend.pose_graph_optimization.MAX_ITERATIONS", 1)
+    monkeypatch.setattr("slam.backend.pose_graph.pose_graph_optimization.MAX_ITERATIONS", 1)
     assert "closures took all 1 iterations" in solve(odometry(), with_false(TRUE, 30)).message
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.backend.factors import Edge, EdgeKind, Factor, Observation, PosePrior
-from slam.backend.outlier_rejection import reject_outlier_closures
+from slam.backend.pose_graph.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
 

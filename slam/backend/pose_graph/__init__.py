@@ -1,0 +1,1 @@
+"""Pose graphs: their optimisation, robust to wrong loop closures."""
