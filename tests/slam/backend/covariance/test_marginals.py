@@ -146,7 +146,7 @@ def test_what_is_not_determined_is_refused() -> None:
     factors.add(between_factor(edges[0]))
     for k in range(2):
         values.insert(X(k), gtsam.Pose3(T[k]))
-    with pytest.raises(RuntimeError):
+    with pytest.raises(np.linalg.LinAlgError):
         compute_marginals(factors, values, [edges[0]], PLAIN)
 
 
