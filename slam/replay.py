@@ -251,9 +251,7 @@ def _save(
         )
     earlier_drives = None if prior_map is None else prior_map.drives
     try:
-        return save_map(
-            map_path, final.object_map, final.graph, final.markers, provenance, earlier_drives=earlier_drives
-        )
+        return save_map(map_path, final.object_map, final.graph, provenance, earlier_drives=earlier_drives)
     except (SavedMapError, UnwritableLogError) as error:
         error.add_note(f"{output} is complete")
         raise

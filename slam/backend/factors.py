@@ -93,7 +93,7 @@ def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
     return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
 
 
-def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
+def between_factor(edge: Edge) -> gtsam.NoiseModelFactor:
     """The GTSAM factor of an edge; closures are robust, the others are not."""
     pose, noise = _measurement(edge)
     return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)

@@ -59,7 +59,7 @@ def hold_tilt(graph: FactorGraph) -> None:
         return
     graph.replace_covariances(_scaled(graph, steps, HELD))
     held = graph.optimize()
-    if chdtrc(freedom, 2.0 * max(held.error_after - free.error_after, 0.0)) > CHANCE:
+    if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > CHANCE:
         return
     graph.replace_covariances(configured)
     graph.optimize()

@@ -74,7 +74,6 @@ def save_map(
     path: Path,
     objects: ObjectMapRecord,
     graph: FactorGraphRecord,
-    markers: SceneMarkers,
     provenance: Mapping[str, str],
     *,
     earlier_drives: Sequence[Mapping[str, str]] | None = None,
@@ -86,7 +85,6 @@ def save_map(
         objects: all landmarks; only confirmed ones are kept.
         graph: the optimised graph. Condensed keyframes are left out, and a stretch that only a break of the odometry
             ties to the rest, which lies anywhere, with what only it saw.
-        markers: the landmarks for viewers.
         provenance: version, configuration and input of the drive.
         earlier_drives: those of the map that the drive went on from.
 
@@ -118,12 +116,10 @@ def save_map(
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
-        shown = _of_ids(markers, set(kept.ids))
-        colors = np.array([class_color(label) for label in shown.labels]).reshape(-1, 4)
-        writer.write(MARKERS_TOPIC, shown, objects.stamp_ns)
-        writer.write(
-            POINTS_TOPIC, ScenePoints(shown.stamp_ns, shown.frame_id, shown.positions, colors), objects.stamp_ns
-        )
+        stamp_ns, frame_id, positions, labels = kept.stamp_ns, kept.frame_id, kept.positions, kept.labels
+        colors = np.array([class_color(label) for label in labels]).reshape(-1, 4)
+        writer.write(MARKERS_TOPIC, SceneMarkers(stamp_ns, frame_id, positions, labels, kept.ids), stamp_ns)
+        writer.write(POINTS_TOPIC, ScenePoints(stamp_ns, frame_id, positions, colors), stamp_ns)
     return int(np.count_nonzero(~is_tied))
 
 
@@ -134,10 +130,8 @@ def write_map(path: Path, saved: SavedMap) -> None:
         LogError: it cannot be written.
         SavedMapError: it would be refused when it is loaded.
     """
-    objects = saved.objects
-    markers = SceneMarkers(objects.stamp_ns, objects.frame_id, objects.positions, objects.labels, objects.ids)
     provenance = {key: text for key, text in saved.metadata.items() if key not in _OF_THE_FILE}
-    save_map(path, objects, saved.graph, markers, provenance, earlier_drives=saved.drives[:-1])
+    save_map(path, saved.objects, saved.graph, provenance, earlier_drives=saved.drives[:-1])
 
 
 def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
@@ -231,16 +225,6 @@ def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:
     """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
     part = parts(graph, ~are_of_kind(graph, EdgeKind.DISCONTINUITY))
     return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))
-
-
-def _of_ids(markers: SceneMarkers, ids: set[str]) -> SceneMarkers:
-    rows = [row for row, name in enumerate(markers.ids) if name in ids]
-    return replace(
-        markers,
-        positions=markers.positions[rows],
-        labels=tuple(markers.labels[row] for row in rows),
-        ids=tuple(markers.ids[row] for row in rows),
-    )
 
 
 def _drives(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:

@@ -115,7 +115,7 @@ def maps(entries, unscaled, tmp_path_factory) -> dict[float, SavedMap]:
     loaded = {}
     for scale, final in finals.items():
         path = tmp_path_factory.mktemp("maps") / "map.mcap"
-        save_map(path, final.object_map, final.graph, final.markers, {"version": "0", "input_sha256": "0"})
+        save_map(path, final.object_map, final.graph, {"version": "0", "input_sha256": "0"})
         loaded[scale] = load_map(path)
     return loaded
 
