@@ -212,7 +212,6 @@ def _summarize(
         final_status=final.status.message,
         notes=(
             *drive.calibration.notes,
-            *drive.calibration.suspicions,
             *([str(prepared.drift)] if prepared.drift.rate else []),
             *map(str, drive.clocks.steps),
             *about_the_map,

@@ -85,7 +85,7 @@ def live(
     rows = {
         "latency": ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in latency_s.items()),
         "landmarks": str(len(final.object_map.ids)),
-        "of the robot": "; ".join((*drive.slam.calibration.notes, *drive.slam.calibration.suspicions)),
+        "of the robot": "; ".join(drive.slam.calibration.notes),
         "final status": final.status.message,
         "written": "" if output is None else str(output),
     }

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
-from slam.self_calibration.clutter import Clutter, measure_clutter
+from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.corrections import Correction, estimate_corrections
 from slam.self_calibration.frames import agree, better_frame, find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
@@ -64,12 +64,13 @@ class Survey:
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
-    ``detectability``: how often an object in view is detected; ``clutter``: what belongs to no track of an object.
+    ``detectability``: how often an object in view is detected; ``clutter_density``: of what
+    belongs to no track of an object [1/m^3].
 
     ``corrected``: values of the calibration, by their keys, that corrected the scans; ``delay_s``: by how much
-    detections are of a later time than their stamps say, against the odometry; ``suspected``: terms that fit the log
-    and did not earn a correction; ``lacks_heading``: whether the heading of the odometry never changes, and objects do
-    not stand still by it; ``detour``: the length of the odometry's path by that of its every second message.
+    detections are of a later time than their stamps say, against the odometry; ``lacks_heading``: whether the heading
+    of the odometry never changes, and objects do not stand still by it; ``detour``: the length of the odometry's path
+    by that of its every second message.
     """
 
     scans: int
@@ -89,11 +90,10 @@ class Survey:
     components: ComponentEstimate | None
     heights: HeightNoise = field(default_factory=HeightNoise)
     detectability: Detectability = field(default_factory=Detectability)
-    clutter: Clutter = field(default_factory=Clutter)
+    clutter_density: float = 0.0
     labels: LabelNoise = field(default_factory=LabelNoise)
     corrected: Mapping[str, float] = field(default_factory=dict)
     delay_s: float = 0.0
-    suspected: tuple[Correction, ...] = ()
     lacks_heading: bool = False
     detour: float = 1.0
 
@@ -113,7 +113,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         known = known.with_values({"objects.max_classes": 1})
     if f"detection.{FRAMES[1]}" not in corrected and not given.detection.assume_odometry_frame:
         corrected |= _orientation(logs, known.with_values(corrected), given)
-    delay_s, found = 0.0, tuple[Correction, ...]()
+    delay_s = 0.0
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
@@ -131,7 +131,6 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         labels=labels,
         corrected=corrected | ({"odometry.sources": 2} if any(two_sources) else {}),
         delay_s=delay_s,
-        suspected=tuple(each for each in found if each.is_significant and _is_large(each)),
         lacks_heading=bool(np.ptp(motion.headings) < SAME_HEADING_RAD) and not agree(scans),
         detour=detour,
     )
@@ -265,7 +264,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         components=components,
         heights=estimate_height_noise(tracks),
         detectability=detectability_of(tracks),
-        clutter=measure_clutter(scans, len(tracks.track), float(np.sqrt(variance))),
+        clutter_density=clutter_density(scans, len(tracks.track), float(np.sqrt(variance))),
     )
 
 
