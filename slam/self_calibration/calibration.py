@@ -170,9 +170,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     found = _components(survey)
     drift, turn = _shares_not_of_bias(found, survey)
     objects = _objects_that_err_alike(survey, found.view)
-    repeated = 1 if survey.components is None else survey.components.repeated
     white, by_range, ratio = _sight_noise(config, survey, found)
-    white, by_range = repeated * white, repeated * by_range
     lengths = config.calibrated(_lengths(config, survey))
     between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
     scan_m = survey.travel_m / survey.scans

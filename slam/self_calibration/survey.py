@@ -29,10 +29,6 @@ from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_o
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95
-SAME_VIEW_RAD = 0.05
-"""Change of the view [rad] within which scans may repeat the errors of one another: what errs by the view is a
-variance component of its own.
-"""
 MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 1.0 / 3.0
 """A sensor that is turned by more, and turns of the odometry that are wrong by such a share, are corrected: less may be
 the road's, more is no matter of calibration.
@@ -41,7 +37,6 @@ MIN_REST = 0.005
 """... and what is then left of turns, as long as it is more than that. So is a climb of the odometry, which explains
 little of how objects seem to move but adds up along the way.
 """
-MAX_REPEATED = 16
 FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
 ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"}
@@ -241,9 +236,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
     tracks = tracks or objects_among(follow_objects(scans, headings))
     biases = centroid_biases(tracks)
     median_range_m = float(np.median(ranges))
-    components = estimate_components(
-        without_bias(tracks, biases), motion, most_repeated=_scans_of_a_view(median_range_m, motion)
-    )
+    components = estimate_components(without_bias(tracks, biases), motion)
     # A detection errs by its own noise and by what changes with the view.
     variance = components.white(median_range_m**2)[0] + components.variances.view if components is not None else 0.0
     return Survey(
@@ -274,16 +267,10 @@ def _spacing(scans: list[SurveyScan]) -> float:
     return float(np.median(distances)) if len(distances) else float("nan")
 
 
-def _scans_of_a_view(range_m: float, motion: Motion) -> int:
-    """Scans in a row from which objects at that range look alike."""
-    scan_m = float(motion.travel_m[-1]) / len(motion.travel_m)
-    return int(np.clip(SAME_VIEW_RAD * range_m / max(scan_m, 1e-9), 1, MAX_REPEATED))
-
-
 def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:
     """Horizontal variance of detections as estimated, by that which their messages claim."""
     claimed = tracks.claimed[np.isfinite(tracks.claimed)]
     if estimate is None or len(claimed) == 0:
         return float("nan")
     square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
-    return estimate.repeated * estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))
+    return estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))

@@ -285,14 +285,6 @@ def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
     assert by_hand.sigma_per_m == pytest.approx((0.5 * 1.53) ** 0.5 / surveyed.median_range_m)
 
 
-def test_errors_that_scans_repeat_average_out_more_slowly(surveyed):
-    assert surveyed.components is not None
-    repeated = replace(surveyed, components=replace(surveyed.components, repeated=4))
-    before, after = calibrate(Config(), surveyed), calibrate(Config(), repeated)
-    for key in ("detection.base_sigma_m", "detection.sigma_per_m"):
-        assert value_of(after.config, key) == pytest.approx(2.0 * value_of(before.config, key))
-
-
 def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed):
     rare = replace(surveyed, scans=2, shared_bias_m=0.0, travel_m=surveyed.median_range_m)
     assert calibrate(Config(), rare).config.calibration.detection.covariance_inflation == pytest.approx(2.0)
