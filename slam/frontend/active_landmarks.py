@@ -31,10 +31,6 @@ UNIQUE_INFLATION = 5.0
 """Factor on the noise of the odometry where objects are unique: a wide gate then confuses nothing."""
 FIXING_LANDMARKS = 3
 """Landmarks that fix a pose in space."""
-DOUBTED_FACTOR = 4.0
-"""The odometry is doubted where its variances are so many times as large as slips make them: no window of scans finds
-that by chance.
-"""
 SAME_PROBABILITY = 0.99
 """Probability from which two landmarks are one object."""
 RECENT_SCANS = 20
@@ -60,8 +56,7 @@ class ActiveLandmarks:
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
         inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else SLIP_INFLATION
-        self._least_noise = inflation**2
-        self._noise = NoiseScale(self._least_noise)
+        self._noise = NoiseScale(inflation**2)
         self.detections_innovation_ratio = 0.0
         """The last median squared distance of detections from their landmarks, by its variance and the gate."""
         self.pose_covariance: FloatArray | None = None
@@ -204,32 +199,10 @@ class ActiveLandmarks:
         self.pose_covariance = covariance_in_axes(fit @ corrected @ fit.T, R)
         self._noise.add(fit @ (after - before).ravel(), reduction)
 
-    def correct_odometry(self, T_local_odom: FloatArray) -> FloatArray:
-        """Let the odometry have the pose of the body by the landmarks, if it was in the local frame by (4, 4); returns
-        the correction (4, 4) of its poses, in its frame.
-        """
-        assert self._pose is not None
-        T_odom_body = invert(T_local_odom) @ self.T_local_body
-        T_odom_correction = rigid(T_odom_body @ invert(self._pose.T_odom_body))
-        self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
-        return T_odom_correction
-
     @property
     def odometry_innovation_ratio(self) -> float:
         """The last squared correction of the odometry by its variance and the gate."""
         return self._noise.innovation_ratio
-
-    @property
-    def is_odometry_doubtful(self) -> bool:
-        """Whether the odometry errs more than data association allows for slips anyway."""
-        return bool((self._noise.factors > DOUBTED_FACTOR * self._least_noise).any())
-
-    def excess_variances(self, pose: OdometryPose) -> FloatArray:
-        """(3,) by which errors of the step to a pose exceed what data association allows for slips anyway."""
-        excess = self._noise.factors - DOUBTED_FACTOR * self._least_noise
-        if self._pose is None or pose.segment != self._pose.segment or not (excess > 0.0).any():
-            return np.zeros(3)
-        return np.maximum(excess, 0.0) * model_variances(self._pose, pose, self._config.calibration.odometry)
 
     def add(self, rows: IntArray) -> None:
         """Make landmarks active; they are tentative until they are confirmed."""

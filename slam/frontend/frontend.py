@@ -145,7 +145,6 @@ class Frontend:
         """Place a scan where the odometry has it, or near there."""
         if pose.segment != self._mapper.segment:
             yield from self._poses_until(pose.stamp_ns)
-        pose = self._loosened(pose)
         yield from self._corrected(self._mapper.locate(scan, pose), pose, pose.segment)
 
     def _corrected(
@@ -159,14 +158,6 @@ class Frontend:
         self._placed_ns = pose.stamp_ns
         yield from self._poses_until(pose.stamp_ns)
         yield self._mapper.add_scan(tracked, pose)
-
-    def _loosened(self, pose: OdometryPose) -> OdometryPose:
-        """The pose with the variance by which the odometry errs more than its noise explains."""
-        excess = self._mapper.excess_variances(pose)
-        if not excess.any():
-            return pose
-        self._track.loosen(self._placed_ns, excess)
-        return self._track.at(pose.stamp_ns) or pose
 
     def _poses_until(self, stamp_ns: int) -> Iterator[OdometryPose]:
         while self._waiting and self._waiting[0] <= stamp_ns:

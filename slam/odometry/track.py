@@ -140,14 +140,6 @@ class OdometryTrack:
             )
         self._counted_xyz_m = self._poses[-1].T_odom_body[:3, 3]
 
-    def loosen(self, since_ns: int, variances: FloatArray) -> None:
-        """Add variances (3,), as of a correction, to the step after a time."""
-        self._corrected = self._corrected + variances
-        for index in range(len(self._poses) - 1, -1, -1):
-            if self._poses[index].stamp_ns <= since_ns:
-                break
-            self._poses[index] = replace(self._poses[index], corrected=self._corrected)
-
     def _least_usual(self, since_ns: int, stamp_ns: int) -> int:
         """Index of the pose after the step that changes the velocity most, of those between two times."""
         last = len(self._poses) - 1

@@ -134,32 +134,6 @@ def test_moving_landmark_is_expected_where_its_velocity_takes_it() -> None:
     assert prediction.covariances[0, 0, 0] > prediction.covariances[1, 0, 0]
 
 
-@pytest.mark.parametrize(("error_m", "is_doubtful"), [(0.0, False), (0.5, True)])
-def test_odometry_with_errors_beyond_its_noise_is_doubtful(error_m: float, is_doubtful: bool) -> None:
-    """Each metre of the odometry is too short by that, where 5 cm are to be expected."""
-    bench = Bench(**WIDE)
-    rows = bench.add(scattered(6))
-    for x in np.arange(1.0, 30.0):
-        bench.advance(x)
-        off_m = bench.active.T_local_body[0, 3] - (1.0 + error_m) * x
-        bench.see(rows, scattered(6) + np.array([off_m, 0.0, 0.0]))
-    assert bench.active.is_odometry_doubtful is is_doubtful
-    translation, tilt, heading = np.sqrt(bench.active.excess_variances(pose_at(30.0)))
-    assert translation > 0.15 if is_doubtful else translation == 0.0
-    assert tilt == heading == 0.0
-
-
-def test_odometry_takes_the_pose_by_the_landmarks() -> None:
-    bench = Bench(**WIDE)
-    rows = bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]])
-    bench.advance(10.0)
-    T_local_odom = bench.active.T_local_odom
-    bench.see(rows, [[20.5, 3.0, 0.0], [20.5, -3.0, 0.0]])
-    bench.active.correct_odometry(T_local_odom)
-    np.testing.assert_allclose(bench.active.T_local_odom, T_local_odom, atol=1e-12)
-    assert bench.active.T_odom_body[0, 3] == pytest.approx(9.5, abs=0.05)
-
-
 # How long they are kept
 
 

@@ -240,17 +240,6 @@ def test_break_after_the_corrected_one_stays() -> None:
     assert [made.at(stamp_ns(step)).segment for step in (102, 103, 107, 108, 111)] == [0, 0, 0, 1, 1]
 
 
-def test_looser_step_is_less_certain_and_nothing_else() -> None:
-    made, counters = jumped(np.eye(4))
-    made.loosen(stamp_ns(103), VARIANCES)
-    for step, variances in ((102, 0.0 * VARIANCES), (103, 0.0 * VARIANCES), (104, VARIANCES), (107, VARIANCES)):
-        np.testing.assert_array_equal(made.at(stamp_ns(step)).corrected, variances)
-        np.testing.assert_array_equal(made.at(stamp_ns(step)).T_odom_body, message(step).T_odom_body)
-    (pose,) = made.add(message(108))
-    np.testing.assert_array_equal(pose.corrected, VARIANCES)
-    assert not counters
-
-
 def test_single_wild_message_is_dropped() -> None:
     made, counters = jumped(np.eye(4), until=JUMP_STEP)
     assert made.add(message(JUMP_STEP, jump(y=1000.0, yaw=2.0))) == []
