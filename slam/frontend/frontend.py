@@ -44,7 +44,6 @@ class Frontend:
         self._mapper = mapper
         self._counters = counters
         self._waiting: deque[int] = deque()
-        self._placed_ns = 0
         self._untold: list[tuple[Scan, int]] = []
         self._is_broken = False
         self.placed: tuple[Tracked, OdometryPose] | None = None
@@ -153,9 +152,8 @@ class Frontend:
         """Map a placed scan, with the odometry corrected by it, which is right up to a ``segment``."""
         self.placed = tracked, pose
         if tracked.correction is not None:
-            self._track.correct(self._placed_ns, pose.stamp_ns, tracked.correction, segment=segment)
+            self._track.correct(pose.stamp_ns, tracked.correction, segment=segment)
             pose = self._mapper.tracked_pose(pose)
-        self._placed_ns = pose.stamp_ns
         yield from self._poses_until(pose.stamp_ns)
         yield self._mapper.add_scan(tracked, pose)
 

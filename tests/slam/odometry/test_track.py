@@ -205,25 +205,29 @@ def jumped(T_jump: FloatArray, *, until: int = 108) -> tuple[OdometryTrack, Coun
     return made, counters
 
 
-@pytest.mark.parametrize("T_jump", [jump(yaw=0.5), jump(y=1.0), jump(y=100.0)], ids=["turn", "shift", "beyond"])
-def test_correction_undoes_the_jump_from_the_least_usual_step_on(T_jump: FloatArray) -> None:
+@pytest.mark.parametrize(
+    ("T_jump", "first"),
+    [(jump(yaw=0.5), 106), (jump(y=1.0), 106), (jump(y=100.0), JUMP_STEP)],
+    ids=["turn", "shift", "break"],
+)
+def test_correction_moves_the_track_from_its_time_or_from_a_break_before_it(T_jump: FloatArray, first: int) -> None:
     made, counters = jumped(T_jump)
-    correction = Correction(invert(T_jump), VARIANCES)
-    made.correct(stamp_ns(100), stamp_ns(105.5), correction, segment=0)
-    straight, _ = jumped(np.eye(4))
-    for step in (99, 102, 102.5, 103, 104.25, 107):
-        found, expected = made.at(stamp_ns(step)), straight.at(stamp_ns(step))
+    made.correct(stamp_ns(105.5), Correction(invert(T_jump), VARIANCES), segment=0)
+    straight, as_it_was = jumped(np.eye(4))[0], jumped(T_jump)[0]
+    for step in (99, 102, 103, 105, 106, 107):
+        found, expected = made.at(stamp_ns(step)), (straight if step >= first else as_it_was).at(stamp_ns(step))
         np.testing.assert_allclose(found.T_odom_body, expected.T_odom_body, atol=1e-9)
-        assert found.travel_m == pytest.approx(expected.travel_m)
         assert found.segment == 0
-        np.testing.assert_array_equal(found.corrected, VARIANCES if step > 102 else np.zeros(3))
+        np.testing.assert_array_equal(found.corrected, VARIANCES if step >= first else np.zeros(3))
+    if first == JUMP_STEP:
+        assert made.latest.travel_m == pytest.approx(straight.latest.travel_m)
     assert counters["odometry_corrected"] == 1
 
 
 def test_messages_after_a_correction_are_corrected_as_well() -> None:
     T_jump = jump(y=1.0, yaw=2.0)
     made, _ = jumped(T_jump)
-    made.correct(stamp_ns(100), stamp_ns(105.5), Correction(invert(T_jump), VARIANCES), segment=0)
+    made.correct(stamp_ns(102.5), Correction(invert(T_jump), VARIANCES), segment=0)
     (pose,) = made.add(message(108, T_jump))
     np.testing.assert_allclose(pose.T_odom_body, message(108).T_odom_body, atol=1e-9)
     np.testing.assert_allclose(pose.T_odom_reported @ message(108, T_jump).T_odom_body, pose.T_odom_body, atol=1e-9)
@@ -236,7 +240,7 @@ def test_break_after_the_corrected_one_stays() -> None:
     made, _ = jumped(jump(y=100.0))
     for step in range(108, 112):
         made.add(message(step, jump(y=300.0)))
-    made.correct(stamp_ns(100), stamp_ns(105.5), Correction(invert(jump(y=100.0)), VARIANCES), segment=0)
+    made.correct(stamp_ns(105.5), Correction(invert(jump(y=100.0)), VARIANCES), segment=0)
     assert [made.at(stamp_ns(step)).segment for step in (102, 103, 107, 108, 111)] == [0, 0, 0, 1, 1]
 
 
