@@ -59,7 +59,6 @@ class OdometryTrack:
         self._doubtful: Odometry | None = None
         self._arrived_ns, self._descends = np.iinfo(np.int64).min, False
         self._counted_xyz_m = np.zeros(3)
-        self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
 
     @property
@@ -177,18 +176,10 @@ class OdometryTrack:
         """Whether a body can have come from the pose of one message to that of another."""
         T_before, T_after = (self._T_odom_reported @ each.T_odom_body for each in (before, after))
         pose = replace(self._poses[-1], stamp_ns=before.stamp_ns, T_odom_body=T_before)
-        return not self._limits.is_beyond(
-            [pose], after.stamp_ns, T_after, T_reported=after.T_odom_body, T_first=self._T_odom_first
-        )
+        return not self._limits.is_beyond([pose], after.stamp_ns, T_after)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
-        return self._limits.is_beyond(
-            self._poses,
-            odometry.stamp_ns,
-            self._T_odom_reported @ odometry.T_odom_body,
-            T_reported=odometry.T_odom_body,
-            T_first=self._T_odom_first,
-        )
+        return self._limits.is_beyond(self._poses, odometry.stamp_ns, self._T_odom_reported @ odometry.T_odom_body)
 
     def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest
@@ -196,7 +187,6 @@ class OdometryTrack:
         xyz_m = T_odom_body[:3, 3]
         if last is None:
             self._counted_xyz_m = xyz_m
-            self._T_odom_first = odometry.T_odom_body
             pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
         else:
             breaks = self._breaks_next or self._is_beyond_limits(odometry)

@@ -98,20 +98,6 @@ def segments(*steps: tuple[float, float]) -> list[int]:
     return [pose.segment for pose in (*poses, *made.finish())]
 
 
-def test_restart_of_the_odometry_near_where_it_was_is_a_break():
-    """Carried off for 5 s while it thinks to be 8 m from its start: the step back there would be no jump."""
-    driven = [(0.1 * i, 5.0 + 0.8 * i) for i in range(11)]
-    assert segments(*driven, (6.0, 5.0), (6.1, 5.8)) == [0] * 11 + [1, 1]
-    assert segments(*driven, (6.0, 0.0), (6.1, 0.8)) == [0] * 11 + [1, 1], "at the identity"
-    assert segments(*driven, (6.0, 5.001), (6.1, 5.8)) == [0] * 13, "twin: only near its start"
-
-
-def test_driving_or_standing_at_the_start_of_the_odometry_is_no_restart():
-    there_and_back = [*range(11), *range(9, -1, -1), -1, -2]
-    assert segments(*((0.1 * i, 0.5 * x) for i, x in enumerate(there_and_back))) == [0] * len(there_and_back)
-    assert segments(*((0.1 * i, 0.0) for i in range(5)), (3.0, 0.0), (3.1, 0.4)) == [0] * 7
-
-
 @pytest.mark.parametrize(("sensor_range_m", "breaks"), [(30.0, 0), (1.5, 1)])
 def test_limit_of_a_step_scales_with_the_sensor_range(sensor_range_m, breaks):
     made = OdometryTrack(sensor_range_m=sensor_range_m)
