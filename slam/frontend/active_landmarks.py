@@ -27,8 +27,6 @@ ACTIVE_RADII = 2.0
 """Landmarks farther from the robot than so many ranges of the farthest detection share no view with what is seen."""
 MOVING_ACCELERATION_RANGES = 0.1
 """How much a moving object may change its speed, in sensor ranges per square second: a car brakes harder at times."""
-UNIQUE_INFLATION = 5.0
-"""Factor on the noise of the odometry where objects are unique: a wide gate then confuses nothing."""
 FIXING_LANDMARKS = 3
 """Landmarks that fix a pose in space."""
 SAME_PROBABILITY = 0.99
@@ -55,8 +53,7 @@ class ActiveLandmarks:
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
-        inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else SLIP_INFLATION
-        self._noise = NoiseScale(inflation**2)
+        self._noise = NoiseScale(SLIP_INFLATION**2)
         self.detections_innovation_ratio = 0.0
         """The last median squared distance of detections from their landmarks, by its variance and the gate."""
         self.pose_covariance: FloatArray | None = None
