@@ -76,8 +76,7 @@ def live(
         drive = stack.enter_context(LiveDrive(config, feed.show, prior_map=prior_map, output=output))
         for item in _items(stack, source, address, config, chosen, speed, counters):
             drive.process(item)
-        drive.slam.counters.update(counters)
-        final = drive.finish()
+        final = drive.finish(counters)
     latency_s = drive.latency_s()
     if json:
         console.show_json({"latency_s": latency_s, "status": final.status.message, "counters": final.status.counters})
