@@ -170,7 +170,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     found = _components(survey)
     drift, turn = _shares_not_of_bias(found, survey)
     objects = _objects_that_err_alike(survey, found.view)
-    white, by_range, ratio = _sight_noise(config, survey, found)
+    white, by_range, ratio = _sight_noise(survey, found)
     lengths = config.calibrated(_lengths(config, survey))
     between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
     scan_m = survey.travel_m / survey.scans
@@ -225,13 +225,10 @@ def _tilt_sigma(survey: Survey) -> float:
     return float(np.sqrt(max(certain, usual**2)))
 
 
-def _sight_noise(config: Config, survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:
+def _sight_noise(survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:
     """Variance across the line of sight, its growth with the squared range, and the standard deviation along it by that
-    across, at the median range. Where the noise is given by hand it is the same along and across.
+    across, at the median range.
     """
-    if any(config.calibration.is_given(f"detection.{name}") for name in ("base_sigma_m", "sigma_per_m")):
-        white, by_range = found.radial + found.tangential, found.radial_by_range + found.tangential_by_range
-        return 0.5 * white, 0.5 * by_range, 1.0
     square_m, least = survey.median_range_m**2, (MIN_SIGMA * survey.range_m) ** 2
     across = max(found.tangential + found.tangential_by_range * square_m, least)
     along = max(found.radial + found.radial_by_range * square_m, least)

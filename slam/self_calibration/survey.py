@@ -70,7 +70,6 @@ class Survey:
 
     scans: int
     detections: int
-    classes: int
     range_m: float
     median_range_m: float
     max_range_m: float
@@ -196,8 +195,6 @@ def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) 
     if agree(as_they_are):
         return {}
     others = {name: scans_of(logs, known.with_values({f"detection.{name}": True}))[0] for name in FRAMES}
-    if better_frame(as_they_are, others) is None:
-        return {}
     turned, _ = scans_of(logs, known.with_values(_orientation(logs, known, given)))
     name = better_frame(turned, others)
     return {} if name is None else {f"detection.{name}": True}
@@ -242,7 +239,6 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
     return Survey(
         scans=len(scans),
         detections=len(ranges),
-        classes=len(np.unique(np.concatenate([scan.labels for scan in scans]))),
         range_m=float(np.quantile(ranges, RANGE_QUANTILE)),
         median_range_m=median_range_m,
         max_range_m=float(ranges.max()),
