@@ -257,9 +257,9 @@ def test_heights_count_from_the_body() -> None:
     """On a mountain they are what they are at sea level."""
     tracks, motion = tilting(0, tilt=0.01, rise=0.1, height=0.1)
     body_m = np.linspace(90.0, 110.0, len(motion.time_s))
-    low = _displacements(tracks, motion, 1)
+    low = _displacements(tracks, motion)
     high = _displacements(
-        replace(tracks, heights=tracks.heights + body_m[tracks.scan]), replace(motion, height_m=body_m), 1
+        replace(tracks, heights=tracks.heights + body_m[tracks.scan]), replace(motion, height_m=body_m)
     )
     assert low is not None
     assert high is not None
