@@ -12,10 +12,10 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, relative, rigid, view_change
-from slam.frontend.data_association import Objects, squared_distances
-from slam.frontend.input.scan import MIN_SIGMA_RANGES, Scan
+from slam.frontend.data_association import squared_distances
+from slam.frontend.input.scan import Scan
 from slam.frontend.local_map import GATE, LocalMap
-from slam.frontend.pose_posterior import KnownLandmarks, ModeSearch, PriorComponent, common_error, fit_of, probabilities
+from slam.frontend.pose_posterior import KnownLandmarks, fit_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
 from slam.odometry.noise_scale import NoiseScale
@@ -29,10 +29,6 @@ MOVING_ACCELERATION_RANGES = 0.1
 """How much a moving object may change its speed, in sensor ranges per square second: a car brakes harder at times."""
 FIXING_LANDMARKS = 3
 """Landmarks that fix a pose in space."""
-SAME_PROBABILITY = 0.99
-"""Probability from which two landmarks are one object."""
-RECENT_SCANS = 20
-"""Landmarks seen in so many of the latest scans are compared with those seen before."""
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
 
@@ -223,53 +219,10 @@ class ActiveLandmarks:
                 gone[members[oldest]] = True
         return np.asarray(gone)
 
-    def merge_duplicates(self, scan: int) -> list[tuple[int, int]]:
-        """Merge landmarks that were seen lately with confirmed ones that they are; returns rows (kept, dropped).
-
-        It is the question of a scan, asked of all that was seen in the latest scans: where is the body among the
-        landmarks that were not? ``scan``: number of the latest.
-        """
-        landmarks = self._map.rows[self.rows]
-        confirmed = landmarks["state"] == LandmarkState.CONFIRMED
-        recent = confirmed & (landmarks["last_scan"] > scan - RECENT_SCANS)
-        if not recent.any():
-            return []
-        recent &= landmarks["first_scan"] > landmarks["last_scan"][~recent & confirmed].max(initial=0) - RECENT_SCANS
-        first_scan = landmarks["first_scan"][recent].min(initial=np.iinfo(np.int64).max)
-        earlier = np.flatnonzero(confirmed & ~recent & (landmarks["last_scan"] < first_scan))
-        latest = np.flatnonzero(recent)
-        if not len(earlier) or not len(latest):
-            return []
-        origin = self.T_local_body[:3, 3]
-        own = self._own_covariances(latest, origin) + self._view_variance * np.eye(3)
-        seen = Objects(self._local.positions[latest], own, self._map.classes(self.rows[latest]))
-        search = ModeSearch(seen, self.known_landmarks(earlier), origin, self._config.calibration.objects)
-        modes = search.modes([PriorComponent(1.0, np.zeros((6, 6)))])
-        pairs = np.array([mode.assignment.landmark_rows for mode in modes])
-        share = ((pairs == pairs[0]) * probabilities(modes)[:, None]).sum(axis=0)
-        sure = np.flatnonzero((share >= SAME_PROBABILITY) & (pairs[0] >= 0))
-        alike = self._map.classes(self.rows[earlier[pairs[0][sure]]]) == self._map.classes(self.rows[latest[sure]])
-        merged = [(int(self.rows[earlier[pairs[0][k]]]), int(self.rows[latest[k]])) for k in sure[alike]]
-        for kept, dropped in merged:
-            self._local.merge(kept, dropped, self._view_variance)
-        if merged:
-            self._store()
-        return merged
-
-    def _own_covariances(self, slots: IntArray, origin: FloatArray) -> FloatArray:
-        """What the errors of landmarks do not share with one another, (K, 3, 3) m^2."""
-        return common_error(self._local.positions[slots] - origin, self._local.relative_covariance(slots))[1]
-
     def _store(self) -> None:
         """Write the positions and covariances of the active landmarks to the object map."""
         predicted = self.predict()
         self._map.assign(self.rows, position_local=predicted.positions, covariance_local=predicted.covariances)
-
-    @property
-    def _view_variance(self) -> float:
-        """By how much [m^2] two views of an object differ in where they put it."""
-        least_m = MIN_SIGMA_RANGES * self._config.sensor_range_m
-        return 2.0 * max(self._config.calibration.detection.common_sigma_m, least_m) ** 2
 
 
 def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:

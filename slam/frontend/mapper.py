@@ -205,11 +205,6 @@ class Mapper:
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
-        duplicates = self._active.merge_duplicates(self._scan_count)
-        for kept, dropped in duplicates:
-            self._map.merge(kept, dropped)
-        if duplicates:
-            self._graph.alias_landmarks(self._map.aliases)
         keyframe = self.keyframes[-1]
         T_local_body = self._active.T_local_odom @ keyframe.odometry.T_odom_body
         self._graph.add_observations(self._pending.close(keyframe, T_local_body, ends_group=ends_group))
