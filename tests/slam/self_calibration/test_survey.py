@@ -51,7 +51,7 @@ def straight(scans: int = 11, **fields) -> list[Record]:
 
 def test_ranges_times_and_motion_are_those_of_the_log():
     found = survey(straight(), CONFIG)
-    assert (found.scans, found.detections, found.classes, found.objects) == (11, 33, 1, 3.0)
+    assert (found.scans, found.detections, found.objects) == (11, 33, 3.0)
     assert found.median_range_m == pytest.approx(10.0)
     assert found.max_range_m == pytest.approx(20.0)
     assert found.range_m == pytest.approx(np.quantile([5.0, 10.0, 20.0] * 11, 0.95))
@@ -132,7 +132,7 @@ def test_it_reads_no_more_than_it_needs():
 def test_several_logs_are_surveyed_as_one_drive():
     first, second = straight(), straight(21, labels=["lamp", "lamp", "tree"])
     both = survey_logs([SurveyedLog.of(first), SurveyedLog.of(second)])
-    assert (both.scans, both.detections, both.classes) == (32, 96, 2)
+    assert (both.scans, both.detections) == (32, 96)
     assert both.travel_m == pytest.approx(2.0 + 4.0)
 
 
@@ -164,7 +164,7 @@ def test_lengths_of_a_survey_scale_with_the_log():
     )
     for name in ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"):
         assert getattr(large, name) == pytest.approx(1000.0 * getattr(small, name)), name
-    for name in ("scans", "detections", "classes", "objects", "interval_s", "turn_rad", "duration_s"):
+    for name in ("scans", "detections", "objects", "interval_s", "turn_rad", "duration_s"):
         assert getattr(large, name) == pytest.approx(getattr(small, name)), name
 
 
