@@ -89,6 +89,7 @@ LAYERS = (
     {"final_map", "assessment", "graph_condenser"},
     {"system", "output_log", "prepared_log"},
     {"live_slam", "provenance"},
+    {"log_mapper"},
     {"live_drive", "replay"},
     {"simulation", "evaluation"},
     {"sweeps", "library"},

@@ -78,8 +78,7 @@ def live(
             items = _at_speed(stack.enter_context(LogReader(source, config.reading_limits)), config, chosen, speed)
         for item in items:
             drive.process(item)
-        drive.slam.counters.update(counters)
-        final = drive.finish()
+        final = drive.finish(counters)
     latency_s = drive.latency_s()
     if json:
         console.show_json({"latency_s": latency_s, "status": final.status.message, "counters": final.status.counters})
@@ -87,7 +86,7 @@ def live(
     rows = {
         "latency": ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in latency_s.items()),
         "landmarks": str(len(final.object_map.ids)),
-        "of the robot": "; ".join((*drive.slam.calibration.notes, *drive.slam.calibration.suspicions)),
+        "of the robot": "; ".join(drive.slam.calibration.notes),
         "final status": final.status.message,
         "written": "" if output is None else str(output),
     }

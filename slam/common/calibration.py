@@ -18,8 +18,6 @@ MAX_TURN = 1000.0
 """Radians of noise after which nothing is known of a heading; covariances with more cannot be inverted."""
 MAX_RANGES = 8.0 / 3.0
 """Detections farther away than so many sensor ranges are left out, unless a distance is given."""
-UNIQUE_SPACINGS = 100.0
-"""Objects of a class that are farther apart than so many sensor ranges never share a scan: they are unique."""
 
 
 class OdometryCalibration(Branch):
@@ -189,11 +187,6 @@ class Calibration(Branch):
     evidence: dict[str, float] = Field(
         default={}, description="amount of data: scans, detections, travel and tracked pairs of detections"
     )
-
-    @property
-    def has_unique_objects(self) -> bool:
-        """Whether no two objects of a class share a scan."""
-        return self.objects.spacing_m > UNIQUE_SPACINGS * self.detection.sensor_range_m
 
     def with_values(self, values: Mapping[str, float]) -> Calibration:
         """The same with other values of some dotted keys, like "odometry.yaw_sigma"; they are not checked."""

@@ -192,26 +192,6 @@ class LocalMap:
         self._positions = self._positions[kept]
         self._set_ids(self._ids[kept])
 
-    def difference(self, first: IntArray, second: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Positions (K, 3) m of landmarks from others, slots (K,) each, and the covariances (K, 3, 3) m^2 of that."""
-        a, b = (POSE + 3 * slots[:, None] + np.arange(3) for slots in (first, second))
-        P_ab = self._P[a[:, :, None], b[:, None, :]]
-        P = self._P[a[:, :, None], a[:, None, :]] + self._P[b[:, :, None], b[:, None, :]]
-        return self._positions[first] - self._positions[second], P - P_ab - P_ab.transpose(0, 2, 1)
-
-    def merge(self, kept: int, dropped: int, variance: float) -> None:
-        """Make one of two landmarks (ids) that are in one place, up to ``variance`` [m^2]."""
-        first, second = self.slots(np.array([kept])), self.slots(np.array([dropped]))
-        offset, covariance = self.difference(first, second)
-        a, b = (int(POSE + 3 * slots[0]) for slots in (first, second))
-        PH = self._P[:, a : a + 3] - self._P[:, b : b + 3]
-        S = covariance[0] + variance * np.eye(3)
-        gain = np.linalg.solve(S, PH.T).T
-        P = self._P - gain @ S @ gain.T
-        self._P = 0.5 * (P + P.T)
-        self._apply(-gain @ offset[0])
-        self.remove(np.array([dropped]))
-
     def _apply(self, change: FloatArray) -> None:
         R, V = rotation_of(change[:3]), left_jacobian(change[:3])
         shifts = change[3:].reshape(-1, 3) @ V.T

@@ -31,7 +31,6 @@ from slam.object_map.velocities import velocities
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.pose import OdometryPose
-from slam.odometry.track import Correction
 
 CONFIRM_OBSERVATIONS = 4
 """Observations that confirm a landmark."""
@@ -128,21 +127,13 @@ class Mapper:
         """Find where a scan, taken at ``pose``, was made among the landmarks around, and which of them it has."""
         self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
-        T_local_odom = self._active.T_local_odom
         labels = self._map.label_indices(scan.labels)
         tracked = self._tracker.track(scan, labels, pose)
         tracked = _with_expected_noise(tracked, self._active, self._config.calibration.detection)
         self._update(tracked)
-        if tracked.correction is None and self._active.is_odometry_doubtful:
-            T_odom = self._active.correct_odometry(T_local_odom)
-            tracked = replace(tracked, correction=Correction(T_odom, np.zeros(3)))
         if not tracked.is_lost:
             self._tracker.follow(pose.stamp_ns)
         return tracked
-
-    def excess_variances(self, pose: OdometryPose) -> FloatArray:
-        """(3,) by which the step from the last scan to a pose errs more than the noise of the odometry explains."""
-        return self._active.excess_variances(pose)
 
     def rejoin(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
         """The same for a ``pose`` after a step that no body can have made; None where the detections do not tell."""
@@ -214,11 +205,6 @@ class Mapper:
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
-        duplicates = self._active.merge_duplicates(self._scan_count)
-        for kept, dropped in duplicates:
-            self._map.merge(kept, dropped)
-        if duplicates:
-            self._graph.alias_landmarks(self._map.aliases)
         keyframe = self.keyframes[-1]
         T_local_body = self._active.T_local_odom @ keyframe.odometry.T_odom_body
         self._graph.add_observations(self._pending.close(keyframe, T_local_body, ends_group=ends_group))

@@ -8,7 +8,7 @@ the two over a window of scans, by its median: detections that err by far, and s
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import bdtrc, chdtri
+from scipy.special import chdtri
 
 from slam.common.arrays import FloatArray
 
@@ -21,10 +21,6 @@ AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
 DIMENSIONS = np.array([3, 2, 1])
 MEDIAN = chdtri(DIMENSIONS, 0.5) / DIMENSIONS
 """Of the squares of normal errors by their variances."""
-FAR_PROBABILITY, CHANCE = 0.05, 1e-6
-FAR = chdtri(DIMENSIONS, FAR_PROBABILITY) / DIMENSIONS
-FAR_COUNTS = np.argmax(bdtrc(np.arange(WINDOW)[:, None], np.arange(WINDOW), FAR_PROBABILITY) <= CHANCE, axis=0)
-"""If more of so many corrections are far, the scale changes before the window ends: chance does that to one in 1e6."""
 
 
 class NoiseScale:
@@ -47,17 +43,10 @@ class NoiseScale:
         ratios = squares / np.maximum(expected, 1e-300)
         self.innovation_ratio = float(np.max(ratios)) / GATE
         self._ratios.append(ratios)
-        count = len(self._ratios)
-        is_excessive = (np.array(self._ratios) > FAR).sum(axis=0) > FAR_COUNTS[count % WINDOW]
-        is_excessive[1] = False
+        if len(self._ratios) < WINDOW:
+            return
         ratios = np.median(self._ratios, axis=0) / MEDIAN
         ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
-        gains = np.clip(ratios, 1.0 / WINDOW, WINDOW)
-        if count == WINDOW:
-            gains = np.sqrt(gains)
-        elif not is_excessive.any():
-            return
-        else:
-            gains = np.where(is_excessive, gains, 1.0)
+        gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
         self.factors = np.maximum(self.factors * gains, self._least)
         self._ratios = []

@@ -75,7 +75,6 @@ def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, 
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="0.278 m, 0.176 m wanted")
 def test_pause_of_nine_seconds_is_no_break(log, clean_ate_m, tmp_path):
     faulty = tmp_path / "faulty.mcap"
     write_faulty(log, faulty, parse_faults(["odometry_pause=9"]), seed=0)
