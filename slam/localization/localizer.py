@@ -7,11 +7,18 @@ against "somewhere new" are
 
     log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (n_k + sum_k o_k),
 
-where n_k is the likelihood ratio of "somewhere new" to clutter, above 1 where places look alike
-(:func:`slam.common.somewhere_new.log_somewhere_new`), i are the landmarks of the submap, which all count at one pose,
-and j those that the robot has left behind, as they were last measured at that hypothesis. They can only speak against
-it: each keyframe is registered anew, so what fitted somewhat different poses before is no evidence for the pose of
-today.
+where i are the landmarks of the submap, which all count at one pose, and j those that the robot has left behind, as
+they were last measured at that hypothesis. They can only speak against it: each keyframe is registered anew, so what
+fitted somewhat different poses before is no evidence for the pose of today.
+
+n_k is the likelihood ratio of "somewhere new" to clutter. A new place looks like clutter, where it is 1, or as the map
+does from an arbitrary pose in its area A, whichever is likelier. The mean of exp(LLR) over those poses is the sum over
+the hypotheses r that cannot be true together with k,
+
+    n_k = max(1, sum_r v_r exp(LLR_r)),
+
+where v_r is the share, of all poses in A, of those that the registration r does not tell apart. By chance the mean is 1
+at most, as it is over clutter. On a pattern that repeats it is more, the more often it repeats and the better it fits.
 
 All decisions are reads of the posterior; this class changes nothing but itself.
 """
@@ -27,23 +34,20 @@ from scipy.special import expit
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
-from slam.common.somewhere_new import log_somewhere_new
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvidence:
     """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
 
-    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``log_aligned``: the same where
-    it is anywhere within one place; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of
-    each.
+    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``rows`` (N,): landmarks of the
+    query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
     """
 
     T_local_query: FloatArray
     segment: int
     log_prior: float
     log_uniform: float
-    log_aligned: float
     rows: IntArray
     log_likelihood_ratios: FloatArray
 
@@ -60,7 +64,6 @@ class Hypothesis:
     segment: int
     log_prior: float
     log_uniform: float
-    log_aligned: float
     evidence: Mapping[int, float]
     left_behind: Mapping[int, float]
     measured_m: float
@@ -157,7 +160,9 @@ class Localizer:
                 same[i, j] = same[j, i] = are_consistent(i, j)
         together = np.logaddexp.reduce(np.where(same, log_odds, -np.inf), axis=1)
         others = np.logaddexp.reduce(np.where(same, -np.inf, log_odds), axis=1)
-        return Posterior(log_odds, together - np.logaddexp(others, _log_somewhere_new(joined, same)))
+        log_fits = np.array([each.log_uniform + each.log_likelihood_ratio for each in joined])
+        log_new = np.maximum(np.logaddexp.reduce(np.where(same, -np.inf, log_fits), axis=1), 0.0)
+        return Posterior(log_odds, together - np.logaddexp(others, log_new))
 
     def _agreements(
         self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray
@@ -170,16 +175,6 @@ class Localizer:
         return np.array(
             [(segments == new.segment) & self._which_agree(T_carried, new.T_local_query) for new in measured]
         )
-
-
-def _log_somewhere_new(poses: Sequence[Hypothesis], same: BoolArray) -> FloatArray:
-    """Log-likelihood ratio (K,) of "somewhere new" to clutter, against each of the poses (K,).
-
-    ``same`` (K, K): poses that can be true together.
-    """
-    ratios = np.array([each.log_likelihood_ratio for each in poses])
-    uniform, aligned = np.array([(each.log_uniform, each.log_aligned) for each in poses]).T
-    return np.array([log_somewhere_new(ratios[~row], uniform[~row], aligned[~row]) for row in same])
 
 
 def _joined(
@@ -195,7 +190,6 @@ def _joined(
         measured.segment,
         measured.log_prior,
         measured.log_uniform,
-        measured.log_aligned,
         evidence,
         {row: llr for row, llr in earlier.items() if row not in evidence},
         travel_m,

@@ -136,7 +136,6 @@ class Acceptance:
             self._keyframes[candidate.reference].odometry.segment,
             -candidate.odometry_penalty,
             -candidate.unpredicted_penalty,
-            -candidate.alignment_penalty,
             candidate.rows,
             candidate.log_likelihood_ratios,
         )

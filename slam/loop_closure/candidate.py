@@ -36,8 +36,8 @@ class Candidate:
     ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i, of which
     ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the
     reference.
-    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing,
-    ``alignment_penalty`` if it told the place but not where in it; see :mod:`slam.localization.pose_prior`.
+    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
+    see :mod:`slam.localization.pose_prior`.
     ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank`` and
     ``proposer``: as in :class:`slam.place_recognition.place.Place`.
     ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
@@ -58,7 +58,6 @@ class Candidate:
     matched_fraction: float
     odometry_penalty: float
     unpredicted_penalty: float
-    alignment_penalty: float
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0

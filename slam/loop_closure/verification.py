@@ -13,9 +13,8 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
-from slam.localization.pose_prior import log_volume
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import log_volume_of_agreement, odometry_penalty, poses_agree, shared_covariance
+from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
 from slam.loop_closure.query_priors import QueryPriors
 from slam.loop_closure.shifted_poses import shifted_along_track
@@ -221,7 +220,6 @@ class Verifier:
             matched_fraction=ratio.matched_fraction,
             odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
-            alignment_penalty=max(log_volume_of_agreement(self._sensor_range_m) - log_volume(covariance), 0.0),
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
