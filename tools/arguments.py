@@ -49,7 +49,6 @@ def can_draw(path: Path | None) -> Path | None:
     """The path of a picture or page; where its libraries are missing, the command ends before any work is done."""
     if path is not None:
         import matplotlib  # noqa: F401
-        import plotly  # noqa: F401
     return path
 
 

@@ -65,7 +65,7 @@ def evaluate(
 def _evaluate_log(
     log: Path, truth: Truth, picture: Path | None, page: Path | None, json_file: Path | None, *, every: bool
 ) -> Findings:
-    from slam.evaluation.report.figures import summarize
+    from slam.evaluation.report.figures import list_figures, summarize
     from tools import console
 
     records, evaluation = evaluate_log(log, truth)
@@ -75,15 +75,13 @@ def _evaluate_log(
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
     if page is not None:
-        from slam.evaluation.page.page import write_report
+        from slam.evaluation.page.page import write_page
 
-        write_report(page, records, evaluation, title=log.stem)
+        write_page(page, records, evaluation, title=log.stem)
     results = evaluation.to_json_dict()
     written = ", ".join(str(path) for path in (picture, page, json_file) if path is not None)
     parts: list[RenderableType] = [console.pairs(summarize(results) | ({"written": written} if written else {}))]
     if every:
-        from slam.evaluation.report.tables import make_tables
-
-        parts += [console.frame(table, title=f"\n{title}") for title, table in make_tables(results).items()]
-        parts.append(console.pairs(dict(evaluation.unavailable), title="\nnot measured"))
+        listed = list_figures(results) | {"not measured": dict(evaluation.unavailable)}
+        parts += [console.pairs(texts, title=f"\n{title}") for title, texts in listed.items()]
     return Findings(results, parts, {"": results}, rules=evaluation.protocol.describe())

@@ -125,13 +125,9 @@ def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
 
 def _check(runs: Mapping[str, Mapping[str, Any]], requirements: Sequence[Requirement]) -> tuple[list[str], list[str]]:
     """Which requirements are met and which are not, with the values, of each run."""
-    met, unmet = [], []
+    texts: dict[bool, list[str]] = {True: [], False: []}
     for name, results in runs.items():
-        run = f"{name}: " if name else ""
         for requirement in requirements:
-            shortfall = requirement.shortfall(results)
-            if shortfall:
-                unmet.append(run + shortfall)
-            else:
-                met.append(run + requirement.describe(results))
-    return met, unmet
+            is_met, text = requirement.check(results)
+            texts[is_met].append(f"{name}: {text}" if name else text)
+    return texts[True], texts[False]

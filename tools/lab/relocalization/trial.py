@@ -101,7 +101,7 @@ def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tupl
 
 def is_right(error: tuple[float, float], protocol: Protocol) -> bool:
     """Whether a fix with this error [m], [deg] is right."""
-    return error[0] <= protocol.relocalization_translation_m and error[1] <= protocol.relocalization_rotation_deg
+    return error[0] <= protocol.closure_translation_m and error[1] <= protocol.closure_rotation_deg
 
 
 def judge(distance_m: float, error: tuple[float, float], protocol: Protocol) -> Verdict:

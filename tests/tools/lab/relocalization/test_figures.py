@@ -89,7 +89,7 @@ def test_deviation_is_in_the_plane_and_the_shorter_way_round():
 
 def test_verdicts_at_their_limits():
     protocol = Protocol()
-    metres, degrees = protocol.relocalization_translation_m, protocol.relocalization_rotation_deg
+    metres, degrees = protocol.closure_translation_m, protocol.closure_rotation_deg
     assert judge(RECOVERED_WITHIN_M, (metres, degrees), protocol) == Verdict.RECOVERED
     assert judge(RECOVERED_WITHIN_M + 0.1, (metres, degrees), protocol) == Verdict.LATE
     assert judge(1.0, (metres + 0.1, 0.0), protocol) == Verdict.WRONG

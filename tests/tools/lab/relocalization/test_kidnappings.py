@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
 GIVEN = Config.model_validate({"calibrate": False})
-PROTOCOL = Protocol(relocalization_translation_m=1.0, relocalization_rotation_deg=3.0)
+PROTOCOL = Protocol(closure_translation_m=1.0, closure_rotation_deg=3.0)
 BLOCK_M = 60.0
 
 
@@ -98,7 +98,7 @@ def test_truth_only_judges(entries: list[Entry], tmp_path: Path, measured: dict[
         if each["number"] in by_number:
             assert each["error_m"] == pytest.approx(by_number[each["number"]]["error_m"], abs=1e-6)
     assert again["success_rate"] == 1.0
-    strict = run(tmp_path, entries, kidnaps=1, protocol=replace(PROTOCOL, relocalization_translation_m=1e-6))
+    strict = run(tmp_path, entries, kidnaps=1, protocol=replace(PROTOCOL, closure_translation_m=1e-6))
     assert strict["false_relocalization_rate"] == 1.0
 
 
