@@ -48,7 +48,7 @@ class LiveDrive:
         self._stack = ExitStack()
         self._stack.enter_context(threadpool_limits(1, user_api="blas"))
         writer = None if output is None else self._stack.enter_context(LogWriter(output))
-        self._log = OutputLog(writer, DriveDisplay(config.sensor_range_m), publish, None)
+        self._log = OutputLog(writer, DriveDisplay(), publish, None)
         self._log_time_ns = 0
         self._seconds: list[float] = []
 

@@ -17,6 +17,7 @@ from logs.messages import (
 from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.display.drive_display import DriveDisplay
+from slam.display.map_topics import LANDMARKS, map_messages
 from slam.display.snapshot import MapSnapshot
 from slam.final_map import FinalMap
 
@@ -66,7 +67,7 @@ class OutputLog:
 
     def write_snapshot(self, snapshot: MapSnapshot, log_time_ns: int) -> None:
         """Write the map as it is known now, for viewers."""
-        for topic, message in self._display.show_map(snapshot):
+        for topic, message in map_messages(snapshot):
             self._write(topic, message, log_time_ns)
 
     def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
@@ -77,8 +78,7 @@ class OutputLog:
             self._writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
         for topic, record in _final_records(final):
             self._write(topic, record, log_time_ns)
-        shown = [*self._display.show(final.status), *self._display.show_map(final.snapshot, is_final=True)]
-        for topic, message in shown:
+        for topic, message in (*self._display.show(final.status), *map_messages(final.snapshot)):
             self._write(topic, message, log_time_ns)
 
     def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
@@ -97,6 +97,7 @@ def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
 def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
     yield "/slam/trajectory_stamped", final.trajectory
     yield "/slam/map", final.object_map
+    yield LANDMARKS, final.markers
     yield "/slam/graph", final.graph
     for closure in final.closures:
         yield "/slam/closures", closure

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -16,12 +16,9 @@ from threadpoolctl import threadpool_limits
 from logs.errors import LogError, UnwritableLogError
 from logs.messages import (
     GeodeticFix,
-    GroundTruthPose,
     Record,
 )
 from logs.reader import LogReader
-from logs.selection import Selection
-from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
@@ -118,13 +115,10 @@ def replay(
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
         clocks = StampClocks(prepared.drift, keeps_delays=online)
         slam = _make_slam(prepared, clocks, prior_map, initial_pose, extend=extend, online=online)
-        display = DriveDisplay(
-            prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
-        )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-            drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, None, georeference))
+            drive = _Drive(slam, prepared, clocks, OutputLog(writer, DriveDisplay(), None, georeference))
             final = drive.map(reader, writer, progress)
             provenance = provenance_of(reader, config, prepared, drive.calibration, prior_map, extend=extend)
             provenance["trajectory_check"] = json.dumps(asdict(final.trajectory_check))
@@ -277,14 +271,3 @@ def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, c
         return [f"probably relocalized at a wrong place: {doubt}"] if doubt else []
     reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, drive.fixes)
     return [f"not relocalized, probably because: {reason}"]
-
-
-def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterator[GroundTruthPose]:
-    """The true poses of a log; it is opened when the first is asked for."""
-    topics = selection.topics_of(RecordKind.GROUND_TRUTH)
-    if topics:
-        with LogReader(source, config.reading_limits) as reader:
-            wanted = Selection(dict.fromkeys(topics, (RecordKind.GROUND_TRUTH,)))
-            for entry in reader.records(wanted):
-                if isinstance(entry.record, GroundTruthPose):
-                    yield entry.record

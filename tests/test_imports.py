@@ -157,7 +157,7 @@ def test_the_command_line_starts_light() -> None:
 
 
 def test_looking_into_a_log_loads_only_what_reads_it() -> None:
-    heavy = ("torch", "matplotlib", "plotly", "scipy", "gtsam", "rosbags", "numpy.ma", "slam", "tools.lab")
+    heavy = ("torch", "matplotlib", "scipy", "gtsam", "rosbags", "numpy.ma", "slam", "tools.lab")
     code = (
         "import sys; from tools.cli import run; run(['info', 'logs/samples/short_drive.mcap']); "
         f"print([m for m in {heavy!r} if m in sys.modules])"

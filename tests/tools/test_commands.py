@@ -155,7 +155,7 @@ class TestFromEndToEnd:
         assert [line.split()[0] for line in lines if not line.startswith(" ")] == [
             "trajectory", "landmarks", "associations", "closures", "relocalization", "calibration"
         ]  # fmt: skip
-        assert "absolute.rmse_m" in dslam("evaluate", mapped, "--all").out
+        assert "estimate.ate_m" in dslam("evaluate", mapped, "--all").out
 
     def test_configuration_goes_round(self, dslam: Run, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"

@@ -141,7 +141,7 @@ class TestTracks:
         subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, env=environment)
         shutil.unpack_archive(tmp_path / "ape.zip", tmp_path / "ape")
         found = json.loads((tmp_path / "ape" / "stats.json").read_text())["rmse"]
-        assert found == pytest.approx(evaluate(records).estimate.absolute.rmse_m, abs=1e-6)
+        assert found == pytest.approx(evaluate(records).estimate.ate_m, abs=1e-6)
 
 
 class TestFoxglove:
