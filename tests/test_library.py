@@ -1,11 +1,9 @@
-"""The public library: every name of it, its examples, and that it starts among packages of the same names."""
+"""The public library: every name of it, and its examples."""
 
 from __future__ import annotations
 
 import ast
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -93,18 +91,6 @@ def test_a_log_without_a_map_is_refused() -> None:
         read_map(SAMPLE)
     with pytest.raises(InputDataError, match="holds no trajectory"):
         read_trajectory(SAMPLE)
-
-
-@pytest.mark.parametrize("start", ["import sys; from dslam import main; main()", "-m"])
-def test_the_command_starts_beside_packages_of_the_same_names(start: str, tmp_path: Path) -> None:
-    for name in ("tools", "logs", "slam", "descriptors"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('somebody else')\n", encoding="utf-8")
-    command = [sys.executable, *(["-m", "dslam"] if start == "-m" else ["-c", start]), "--version"]
-    path = f"{tmp_path}:{ROOT}"
-    result = subprocess.run(command, cwd=tmp_path, env={"PYTHONPATH": path}, capture_output=True, text=True)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout.startswith("dslam ")
 
 
 def test_slam_process_refuses_malformed_records() -> None:

@@ -15,7 +15,7 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
 
-NEW_SHARE = 0.02
+NEW_SHARE = 0.01
 """A snapshot is due once that share of the keyframes of the drive is new."""
 
 

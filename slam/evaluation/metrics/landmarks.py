@@ -21,7 +21,6 @@ from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.evaluation.metrics.association import FALSE_POSITIVE
 from slam.evaluation.metrics.statistics import fraction, percentile
 
-CONFIRMED = "confirmed"
 DEFAULT_PROTOCOL = Protocol()
 
 
@@ -51,7 +50,7 @@ def match_by_detections(
     With ``has_prior_map`` landmarks without detections are left out: they are of earlier drives.
     """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
-    rows = _confirmed_rows(map_est)
+    rows = confirmed_rows(map_est)
     if has_prior_map:
         rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
     objects = [landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows]
@@ -77,7 +76,7 @@ def match_by_position(
         T_world_map: (4, 4), alignment of the whole trajectory.
         max_distance_m: limit of the match.
     """
-    rows = _confirmed_rows(map_est)
+    rows = confirmed_rows(map_est)
     positions = apply(T_world_map, map_est.positions[rows])
     labels_est = np.array(map_est.labels, dtype=np.str_)[rows] if len(rows) else np.zeros(0, dtype=np.str_)
     labels_gt = np.array(map_gt.labels, dtype=np.str_)
@@ -191,5 +190,6 @@ def _distances_m(T_world_map: FloatArray, positions_est: FloatArray, positions_g
     return np.asarray(np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1))
 
 
-def _confirmed_rows(map_est: ObjectMapRecord) -> IntArray:
-    return np.array([row for row, state in enumerate(map_est.states) if state == CONFIRMED], dtype=np.int64)
+def confirmed_rows(map_est: ObjectMapRecord) -> IntArray:
+    """Rows of the confirmed landmarks."""
+    return np.array([row for row, state in enumerate(map_est.states) if state == "confirmed"], dtype=np.int64)

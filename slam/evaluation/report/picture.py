@@ -12,7 +12,7 @@ from slam.common.geometry import apply, interpolate, invert
 from slam.display.map_layers import MapPicture
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.landmarks import CONFIRMED
+from slam.evaluation.metrics.landmarks import confirmed_rows
 from slam.evaluation.result import Evaluation
 
 
@@ -28,10 +28,11 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
     odometry, truth = records.odometry_path, records.true_path
     spans_ns = _discontinuities(records.graph)
     objects = records.object_map
-    rows = []
-    if objects:
-        is_finite = np.isfinite(objects.positions).all(axis=1)
-        rows = [row for row, state in enumerate(objects.states) if state == CONFIRMED and is_finite[row]]
+    rows = (
+        [row for row in confirmed_rows(objects).tolist() if np.isfinite(objects.positions[row]).all()]
+        if objects
+        else []
+    )
     losses = evaluation.results["relocalization"].get("losses", ())
     lost_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
     found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]

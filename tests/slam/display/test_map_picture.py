@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -102,12 +100,6 @@ def test_most_frequent_classes_have_a_layer_each() -> None:
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnwritableLogError, match="No such file"):
         draw_map(tmp_path / "missing" / "a.png", full_picture())
-
-
-@pytest.mark.slow
-def test_pictures_need_no_global_plotting_state() -> None:
-    code = "import sys, slam.display.map_picture; sys.exit('matplotlib.pyplot' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_class_colors_differ_from_each_other_and_from_paths() -> None:

@@ -16,7 +16,7 @@ def taken(keyframes: int, *, first: int = 0) -> list[int]:
 
 @pytest.mark.parametrize("first", [0, 1000])
 def test_short_drive_has_snapshot_at_every_update(first):
-    assert taken(200, first=first) == list(range(1, 201, 5))
+    assert taken(400, first=first) == list(range(1, 401, 5))
 
 
 def test_later_snapshots_are_spaced_by_share_of_drive():

@@ -47,19 +47,6 @@ def tum() -> list[str]:
     return [f"{at} {' '.join(map(repr, row))}" for at, row in zip(seconds(), rows, strict=True)]
 
 
-def euroc() -> list[str]:
-    q = Rotation.from_matrix(circle()[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
-    rows = np.hstack([circle()[:, :3, 3], q]).tolist()
-    head = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
-    return [head, *(f"{at},{','.join(map(repr, row))}" for at, row in zip(STAMPS_NS.tolist(), rows, strict=True))]
-
-
-def table() -> list[str]:
-    yaw = np.linspace(0.0, 5.0, len(STAMPS_NS)).tolist()
-    rows = zip(seconds(), circle()[:, :2, 3].tolist(), yaw, strict=True)
-    return ["stamp_s,x_m,y_m,yaw", *(f"{at},{x!r},{y!r},{angle!r}" for at, (x, y), angle in rows)]
-
-
 def kitti(T: FloatArray) -> list[str]:
     return [" ".join(map(repr, row)) for row in T[:, :3].reshape(-1, 12).tolist()]
 
@@ -73,11 +60,9 @@ def assert_circle(poses: tuple[GroundTruthPose, ...]) -> None:
     np.testing.assert_allclose([pose.T_world_body for pose in poses], circle(), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("name", "lines"), [("gt.tum", tum()), ("gt.tum.gz", tum()), ("data.csv", euroc()), ("gt.csv.gz", table())]
-)
-def test_every_format_gives_the_same_poses(tmp_path: Path, name: str, lines: list[str]) -> None:
-    assert_circle(TextReference(written(tmp_path / name, lines)).read(ODOMETRY))
+@pytest.mark.parametrize("name", ["gt.tum", "gt.tum.gz"])
+def test_poses_are_read_with_their_stamps(tmp_path: Path, name: str) -> None:
+    assert_circle(TextReference(written(tmp_path / name, tum())).read(ODOMETRY))
 
 
 def test_poses_without_stamps_are_at_those_of_the_odometry(tmp_path: Path) -> None:
@@ -101,12 +86,3 @@ def test_axes_are_not_checked_without_common_motion(tmp_path: Path) -> None:
     path = written(tmp_path / "gt.tum", tum())
     assert_circle(TextReference(path).read(PoseSeries(STAMPS_NS + 10**15, circle())))
     assert_circle(TextReference(path).read(PoseSeries(STAMPS_NS, np.tile(np.eye(4), (len(STAMPS_NS), 1, 1)))))
-
-
-def test_degrees_are_no_metres(tmp_path: Path) -> None:
-    T = circle()
-    T[:, :3, 3] = T[:, :3, 3] / 111_000.0 + [60.0, 24.0, 0.0]
-    with pytest.raises(
-        EvaluationError, match=r"gt\.txt: the robot moves by 0\.000.*49 m .*these positions are degrees"
-    ):
-        TextReference(written(tmp_path / "gt.txt", kitti(T))).read(ODOMETRY)
