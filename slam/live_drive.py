@@ -59,7 +59,7 @@ class LiveDrive:
         self._stack.__exit__(*error)  # type: ignore[arg-type]
 
     def process(self, item: LogItem) -> None:
-        """Map the next message, and publish what it makes known."""
+        """Map the next message, and publish the updates."""
         started = time.perf_counter()
         self._log_time_ns = max(self._log_time_ns, item.raw.log_time_ns)
         for record in self._inputs.prepare(self._clocks.follow(item)):

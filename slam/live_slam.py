@@ -1,4 +1,4 @@
-"""Maps a drive of a robot that is not calibrated: by what has been seen so far, and by nothing that comes later."""
+"""Maps a drive of a robot without calibration from the past records alone."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class LiveSlam:
         return self._slam.snapshot()
 
     def process(self, record: Record) -> list[Record]:
-        """Process the next record in the order of the log; returns what it made known.
+        """Process the next record in the order of the log; returns the updates.
 
         Raises:
             InvalidRecordError: as :meth:`slam.system.Slam.process`.
@@ -123,7 +123,7 @@ class LiveSlam:
         return updates
 
     def catch_up(self) -> list[Record]:
-        """Let a map that is being built catch up at once, as at the end of a drive; returns what that made known."""
+        """Let a map that is being built catch up at once, as at the end of a drive; returns the updates."""
         if self._successor is None:
             return []
         self._successor.follow(self._records, len(self._records))

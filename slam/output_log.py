@@ -34,7 +34,7 @@ _TOPICS: Mapping[type[Record], str] = {
 
 
 class OutputLog:
-    """Writes what the estimator makes known, on the clock of the input, whatever its stamps are.
+    """Writes the updates of the estimator at the log times of the input.
 
     ``writer``: None where nothing is to be written. ``view`` is called with topic, record and log time of all of it;
     ``georeference``: where on earth the map is, if that is known; ``tracked`` counts the poses in the map.
@@ -54,7 +54,7 @@ class OutputLog:
         self.tracked = 0
 
     def write_updates(self, updates: Iterable[Record], log_time_ns: int) -> None:
-        """Write what one record of the input made known."""
+        """Write the updates by one record of the input."""
         for update in updates:
             if type(update) in _TOPICS:
                 self._write(_TOPICS[type(update)], update, log_time_ns)
@@ -66,7 +66,7 @@ class OutputLog:
                     self._write(LOCATION, _location(update, self._georeference), log_time_ns)
 
     def write_snapshot(self, snapshot: MapSnapshot, log_time_ns: int) -> None:
-        """Write the map as it is known now, for viewers."""
+        """Write a snapshot of the map for viewers."""
         for topic, message in map_messages(snapshot):
             self._write(topic, message, log_time_ns)
 

@@ -166,7 +166,7 @@ class _Drive:
         return self.slam.calibration if isinstance(self.slam, LiveSlam) else self.prepared.calibration
 
     def map(self, reader: LogReader, writer: LogWriter, progress: Callable[[float], None] | None) -> FinalMap:
-        """Map the whole log, and write what each message makes known, and the topics that are copied."""
+        """Map the whole log, and write the updates by each message and the copied topics."""
         prepared = self.prepared
         for item in reader.items(prepared.mapped, copy=prepared.copied):
             if item.raw.topic in prepared.copied:
@@ -262,7 +262,7 @@ def _about_labels(labels: LabelMap) -> list[str]:
 
 
 def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
-    """What explains that the robot was not found in its map, or says that it was found at a wrong place."""
+    """Why the robot was not relocalized in its map, or was probably relocalized at a wrong place."""
     if prior_map is None:
         return []
     sigma_m = config.calibration.objects.landmark_sigma_m

@@ -35,7 +35,7 @@ class VisibleFormatter(logging.Formatter):
 
 
 class _PlainTable(Table):
-    """Cells are text as it stands: no markup, no control characters."""
+    """Cells are plain text: no markup, no control characters."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         super().add_row(*(Text(visible(cell)) if isinstance(cell, str) else cell for cell in cells), **options)

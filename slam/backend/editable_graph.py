@@ -85,7 +85,7 @@ class EditableGraph:
         self._add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
 
     def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray, *, is_map_frame: bool = False) -> None:
-        """Add a keyframe that never moves; ``is_map_frame``: it stands for the frame of a map without keyframes."""
+        """Add a keyframe that never moves; ``is_map_frame``: it is the frame of a map without keyframes."""
         self.add_first_keyframe(keyframe, T_map_body)
         self._fixed_poses[keyframe] = T_map_body
         if is_map_frame:
@@ -138,9 +138,9 @@ class EditableGraph:
         self._remove([number for each in landmarks for number in self._observations.get(each, ())])
 
     def alias_landmarks(self, aliases: Mapping[int, int]) -> None:
-        """Say which landmarks stand for others, by the ids of these; all others stand for themselves.
+        """Set the landmark that each merged landmark was merged into, by the id of the merged one.
 
-        Observations of a landmark, earlier and later ones, count as those of the one that stands for it.
+        Observations of a landmark, earlier and later ones, count as those of the one that it was merged into.
         """
         moved = [
             number
@@ -181,7 +181,7 @@ class EditableGraph:
         return keyframe in self._attached.anchors or self._solver.holds(X(keyframe))
 
     def _variable_of(self, landmark: int) -> int:
-        """The landmark that stands for this one."""
+        """The landmark that this one was merged into, or itself."""
         return self._aliases.get(landmark, landmark)
 
     def _variables(self) -> set[int]:

@@ -135,9 +135,9 @@ class FactorGraph(EditableGraph):
         return self.settle().log_determinant()
 
     def condense(self, anchors: Mapping[int, int]) -> None:
-        """Attach keyframes to others, as they are at the optimum; the incremental estimate goes on from there.
+        """Attach keyframes to others, as they are at the optimum; the incremental estimate continues from there.
 
-        An attached keyframe is no variable any more and moves rigidly with its anchor, which takes over what was
+        An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it.
         """
         solver = self.settle()

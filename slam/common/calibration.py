@@ -180,7 +180,7 @@ class ObjectCalibration(Branch):
 
 
 class Calibration(Branch):
-    """All that a log tells of a robot's sensors."""
+    """Everything that is estimated about the sensors of a robot."""
 
     odometry: OdometryCalibration = OdometryCalibration()
     detection: DetectionCalibration = DetectionCalibration()

@@ -40,4 +40,4 @@ class ViewerError(SlamError):
 
 
 class FleetError(SlamError):
-    """A fleet that cannot be mapped: no logs, or nobody who computes."""
+    """A fleet that cannot be mapped: no logs, or no worker."""

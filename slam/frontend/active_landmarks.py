@@ -256,7 +256,7 @@ class ActiveLandmarks:
     def merge_duplicates(self, scan: int) -> list[tuple[int, int]]:
         """Merge landmarks that were seen lately with confirmed ones that they are; returns rows (kept, dropped).
 
-        It is the question of a scan, asked of all that was seen in the latest scans: where is the body among the
+        The search is that of a scan, with all objects of the latest scans: where is the body among the
         landmarks that were not? ``scan``: number of the latest.
         """
         landmarks = self._map.rows[self.rows]

@@ -214,7 +214,7 @@ def _partners(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[in
 
 
 def _partners_of_many(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:
-    """The same; the matrix is sparse, and an edge to a column of its own stands for none."""
+    """The same; the matrix is sparse, and an edge to a column of its own means no landmark."""
     none = np.arange(shape[0])
     cost = np.concatenate([-gain, np.zeros(shape[0])])
     # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".

@@ -23,7 +23,7 @@ from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
 
 REJOINING_SCANS = 20
-"""Scans that may show that a step that no body can have made is none."""
+"""Scans that may show that an implausible step is an error of the odometry."""
 
 
 class Frontend:

@@ -35,7 +35,7 @@ class ObservationGroup:
         self._variances = np.zeros(2)  # of the motion since the first keyframe: m^2 along an axis, rad^2 of the heading
 
     def add(self, keyframe: Keyframe, T_local_body: FloatArray, observations: Sequence[Observation]) -> None:
-        """Take in what was observed from the next keyframe; ``T_local_body`` (4, 4): where the landmarks have it now
+        """Add the observations from the next keyframe; ``T_local_body`` (4, 4): where the landmarks have it now
         that it was observed, see :mod:`slam.frontend.local_map`.
         """
         if self._keyframes:

@@ -1,4 +1,4 @@
-"""Tracking: where the body is among the active landmarks at a scan, and which detection is which of them.
+"""Tracking: the pose of the body among the active landmarks at a scan, and the associations of its detections.
 
 Where the odometry predicts the pose better than objects are apart, each detection has one landmark, and the assignment
 is the answer. Where it does not, or where more detections are unmatched than matched although landmarks should be in

@@ -9,11 +9,8 @@ against "somewhere new" are
 
 where n_k is the likelihood ratio of "somewhere new" to clutter, above 1 where places look alike
 (:func:`slam.common.somewhere_new.log_somewhere_new`), i are the landmarks of the submap, which all count at one pose,
-and j those that the robot has left behind, as they were last measured at that hypothesis. They can only speak against
-it: each keyframe is registered anew, so what fitted somewhat different poses before is no evidence for the pose of
-today.
-
-All decisions are reads of the posterior; this class changes nothing but itself.
+and j those behind the robot, as they were last measured at that hypothesis. They can only be evidence against it: each
+keyframe is registered again, so landmarks that fitted somewhat different poses before are no evidence for the new pose.
 """
 
 from __future__ import annotations
@@ -32,9 +29,9 @@ from slam.common.somewhere_new import log_somewhere_new
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvidence:
-    """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
+    """The evidence of one keyframe about one pose.
 
-    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``log_aligned``: the same where
+    ``T_local_query`` (4, 4): of its gravity frame in the frame of a ``segment``. ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``log_aligned``: the same where
     it is anywhere within one place; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of
     each.
     """
@@ -72,7 +69,7 @@ class Hypothesis:
 
     @property
     def log_likelihood_ratio(self) -> float:
-        """What the landmarks say of it, in nats."""
+        """The evidence of the landmarks, in nats."""
         return sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
 
 
@@ -134,7 +131,7 @@ class Localizer:
         measured: Sequence[PoseEvidence],
         are_consistent: Callable[[int, int], bool],
     ) -> Posterior:
-        """Take in what a keyframe says of the poses, one at least, and return their posterior.
+        """Update the poses, at least one, with the evidence of a keyframe, and return their posterior.
 
         Args:
             T_odom_query: (4, 4), gravity frame of the keyframe in the frame of the odometry.

@@ -21,7 +21,7 @@ from slam.place_recognition.quad_index import TOLERANCE_SIGMAS
 
 MOST_LANDMARKS = 60
 FEWEST_LANDMARKS = 4
-"""With fewer no place is told from others."""
+"""Fewer do not distinguish places."""
 FEWEST_MET = 8
 PLACES = 5
 FAR_M = 1000.0
@@ -68,7 +68,7 @@ def why_not_recognised(
 
 
 def why_doubtful(known: PriorMap, objects: ObjectMapRecord, trajectory: TrajectoryRecord, sigma_m: float) -> str:
-    """Why a drive that was found in a map is probably found at a wrong place; "" if nothing says so.
+    """Why a drive was probably relocalized at a wrong place of a map; "" without evidence of it.
 
     Crossings that look alike are found in a mirrored map, too. What matched nothing there then fits the mirror image.
     """

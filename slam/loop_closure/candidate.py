@@ -113,7 +113,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor stands for it in the
+    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
     graph, its own or one nearby.
     """
 

@@ -44,7 +44,7 @@ class ClassBeliefs:
         return indices
 
     def _add_class(self, label: str) -> None:
-        """The last class that fits stands for all that come after it."""
+        """The last class that fits represents all later ones."""
         if len(self._label_index) < self._config.max_classes - 1:
             self._label_index[label] = len(self._label_index)
         else:

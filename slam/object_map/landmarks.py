@@ -250,7 +250,7 @@ class ObjectMap:
     def merge(self, kept: int, dropped: int, *, closure: int | None = None) -> bool:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
-        Returns whether they were two. Data association still uses both rows, because in the odometry frame the two
+        Returns whether they were different. Data association still uses both rows, because in the odometry frame the two
         traversals differ by the drift; their observations are added up in the record of the map.
 
         Args:
@@ -270,7 +270,7 @@ class ObjectMap:
 
     @property
     def aliases(self) -> dict[int, int]:
-        """The rows that were merged into another one, with the row that stands for each."""
+        """The rows that were merged into another one, with the row that each was merged into."""
         return {row: self.canonical_id(row) for row in self._aliases.dropped}
 
     def canonical_id(self, row: int) -> int:

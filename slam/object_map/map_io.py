@@ -88,7 +88,7 @@ def save_map(
             ties to the rest, which lies anywhere, with what only it saw.
         markers: the landmarks for viewers.
         provenance: version, configuration and input of the drive.
-        earlier_drives: those of the map that the drive went on from.
+        earlier_drives: those of the map that the drive extended.
 
     Returns:
         How many keyframes were left out.
@@ -151,7 +151,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
 
     Raises:
         LogError: no MCAP file.
-        SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
+        SavedMapError: a log that is no map, of another format version, damaged, empty, or inconsistent.
     """
     with LogReader(path, RESULT_LIMITS) as reader:
         metadata = reader.metadata().get(METADATA)
@@ -199,7 +199,7 @@ def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
 
 def of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
     """Of the landmarks those that are ``kept`` (N,)."""
-    # What others stand for is retired, and not in a map.
+    # Merged landmarks are retired, and not in a map.
     return replace(take_rows(objects, N=np.flatnonzero(kept)), merged_into=())
 
 
@@ -220,7 +220,7 @@ def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[
 
 
 def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:
-    """Which keyframes (K,) only condensed edges tie to the rest: others stand for them, and observed what they did."""
+    """Which keyframes (K,) only condensed edges connect to the rest: other keyframes represent them."""
     is_condensed = are_of_kind(graph, EdgeKind.CONDENSED)
     tied, otherwise = graph.edge_keyframe_ids[is_condensed], graph.edge_keyframe_ids[~is_condensed]
     needed = np.concatenate([otherwise.ravel(), graph.observation_keyframe_ids])

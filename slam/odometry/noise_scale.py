@@ -1,4 +1,4 @@
-"""How much larger the errors of the odometry are than its noise model says, by the corrections that landmarks make.
+"""Scale of the noise of the odometry, from the corrections that landmarks make.
 
 If the model is right, the corrections of the pose have the covariance by which they reduce that of its error
 (covariance matching: Mehra, IEEE T-AC 1970). So the noise of translation, tilt and heading is scaled by the ratio of
@@ -51,7 +51,7 @@ class NoiseScale:
         is_excessive = (np.array(self._ratios) > FAR).sum(axis=0) > FAR_COUNTS[count % WINDOW]
         is_excessive[1] = False
         ratios = np.median(self._ratios, axis=0) / MEDIAN
-        ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
+        ratios[1] = 1.0  # gravity holds the tilt, also if heights vary
         gains = np.clip(ratios, 1.0 / WINDOW, WINDOW)
         if count == WINDOW:
             gains = np.sqrt(gains)

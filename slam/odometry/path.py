@@ -20,7 +20,7 @@ class OdometryPath:
         self.latest: OdometryPose | None = None
 
     def add(self, pose: OdometryPose) -> None:
-        """Take in the next pose of the track."""
+        """Add the next pose of the track."""
         self._stamps_ns.append(pose.stamp_ns)
         self._segments.append(pose.segment)
         self._rows.frombytes(np.ascontiguousarray(pose.T_odom_body[:3], dtype=np.float64).tobytes())

@@ -13,7 +13,7 @@ from slam.odometry.pose import OdometryPose
 # The speed before a step is the greatest of that many steps, because a single one is noisy.
 RECENT_STEPS = 10
 MAX_GAP_S = 20.0
-"""A longer gap is a discontinuity: nobody knows where the body went in between."""
+"""A longer gap is a discontinuity: the motion in between is unknown."""
 MAX_SPEED_RANGES = 2.0
 """A faster step is one, too, in sensor ranges per second: what is in view would be passed within a second."""
 MAX_ACCELERATION_RANGES = 1.0 / 6.0

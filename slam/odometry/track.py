@@ -25,8 +25,10 @@ JITTER_RANGES = 0.05 / 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What detections say of a pose of the track: ``T_odom`` (4, 4) moves it, in the odometry frame; ``variances``
-    (3,) of the corrected step: of each coordinate [m^2], of the tilt and of the heading [rad^2].
+    """The correction of a pose of the track by detections.
+
+    ``T_odom`` (4, 4) moves the pose, in the odometry frame; ``variances`` (3,) of the corrected step: of each
+    coordinate [m^2], of the tilt and of the heading [rad^2].
     """
 
     T_odom: FloatArray

@@ -1,4 +1,4 @@
-"""What a registration answers: the pose, its covariance and its one-to-one inliers, or the reason why there is none."""
+"""The result of a registration: the pose, its covariance and one-to-one inliers, or the reason of the failure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns, least_squares, squared_residuals
 
 MAX_HEADING_SIGMA_RAD = 0.2
-"""A heading known less well than this is not determined: the linearisation that says so no longer holds."""
+"""A heading with a larger deviation is undetermined: its linearisation no longer holds."""
 _TILT, _HEADING, _TRANSLATION = slice(0, 2), 2, slice(3, 6)
 
 

@@ -1,6 +1,6 @@
 """Where a constellation of objects lies in another one: from correspondences, or from an approximate pose.
 
-Knows neither map nor graph: positions, their noise, and which objects may be the same.
+The input is positions, their noise, and which objects may be the same; neither map nor graph.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by
 """
 MIN_DRIFT, MIN_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
-and by so many radians. An estimate of zero only says that the noise is below what detections show.
+and by so many radians. An estimate of zero means that the noise is too small to be observed.
 """
 CERTAIN = 2.0
 """Standard errors by which a noise is larger, with a probability of 98 %."""

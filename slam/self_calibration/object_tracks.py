@@ -18,7 +18,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
-"""A track goes on with a detection nearer than this share of the distance to the next object of its class."""
+"""A track continues with a detection nearer than this share of the distance to the next object of its class."""
 RANGE_SHARE = 0.25
 """... and of the range, for an object that is alone of its class."""
 SMOOTHED = 4
@@ -27,7 +27,7 @@ MISSED_SCANS = 2
 """Scans in a row in which an object may be missed before its track ends, ..."""
 LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
 """... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
-Then a neighbour would be taken for the object. The first scans tell how many.
+Then a neighbour would be taken for the object. Their number is estimated from the first scans.
 """
 RATIO_ROUNDS, LEAST_STEPS, MAX_RATIO = 2, 100, 1e3
 """Rounds in which the ratio of the noise along the ray and across it is found, the least steps of tracks that tell it,

@@ -1,4 +1,4 @@
-"""The survey of a robot's logs: what corrects their input, and what the corrected scans tell of noise and sizes."""
+"""The survey of a robot's logs: corrections of the input, and noise and lengths of the corrected scans."""
 
 from __future__ import annotations
 

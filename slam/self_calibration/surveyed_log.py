@@ -60,7 +60,7 @@ class SurveyedLog:
         return self._count
 
     def detour(self) -> float:
-        """The length of the odometry's path by that of its every second message; 1 where it stands still."""
+        """Ratio of the length of the odometry's path to that of every second message; 1 at standstill."""
         _, poses = self._track(Calibration())
         full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
@@ -139,7 +139,7 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
 
 
 def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
-    """Headings (K,) rad of the body at scans, without jumps by whole turns."""
+    """Unwrapped headings (K,) rad of the body at scans."""
     return np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans]))) if scans else np.zeros(0)
 
 

@@ -178,7 +178,7 @@ def _estimate(tracks: ObjectTracks, motion: Motion, *, lags: int | None = None) 
 def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     """The tracks that had room for all the noise there is: those between near neighbours end where it is large.
 
-    Where there are few of them, the quarter of the detections with the most room stands for them.
+    Where there are few of them, the quarter of the detections with the most room is used instead.
     """
     same = tracks.track[1:] == tracks.track[:-1]
     steps = tracks.steps[1:][same]

@@ -21,7 +21,7 @@ UNDEGRADED, EVERY_FAULT = "undegraded", "every fault"
 def parse_degradations(specifications: Sequence[str]) -> list[str]:
     """The names of the undegraded log, then of each degradation once, in the order given.
 
-    Two degradations that do the same have the same name. :data:`EVERY_FAULT` stands for all faults, one at a time.
+    Two degradations that do the same have the same name. :data:`EVERY_FAULT` means all faults, one at a time.
 
     Raises:
         ConfigurationError: a fault that does not exist, or a value that is not allowed.

@@ -52,7 +52,7 @@ class Sweep:
 
     @property
     def first(self) -> Cell:
-        """A cell, which tells of the drive."""
+        """Any cell; all have the same drive."""
         return next(iter(self.results))
 
     @property

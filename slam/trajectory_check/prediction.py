@@ -1,7 +1,7 @@
 """How well a trajectory predicts the detections of a scan from those made on other visits to the same place.
 
 A trajectory that drifts places what was seen on two visits apart. No association and no landmark takes part: each
-trajectory makes its own map of the detections as they are, and all are asked the same.
+trajectory makes its own map of the detections, and all predict the same scans.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ VISIT_RANGES = 2.0
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
 MAX_SOURCES, MAX_DETECTIONS = 1000, 64
-"""Detections around a scan that predict it, and detections of it that are predicted: more would tell the same again."""
+"""Detections around a scan that predict it, and detections of it that are predicted: more would be redundant."""
 RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What a trajectory says of Q scans.
+    """The prediction of Q scans by a trajectory.
 
     ``gains`` (Q,): logarithm of the density of their detections beside that in the field of view of any scan, summed;
     ``has_sources`` (Q,): whether it places detections of another visit there.

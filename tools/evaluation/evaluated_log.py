@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What the logs are compared with, if it is not in themselves.
+    """The ground truth, if the logs do not hold it, and how it is used.
 
     ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's
     format; ``topics``: by kind; ``map_run``: the drive that made the map in which the robot found itself;
@@ -32,7 +32,7 @@ class Truth:
     thresholds: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, path: Path | None) -> Path | TextReference | None:
-        """The reference at ``path``: a log as it stands, a file of poses with what belongs to it."""
+        """The reference at ``path``: a log, or a file of poses with its stamps and calibration."""
         from logs.storage.opening import is_log
         from slam.evaluation.inputs.text_reference import TextReference
 

@@ -102,7 +102,7 @@ def export(
 
 
 class _Source:
-    """What a log holds to be written, read when it is first asked for."""
+    """The records of a log to be exported, read at the first use."""
 
     def __init__(self, log: Path, of: Track, origin: str | None) -> None:
         self._log = log

@@ -88,7 +88,7 @@ def condensed_factors(
     """The factors that replace those of newly attached keyframes.
 
     Observations from them become observations from their anchors. Of their edges those to keyframes that stay remain,
-    but for closures that found them: the anchor stands for what these found.
+    but for closures that found them: the anchor represents those.
 
     Args:
         factors: those in force, by number.

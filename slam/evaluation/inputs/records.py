@@ -245,7 +245,7 @@ def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
 
 
 def _read_tree(recorded: str) -> dict[str, Any]:
-    """What a JSON object says; nothing where the text is none."""
+    """The JSON object in a text; empty if the text holds no object."""
     try:
         tree = parse_json(recorded)
     except ValueError:

@@ -65,7 +65,7 @@ class TextReference:
         try:
             both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
         except EvaluationError:
-            return  # That they do not meet is told where they are compared.
+            return  # The comparison reports that they do not overlap.
         travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
         rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], _STRETCHES + 1)))
         ways = []

@@ -21,7 +21,7 @@ UNASSIGNED = ""
 
 
 def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
-    """Id of each merged landmark -> id of the one that stands for it; chains are followed."""
+    """Id of each merged landmark -> id of the one that it was merged into, through chains of merges."""
     if object_map is None:
         return {}
     merged = {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=False) if kept}

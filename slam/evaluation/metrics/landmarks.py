@@ -45,9 +45,9 @@ def match_by_detections(
     *,
     has_prior_map: bool = False,
 ) -> LandmarkMatches:
-    """Match confirmed landmarks by the true object of their detections; one that got none with truth is no object.
+    """Match confirmed landmarks by the true object of their detections.
 
-    With ``has_prior_map`` landmarks without detections are left out: they are of earlier drives.
+    A landmark without detections with truth shows no object. With ``has_prior_map`` landmarks without detections are left out: they are of earlier drives.
     """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
     rows = confirmed_rows(map_est)

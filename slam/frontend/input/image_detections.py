@@ -38,7 +38,7 @@ class ImageLifter:
         self.counters: Counter[str] = Counter()
 
     def add(self, record: CameraModel | DepthImage) -> None:
-        """Take note of how a camera projects, or of depth; it serves detections in its frame from now on."""
+        """Store the projection of a camera, or a depth image, for later detections in its frame."""
         if isinstance(record, CameraModel):
             self._cameras[record.frame_id] = record
         else:

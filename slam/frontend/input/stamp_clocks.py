@@ -19,7 +19,7 @@ from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odome
 from logs.reader import LogItem
 
 LEAST_MESSAGES = 16
-"""Messages of a topic before a step of its clock can be told from how unevenly they come."""
+"""Messages of a topic that are needed to distinguish a step of its clock from jitter."""
 CONFIRMING = 5
 """Messages in a row that show the same step: single stamps are wrong for other reasons."""
 TOLERANCE = 2.0

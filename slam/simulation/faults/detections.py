@@ -233,7 +233,7 @@ def labels_case(log: Recording) -> Recording:
 
 @fault()
 def labels_permuted(log: Recording, *, rng: np.random.Generator) -> Recording:
-    """From half time on each label stands for objects of another one."""
+    """From the middle of the drive on, each label is that of another class."""
     labels = log.labels
     order = rng.permutation(len(labels)).tolist()
     # Along a cycle through all of them no label keeps its meaning.

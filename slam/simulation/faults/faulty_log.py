@@ -46,7 +46,7 @@ class FaultSummary:
 
 
 def apply_faults(log: Recording, cases: Sequence[FaultCase], *, seed: int) -> Recording:
-    """The recording with the faults, one after the other.
+    """The recording after the faults, in their order.
 
     Args:
         log: is not changed.

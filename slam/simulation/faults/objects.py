@@ -152,7 +152,7 @@ def reversed(log: Recording) -> Recording:
 
 
 def _lengths_of(factor: float) -> FloatArray:
-    """By what the cells (4, 4) of a transform are multiplied."""
+    """Factors of the entries (4, 4) of a transform."""
     factors = np.ones((4, 4))
     factors[:3, 3] = factor
     return factors

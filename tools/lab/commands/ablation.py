@@ -83,7 +83,7 @@ def ablation(
 
 
 def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: str) -> list[str]:
-    """The names that are asked for, in the order of the table; all without any."""
+    """The chosen names, in the order of the table; all if none is chosen."""
     for name in names or ():
         if name not in there:
             raise typer.BadParameter(f"there is no {name!r}; there are: {'; '.join(there)}.", param_hint=option)

@@ -14,7 +14,7 @@ from slam.prepared_log import calibrate_logs
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drives
 
 SETTLED_SHARE = 0.2
-"""Share of the way after which a robot that nobody calibrated is to be as good as one that was calibrated."""
+"""Share of the way after which a robot without calibration is to be as good as a calibrated one."""
 REPLAYED, LIVE = (
     ("second half, replayed", "replayed"),
     (
