@@ -58,7 +58,7 @@ class LiveSlam:
         self._frames = frames or SensorFrames()
         self._delays = delays
         self.calibration = CalibratedLog(self._given)
-        """By which the map is built now, and what it corrects."""
+        """The current calibration, with its corrections."""
         self._slam = self._build(self._given)
         self._successor: _Successor | None = None
         self._is_estimating = config.calibrate and not self._given.calibration.is_complete
@@ -67,7 +67,7 @@ class LiveSlam:
 
     @property
     def counters(self) -> Counter[str]:
-        """What was done and what was dropped since the start, for the map as it is now."""
+        """Counters since the start, of the current map."""
         return self._slam.counters
 
     @property

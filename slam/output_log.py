@@ -89,7 +89,7 @@ class OutputLog:
 
 
 def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
-    """Where on earth a pose in the map is."""
+    """The geodetic position of a pose in the map."""
     latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
     return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
 

@@ -254,7 +254,7 @@ def _save(
 
 
 def _about_labels(labels: LabelMap) -> list[str]:
-    """What of the table of labels did not fit the log."""
+    """Names of the table of labels that the log does not have."""
     return [
         *(f"no detection has the class of {name}" for name in labels.unused()),
         *(f"class {name} is read as {to}: they differ in case only" for name, to in labels.respelled().items()),

@@ -1,4 +1,4 @@
-"""Where in a map a single scan was made: a query submap of one scan, without odometry.
+"""Localization of a single scan in a map: a query submap of one scan, without odometry.
 
 It takes the way of a closure in a prior map: retrieval proposes places, :class:`Verifier` registers the scan there, and
 :class:`Acceptance` accepts the likeliest of them once its posterior probability of being wrong is small enough. The

@@ -317,7 +317,7 @@ def _refused_noises() -> Iterator[None]:
 
 
 def _localization(stamp_ns: int, state: State, mapper: Mapper, closer: LoopCloser) -> LocalizationRecord:
-    """How well the robot knows its pose at a scan."""
+    """Certainty of the robot's pose at a scan."""
     ratios = mapper.innovation_ratios
     return LocalizationRecord(
         stamp_ns,

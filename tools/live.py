@@ -148,7 +148,7 @@ def _parse_address(source: str) -> tuple[str, int] | None:
 
 
 def _accepted(address: tuple[str, int]) -> BinaryIO:
-    """What the first program sends that connects to the address."""
+    """The stream of the first program that connects to the address."""
     import socket
 
     with socket.create_server(address) as server:

@@ -20,7 +20,7 @@ ROUGH_MIN_DECREASE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Optimization:
-    """How the batch optimisation ended."""
+    """Result of the batch optimisation."""
 
     converged: bool
     iterations: int

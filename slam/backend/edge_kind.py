@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class EdgeKind(StrEnum):
-    """Where an edge comes from; the values are those of logs.
+    """Origin of an edge; the values are those in logs.
 
     ``DISCONTINUITY``: the odometry jumped, paused or restarted, so the edge holds no information, but keeps the graph
     connected until a closure does it. ``CONDENSED``: a keyframe at one end represents one of a later traversal.

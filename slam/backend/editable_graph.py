@@ -94,7 +94,7 @@ class EditableGraph:
     def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge.
 
-        ``T_from_to`` (4, 4) is a better estimate to place it by, where there is one, until the next update.
+        ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
         factor = between_factor(edge)
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
@@ -236,7 +236,7 @@ class EditableGraph:
             del self._factors[number]
 
     def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
-        """Where observations (N,) put their landmarks, (N, 3) m in the map."""
+        """Positions (N, 3) m, map frame, of the landmarks by their observations (N,)."""
         poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
         T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
         positions = np.array([each.position for each in observations]).reshape(-1, 3, 1)

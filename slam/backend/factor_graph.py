@@ -178,7 +178,7 @@ class FactorGraph(EditableGraph):
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def estimates(self) -> Estimates:
-        """Where everything is as far as it is known now; nothing is solved for it."""
+        """The current estimates of all variables, without solving."""
         attached = np.array(list(self._attached.anchors), dtype=np.int64)
         new = [self._solver.new_values] if isinstance(self._solver, IncrementalSolver) else []
         return read_estimates(self._solver.values(), *new).with_keyframes(attached, self.poses(attached)[:, :3, 3])

@@ -15,7 +15,8 @@ from slam.common.geometry import invert
 
 
 def shift_of_segment(edge: Edge, T_from: FloatArray, T_to: FloatArray, moved: Collection[int]) -> FloatArray:
-    """What moves the keyframes ``moved``, with one end of an edge, to where the edge puts them: (4, 4) in the map.
+    """The transform (4, 4), map frame, that moves the keyframes ``moved``, at one end of an edge, to where the edge
+    places them.
 
     ``T_from``, ``T_to``: (4, 4), ``T_map_body`` of the ends of the edge as they are now.
     """

@@ -1,4 +1,4 @@
-"""What the incremental and the batch solver have in common: factors by their numbers, and the variables in use."""
+"""The common part of incremental and batch solver: factors by their numbers, and the variables in use."""
 
 from __future__ import annotations
 

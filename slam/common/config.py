@@ -149,7 +149,7 @@ class Config(Branch):
 
     @property
     def reading_limits(self) -> ReadingLimits:
-        """How much of a log is taken into memory."""
+        """Limits of the memory that a log may take."""
         return _LIMITS.scaled(self.memory_mb / _LIMITS.chunk_mb)
 
 

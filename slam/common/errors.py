@@ -1,4 +1,4 @@
-"""What can go wrong in the estimator. One root; logs have their own, because they know nothing of SLAM."""
+"""Errors of the estimator. One root; logs have their own, because they know nothing of SLAM."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ def log_somewhere_new(
 ) -> float:
     """Log-likelihood ratio of "somewhere new" to clutter, where a query fits K known places at other poses.
 
-    A new place looks like clutter, or like one of those, in which the robot is anywhere. Each counts by the probability
-    that its fit is no chance: by chance a pose somewhere in the area reaches an LLR with a probability below
-    exp(-LLR - ``log_uniform``), as exp(LLR) is 1 in the mean over clutter (Markov's inequality).
+    A new place looks like clutter, or like one of the mapped places, with the robot anywhere in it. Each counts by the
+    probability that its fit is no chance: by chance a pose somewhere in the area reaches an LLR with a probability
+    below exp(-LLR - ``log_uniform``), as exp(LLR) is 1 in the mean over clutter (Markov's inequality).
 
     Args:
         log_likelihood_ratios: (K,), LLR of the query there to clutter.

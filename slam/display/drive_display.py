@@ -1,4 +1,4 @@
-"""What viewers are shown of a drive beside the map: frames and texts."""
+"""Messages for viewers beside the map: frames and texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture of a map consists of: lines and marks with their names and colours, in the order of drawing."""
+"""Lines and marks of a picture of a map, with names and colours, in the order of drawing."""
 
 from __future__ import annotations
 
@@ -32,13 +32,12 @@ def _no_lines() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
-    """What to draw, all in metres and in one frame (the map, into which the caller has aligned the others).
+    """The content of a picture, in metres and in one frame (the map, into which the caller has aligned the others).
 
     estimate, odometry, truth (N, 3) positions along the path, N may be 0, a row of NaN where no line is to be drawn;
     landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
-    closures of which it is unknown whether they are right, that are, that are not; lost, found (J, 3) where the robot
-    lost and found its place; known (K, 3) landmarks of a map that was given, drawn in grey; errors of estimate and
-    odometry where they are known.
+    closures that are undecided, true, false; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
+    landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
     """
 
     estimate: FloatArray
@@ -82,7 +81,7 @@ class Layer:
 
 
 def layers_of(picture: MapPicture) -> list[Layer]:
-    """What is not empty, in the order of drawing: false closures last."""
+    """The layers that are not empty, in the order of drawing: false closures last."""
     path = next((each for each in (picture.estimate, picture.truth, picture.odometry) if len(each)), _no_points())
     every = [
         Layer("landmarks of the map", picture.known, OTHER_COLOR, size=7.0, count=len(picture.known)),

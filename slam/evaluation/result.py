@@ -1,4 +1,4 @@
-"""The result of an evaluation: figures as JSON has them, and what pictures of them need besides."""
+"""The result of an evaluation: figures for JSON, and data for pictures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.evaluation.metrics.trajectory import TrajectoryErrors
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """What could be measured of one output log; a part that could not is empty, its reason is in ``unavailable``.
+    """The evaluation of one output log; a part that could not be measured is empty, its reason is in ``unavailable``.
 
     ``results``: all figures, as :meth:`to_json_dict` returns them. ``estimate`` is the final trajectory, ``odometry``
     the input alone, ``online`` the poses as they were at their time; None where they could not be measured.

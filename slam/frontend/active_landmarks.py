@@ -26,7 +26,7 @@ MAX_LANDMARKS = 200
 ACTIVE_RADII = 2.0
 """Landmarks farther from the robot than so many ranges of the farthest detection share no view with what is seen."""
 MOVING_ACCELERATION_RANGES = 0.1
-"""How much a moving object may change its speed, in sensor ranges per square second: a car brakes harder at times."""
+"""Limit of the acceleration of a moving object, in sensor ranges per square second; a car brakes harder at times."""
 UNIQUE_INFLATION = 5.0
 """Factor on the noise of the odometry where objects are unique: a wide gate then confuses nothing."""
 FIXING_LANDMARKS = 3
@@ -45,7 +45,7 @@ MIN_SWERVE_S = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
+    """Predicted positions (A, 3) m of landmarks, and covariances (A, 3, 3) m^2, relative to the robot."""
 
     positions: FloatArray
     covariances: FloatArray
@@ -143,7 +143,7 @@ class ActiveLandmarks:
         self._local.move(slots, shifts, np.repeat(variances[:, None], 3, axis=1))
 
     def predict(self) -> Prediction:
-        """Where the active landmarks should be seen from the pose that was advanced to."""
+        """The predicted positions of the active landmarks from the propagated pose."""
         return Prediction(*self._local.predict(np.arange(len(self.rows))))
 
     def known_landmarks(self, slots: IntArray | None = None) -> KnownLandmarks:

@@ -1,4 +1,4 @@
-"""Which detection is which landmark: gated optimal assignment on the relative covariance.
+"""Assignment of detections to landmarks: gated and optimal, by the relative covariance.
 
 Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
 detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
@@ -33,7 +33,7 @@ EXCLUDED_RATIO = 0.01
 INCONSISTENT_SIGMAS = 6.0
 """Standard deviations above the mean of a sum of squared distances, which is chi-squared."""
 FEW_DISTANCES = 2**14
-"""So many distances are computed sooner than trees are built."""
+"""Up to so many distances, computing all is faster than building trees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

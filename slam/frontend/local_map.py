@@ -134,7 +134,7 @@ class LocalMap:
         self._apply(innovation @ gain)
 
     def update_landmarks(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
-        """Correct landmarks seen at once, and nothing but them: the body does not rely on them.
+        """Correct landmarks that are observed together, but not the pose of the body.
 
         The gains of all else are zero (Schmidt, Advances in Control Systems 3, 1966). Arguments as of ``update``.
         """

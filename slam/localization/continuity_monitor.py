@@ -165,7 +165,7 @@ class ContinuityMonitor:
         return np.asarray(np.where(sides.seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
 
     def _learn(self, landmarks: RecentLandmarks, sides: _Sides) -> None:
-        """Where landmarks are seen that are there for certain, and how many of those that are in view are seen."""
+        """Region in which existing landmarks are observed, and the share of those in view that are observed."""
         middle = len(self._steps) // 2
         step = self._steps[middle]
         there = (landmarks.first_seen_m <= step.travel_m) & (landmarks.last_seen_m >= step.travel_m)

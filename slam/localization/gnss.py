@@ -50,7 +50,7 @@ def _agree(a: InitialPose, b: InitialPose) -> bool:
 
 
 def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) -> Georeference | None:
-    """Where on earth the frame of a trajectory lies: heading and place by which it fits the fixes best.
+    """Georeference of a trajectory: the heading and position that fit the fixes best.
 
     Pairs of fixes propose poses; that with the least sum of absolute residuals, which up to half of the fixes may be
     outliers of, is refined by weighted least squares with Cauchy's weights (Holland and Welsch, 1977). Fixes weigh by

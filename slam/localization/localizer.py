@@ -1,4 +1,4 @@
-"""Where the robot is: a posterior over poses in earlier traversals, and "somewhere new".
+"""Localization: a posterior over poses in earlier traversals, and "somewhere new".
 
 Each hypothesis is a pose with the log-likelihood ratios of the landmarks around the robot (same place against somewhere
 new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior (:mod:`slam.localization.pose_prior`). From keyframe to
@@ -31,9 +31,9 @@ from slam.common.somewhere_new import log_somewhere_new
 class PoseEvidence:
     """The evidence of one keyframe about one pose.
 
-    ``T_local_query`` (4, 4): of its gravity frame in the frame of a ``segment``. ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``log_aligned``: the same where
-    it is anywhere within one place; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of
-    each.
+    ``T_local_query`` (4, 4): of its gravity frame in the frame of a ``segment``. ``log_prior``: log pi_k;
+    ``log_uniform``: the same if the robot can be anywhere; ``log_aligned``: the same where it is anywhere within one
+    place; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
     """
 
     T_local_query: FloatArray

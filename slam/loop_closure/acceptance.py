@@ -61,7 +61,7 @@ class Acceptance:
         self._localizer.reset()
 
     def expected_places(self, query: Query) -> list[Place]:
-        """Where the hypotheses are by the odometry."""
+        """The hypotheses, propagated by the odometry."""
         places = (
             self._verifier.place_at(query, T_local_query, segment)
             for segment, T_local_query in self._localizer.predictions(query.T_local_gravity)

@@ -43,7 +43,7 @@ MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedMap:
-    """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
+    """The map of a drive for the next one: confirmed landmarks, and the graph that connects them.
 
     Descriptors are not kept: computing them takes less time than reading them, and a map serves any configured
     descriptor. ``metadata``: format of the file and provenance of the last drive; ``drives``:
@@ -57,7 +57,7 @@ class SavedMap:
 
     @property
     def georeference(self) -> Georeference | None:
-        """Where on earth the map lies, if that is known.
+        """Georeference of the map, if it is known.
 
         Raises:
             GeometryError: the metadata have an invalid one.

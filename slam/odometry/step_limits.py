@@ -1,4 +1,4 @@
-"""Which steps of the odometry no body can have made: silences, jumps and restarts."""
+"""Steps of the odometry that are physically impossible: gaps, jumps and restarts."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class StepLimits:
         return float(np.linalg.norm(T_odom_body[:3, 3] - goes_on)) > self._restart_slack_m
 
     def _farthest_step_m(self, poses: Reversible[OdometryPose], seconds: float) -> float:
-        """How far the body can have come since the last pose; farther is a jump of the odometry."""
+        """Limit of the motion since the last pose; a larger step is a jump of the odometry."""
         speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
         reachable_mps = speed_mps + MAX_ACCELERATION_RANGES * self._sensor_range_m * seconds
         return min(reachable_mps, MAX_SPEED_RANGES * self._sensor_range_m) * seconds + self._jump_slack_m

@@ -19,7 +19,7 @@ _TILT, _HEADING, _TRANSLATION = slice(0, 2), 2, slice(3, 6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Where the query constellation lies in the reference, or why that is not known (``reason``).
+    """Pose of the query constellation in the reference, or the ``reason`` of the failure.
 
     ``T_reference_query`` (4, 4) carries query points, times ``scale``, into the reference frame. ``covariance`` (6, 6)
     is that of its right perturbation ``T Exp([rotation rad, translation m])``. ``pairs`` (K, 2) are the inliers, one to

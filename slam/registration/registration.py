@@ -1,4 +1,4 @@
-"""Where a constellation of objects lies in another one: from correspondences, or from an approximate pose.
+"""Registration of two constellations of objects: from correspondences, or from an approximate pose.
 
 The input is positions, their noise, and which objects may be the same; neither map nor graph.
 """

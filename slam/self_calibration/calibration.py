@@ -1,7 +1,7 @@
 """The calibration of a robot from the survey of its logs.
 
-A value that was given by hand stays as it is. Where the logs tell too little, the noise is taken to be large: a prior
-in units of the sensor range, not that of a good sensor.
+Values that were given by hand are kept. Where the logs tell too little, the noise is taken to be large: a prior in
+units of the sensor range, not that of a good sensor.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ _MEANINGS = {
     "detection.claimed_sigma_factor": "detections scatter {:.2g} times as much as their covariances say",
     "objects.max_classes": "labels of one object change at random, or all at once: they are ignored",
 }
-"""What a correction says, for people."""
+"""Description of a correction for the user."""
 _SUSPICIONS = {
     "roll_rad": "a sensor that rolls by {:.3f} rad",
     "pitch_rad": "a sensor that pitches by {:.3f} rad",
@@ -334,7 +334,7 @@ def _evidence(survey: Survey) -> dict[str, float]:
 
 
 def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
-    """What a user should know of the log: its faults, whether corrected or not."""
+    """Notes for the user on the faults of the log, corrected or not."""
     for key, meaning in _MEANINGS.items():
         branch, _, name = key.partition(".")
         if corrections.get(key, usual := getattr(getattr(Calibration(), branch), name)) != usual:

@@ -1,4 +1,4 @@
-"""By how much the centroid of what is seen of an object lies on the near side of it, class by class.
+"""Bias of observed centroids towards the sensor, class by class.
 
 Only the near half of an object is visible, so that its centroid is too near by some b: it is at p and is
 seen at p - b u, u the unit vector of the viewing ray. Between two scans with rays u1 and u2 it seems to move by

@@ -1,4 +1,4 @@
-"""How many detections are of no object that stands still, and how densely they lie."""
+"""Share and density of the detections that are not of static objects."""
 
 from __future__ import annotations
 

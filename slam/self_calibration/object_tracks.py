@@ -113,7 +113,7 @@ def _noise_ratio(tracks: ObjectTracks) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Detectability:
-    """How often an object in view is detected: in every ``period``-th scan, as several sensors take turns, with a
+    """Rate of detection of an object in view: in every ``period``-th scan, as several sensors take turns, with a
     ``probability``; NaN where none was tracked.
     """
 
@@ -164,7 +164,7 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
 
 
 def _missed_scans(found: Detectability) -> int:
-    """In how many scans in a row an object may be missed."""
+    """Number of consecutive scans in which an object may be missed."""
     if not np.isfinite(found.probability):
         return MISSED_SCANS
     detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)

@@ -78,8 +78,8 @@ class SurveyedLog:
         return len(self._odometry) < len(both)
 
     def scans(self, calibration: Calibration, vocabulary: dict[str, int]) -> tuple[list[SurveyScan], BodyMotion]:
-        """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones, and how the
-        body moves at them.
+        """Corrected scans with odometry, in the order of their stamps, without empty ones, and the motion of the body
+        at them.
 
         Of messages of one sensor with one stamp the first is used, as in the map. ``vocabulary``: numbers of the
         classes, to which new ones are added.

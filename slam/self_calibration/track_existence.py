@@ -1,4 +1,4 @@
-"""Which tracks are of objects, and which join false detections that lie near each other by chance.
+"""Probability that a track is of an object, and not of false detections that are near each other by chance.
 
 Where detections lie at random, the nearest one within a room around the end of a track is at a squared distance that is
 even over the room: w = -log(distance^2 / room^2) has an exponential distribution of mean 1. What continues the track of

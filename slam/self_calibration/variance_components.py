@@ -63,7 +63,7 @@ EXACT = 1e-13
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
 OWN, SHARED = 7, 11
-"""How many of the components are of single detections, and of the odometry."""
+"""Numbers of the components of single detections, and of the odometry."""
 TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
 

@@ -42,7 +42,7 @@ DAY_NS = 86_400 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class SimulationSummary:
-    """What was written: messages a topic, detections in all, metres driven along the tour, first to last stamp."""
+    """Summary of the log: messages by topic, number of detections, metres along the tour, first to last stamp."""
 
     message_counts: dict[str, int]
     detection_count: int
@@ -52,7 +52,7 @@ class SimulationSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Course:
-    """Where a drive leads, and the random numbers of all its errors."""
+    """The tour of a drive, and the random numbers of its errors."""
 
     plan: DrivePlan
     drives: list[Drive]

@@ -29,7 +29,7 @@ from slam.sweeps.mapped_drive import DriveTask, map_drive
 class Cell:
     """One degradation of the drive in ``log`` with one seed, how it is mapped, and by which ``version`` of the program.
 
-    ``variant``: what people call the configuration, "" where there is only one.
+    ``variant``: name of the configuration, "" if there is only one.
     """
 
     log: Path
@@ -107,7 +107,7 @@ class CellFolder:
 
     @contextmanager
     def opened(self) -> Iterator[CellFolder]:
-        """The folder, made if need be, for this process alone; what a killed sweep left unfinished is removed.
+        """The folder, created if necessary and locked for this process; unfinished files of a killed sweep are removed.
 
         Raises:
             EvaluationError: another sweep is at it.

@@ -1,4 +1,4 @@
-"""Which of the trajectories of a drive is the best, judged by how they predict detections from those of other visits.
+"""Comparison of the trajectories of a drive by their prediction of detections from those of other visits.
 
 The final trajectory was fitted to all detections, so the judgement favours it: where another one predicts better, the
 data association or the closures of the final one have failed.

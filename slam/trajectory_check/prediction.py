@@ -1,4 +1,4 @@
-"""How well a trajectory predicts the detections of a scan from those made on other visits to the same place.
+"""Prediction of the detections of a scan, by a trajectory, from those made on other visits to the same place.
 
 A trajectory that drifts places what was seen on two visits apart. No association and no landmark takes part: each
 trajectory makes its own map of the detections, and all predict the same scans.
@@ -92,7 +92,7 @@ class VisitPredictor:
 
 
 class _FieldOfView:
-    """Where the body's sensors detect objects, in the plane in which these are spread most."""
+    """Density of the detections around the body, in the plane in which they are spread most."""
 
     def __init__(self, positions: FloatArray, range_m: float) -> None:
         """``positions`` (N, 3) m, body frame, within the range."""

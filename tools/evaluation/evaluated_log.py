@@ -40,7 +40,7 @@ class Truth:
 
 
 def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation]:
-    """What was read of the log, and what was measured.
+    """The records of the log and their evaluation.
 
     Raises:
         LogError: it cannot be read.

@@ -1,4 +1,4 @@
-"""What evaluate, compare and sweep share: options, results, and printing them."""
+"""Options, results and output that evaluate, compare and sweep share."""
 
 from __future__ import annotations
 

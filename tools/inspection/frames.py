@@ -1,4 +1,4 @@
-"""The tree of frames of a log, and what in it keeps detections from the body."""
+"""The tree of frames of a log, and the gaps in it between detections and body."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
 
 
 def find_faults(summary: LogSummary) -> list[str]:
-    """What keeps detections from being placed on the odometry: frames that nothing connects, and other clocks."""
+    """Reasons why detections cannot be placed on the odometry: unconnected frames, and other clocks."""
     from logs.topics import RecordKind
 
     if summary.selection is None:

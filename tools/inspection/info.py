@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
 
 METADATA = "dslam"
-"""What makes a log one that a replay wrote."""
+"""Topics by which an output of a replay is recognised."""
 _OWN_TOPICS = ("/slam/", "/tf")
 _CANDIDATE = (
     *("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "reference_stamp_ns", "accepted", "inserted", "stage"),

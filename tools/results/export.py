@@ -148,7 +148,7 @@ class _Source:
 
     @cached_property
     def georeference(self) -> Georeference:
-        """Where the map is: as the option says, else as the log does."""
+        """The georeference: that of the option, else that of the log."""
         from slam.common.errors import InputDataError
         from slam.common.georeference import Georeference
 

@@ -37,7 +37,7 @@ def reject_outlier_closures(
     *,
     odometry_inflation: float,
 ) -> OutlierRejection:
-    """Which closures agree with the odometry and with one another, by a robust optimisation of the pose graph.
+    """Rejection of closures that contradict the odometry or one another, by a robust optimisation of the pose graph.
 
     A step of the odometry over which the wheels slipped would contradict all true closures across it. The landmarks in
     view show it, and the square of their correction of a step is added to its covariance.

@@ -26,7 +26,7 @@ NEEDS = {
     "first keyframe",
     "closure": "closures: an accepted true one with a covariance is needed",
 }
-"""What each kind of error needs to be measured."""
+"""Requirements of each kind of error."""
 
 _Errors = tuple[FloatArray, FloatArray]
 """Errors (N, D) and their covariances (N, D, D)."""

@@ -1,4 +1,4 @@
-"""Where the landmarks of the final map are, what they are called, and which objects have one."""
+"""Position errors and classes of the landmarks of the final map, and the objects without a landmark."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ def match_by_detections(
 ) -> LandmarkMatches:
     """Match confirmed landmarks by the true object of their detections.
 
-    A landmark without detections with truth shows no object. With ``has_prior_map`` landmarks without detections are left out: they are of earlier drives.
+    A landmark without detections with truth shows no object. With ``has_prior_map`` landmarks without detections are
+    left out: they are of earlier drives.
     """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
     rows = confirmed_rows(map_est)

@@ -1,4 +1,4 @@
-"""How soon a robot that was lost knows where it is, and whether it is right."""
+"""Time and errors of relocalizations."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
 def _describe_loss(
     span: Span, error: FixError, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol
 ) -> dict[str, Any]:
-    """What became of a loss: None is what is not known, for want of a fix or of a truth."""
+    """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
     error_m, error_deg = error or (None, None)
     is_right = None

@@ -10,7 +10,7 @@ import numpy as np
 
 UNDEFINED = "–"
 CONFIDENCE = 0.95
-"""Of statements about what chance explains."""
+"""Confidence level of statistical statements."""
 
 
 def fraction(part: int, whole: int) -> float | None:

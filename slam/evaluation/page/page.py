@@ -64,7 +64,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
 
 
 def _describe_run(records: EvaluationRecords) -> dict[str, str]:
-    """What ran, from which input, with which settings, and how it ended."""
+    """Version, input, settings and final status of the run."""
     made, status = records.provenance, records.status
     return {
         "version": f"dslam {made.get('version', 'unknown')}",

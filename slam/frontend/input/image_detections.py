@@ -112,7 +112,7 @@ def ray(camera: CameraModel, u: float, v: float) -> FloatArray:
 
 
 def _distorted(camera: CameraModel, xy: FloatArray) -> FloatArray:
-    """Where a direction is seen: OpenCV's models, by their names in ROS."""
+    """Projection of directions: OpenCV's models, by their names in ROS."""
     x, y = xy.tolist()
     if camera.model in ("equidistant", "fisheye"):
         k = np.concatenate([camera.distortion, np.zeros(4)])[:4]

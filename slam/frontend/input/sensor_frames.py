@@ -1,4 +1,4 @@
-"""Where the sensors sit on the body, from the transforms of a log: at a time, interpolated where they move."""
+"""Poses of the sensors on the body, from the transforms of a log, interpolated in time."""
 
 from __future__ import annotations
 

@@ -137,12 +137,12 @@ class StampClocks:
         self._logged[isinstance(record, Odometry)].append(logged_ns)
 
     def finish(self) -> Iterator[Record]:
-        """What still waits, as it is."""
+        """The waiting records, unchanged."""
         for clock in self._topics.values():
             yield from clock.release()
 
     def drift(self) -> ClockDrift:
-        """How the clock of the detections drifts beside that of the odometry; none where a clock was set."""
+        """Drift of the clock of the detections against that of the odometry; none if a clock was set."""
         if self.steps or len(self._delays[False]) < BLOCKS:
             return NO_DRIFT
         rates = [_rate(self._logged[of_odometry], self._delays[of_odometry]) for of_odometry in (False, True)]
@@ -231,7 +231,7 @@ class _TopicClock:
         return self._waiting[0].stamp_ns + self._shift_ns <= self._latest_ns
 
     def release(self) -> list[Stamped]:
-        """What waits, by the clock as it is known by now."""
+        """The waiting records, with stamps by the current estimate of the clock."""
         ready = [self._corrected(record) for record in self._waiting]
         self._waiting, self._waiting_delays = [], []
         return ready

@@ -36,12 +36,12 @@ class Fault:
 
     @property
     def name(self) -> str:
-        """As it is typed."""
+        """Notation on the command line."""
         return self.function.__name__
 
     @property
     def meaning(self) -> str:
-        """What it does, in a line."""
+        """Description in one line."""
         return (self.function.__doc__ or "").partition("\n")[0].rstrip(".")
 
     @property
@@ -61,7 +61,7 @@ class Fault:
 
     @property
     def usage(self) -> str:
-        """How it is written, with its defaults: "gyro_bias=3:10"."""
+        """Notation with the defaults: "gyro_bias=3:10"."""
         default = ("LABEL",) if self.takes_labels else tuple(p.default for p in self.parameters)
         return FaultCase(self, default).name
 

@@ -87,7 +87,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What faults read and change of a log, each kind in its order; ``odometry`` has one message at least.
+    """Records of a log that faults read and change, each kind in its order; ``odometry`` has at least one message.
 
     ``keeps_others``: whether topics of other kinds belong to it.
     """
@@ -199,7 +199,7 @@ class Recording:
         return self.with_scans(scan for scan in self.scans if is_kept(scan.stamp_ns))
 
     def select_detections(self, choose: Callable[[ObjectDetections], NDArray[np.bool_]]) -> Recording:
-        """The detections that are chosen."""
+        """The chosen detections."""
         return self.with_scans(scan.select(choose(scan.detections)) for scan in self.scans)
 
     @property

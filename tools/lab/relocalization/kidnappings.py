@@ -1,4 +1,4 @@
-"""How soon a robot finds out where it is in a map, at places of a drive with truth.
+"""Time to relocalization in a map, at places of a drive with truth.
 
 ``benchmark_relocalization`` is where to begin reading.
 """

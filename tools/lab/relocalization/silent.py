@@ -1,4 +1,4 @@
-"""How soon a mapping robot detects a kidnapping that its odometry does not show.
+"""Time until a mapping robot detects a kidnapping that its odometry does not show.
 
 ``benchmark_silent_kidnapping`` is where to begin reading.
 """
