@@ -14,7 +14,7 @@ def log_somewhere_new(
     """Log-likelihood ratio of "somewhere new" to clutter, where a query fits K known places at other poses.
 
     A new place looks like clutter, or like one of the mapped places, with the robot anywhere in it. Each counts by the
-    probability that its fit is no chance: by chance a pose somewhere in the area reaches an LLR with a probability
+    probability that its fit is not by chance: by chance a pose somewhere in the area reaches an LLR with a probability
     below exp(-LLR - ``log_uniform``), as exp(LLR) is 1 in the mean over clutter (Markov's inequality).
 
     Args:

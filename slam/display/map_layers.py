@@ -57,7 +57,7 @@ class MapPicture:
 
     @property
     def points(self) -> FloatArray:
-        """Everything that has to be in sight (N, 3), metres."""
+        """Points (N, 3) m that the picture has to contain."""
         every = np.concatenate([self.estimate, self.odometry, self.truth, self.landmarks, self.known])
         return np.asarray(every[~np.isnan(every).all(axis=1)])
 

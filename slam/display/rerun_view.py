@@ -87,7 +87,7 @@ def _make_blueprint(extent: FloatArray | None, images: Collection[str]) -> rrb.B
 
 
 def blueprint_of(log: Path) -> rrb.Blueprint:
-    """The layout for a log: all of its path or map is in sight, and each of its images has a view."""
+    """The layout for a log: the map view contains its whole path or map, and each image topic has a view."""
     with LogReader(log, RESULT_LIMITS) as reader:
         images = [info.topic for info in reader.topics() if info.schema_name in _IMAGES]
         paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]

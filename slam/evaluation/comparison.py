@@ -1,4 +1,4 @@
-"""Runs side by side: what differs between configurations by more than between repetitions of one."""
+"""Comparison of runs: differences between configurations that exceed those between repetitions."""
 
 from __future__ import annotations
 
@@ -136,14 +136,14 @@ def _find_different(groups: Mapping[str, Sequence[Run]], figure: Figure) -> list
 
 
 def _labels(runs: Sequence[Run]) -> list[str]:
-    """For each run what its configuration has otherwise than those of the other runs, else than the defaults."""
+    """The settings of each run that differ from those of the other runs, else from the defaults."""
     described = [_changes(run) for run in runs]
     shared = set(described[0]).intersection(*described)
     return [", ".join([change for change in own if change not in shared] or own[1:]) or "defaults" for own in described]
 
 
 def _changes(run: Run) -> list[str]:
-    """The version, and what the configuration has otherwise than the defaults, "key=value" each."""
+    """The version, and the settings that differ from the defaults, "key=value" each."""
     if not run.configuration:
         return [f"version={run.version}", f"unknown configuration of {run.name}"]
     given = [f"given map {sha256(run.given_map.encode()).hexdigest()[:8]}"] if run.given_map else []

@@ -1,4 +1,4 @@
-"""Bars that an evaluation has to clear: "trajectory.ate_m<=4.0"."""
+"""Requirements on an evaluation: "trajectory.ate_m<=4.0"."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Requirement:
     bar: float
 
     def check(self, results: Mapping[str, Any]) -> tuple[bool, str]:
-        """Whether the value meets the bar, in words too; one that is unknown or undefined does not."""
+        """Whether the value meets the bar, and a description; an unknown or undefined value does not."""
         value = value_at(results, self.key)
         if isinstance(value, int | float):
             is_met = _COMPARISONS[self.sign](value, self.bar)

@@ -254,7 +254,7 @@ class ActiveLandmarks:
         return np.asarray(gone)
 
     def merge_duplicates(self, scan: int) -> list[tuple[int, int]]:
-        """Merge landmarks that were seen lately with confirmed ones that they are; returns rows (kept, dropped).
+        """Merge recently observed duplicates of confirmed landmarks; returns rows (kept, dropped).
 
         The search is that of a scan, with all objects of the latest scans: where is the body among the
         landmarks that were not? ``scan``: number of the latest.

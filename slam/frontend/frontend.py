@@ -27,7 +27,7 @@ REJOINING_SCANS = 20
 
 
 class Frontend:
-    """Follows the odometry and places the scans of one drive; ``counters`` is where it counts what it used."""
+    """Tracks the odometry and places the scans of one drive; ``counters`` counts the records."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Observations of several keyframes in a row, summed up into one observation a landmark.
+"""Observations of several consecutive keyframes, combined into one observation a landmark.
 
 The graph and its solvers take time and memory by the observation. While the odometry is far better than a detection,
 observations are carried into the frame of a later keyframe at no loss: by the landmarks around, since an error of the

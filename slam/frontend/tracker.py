@@ -31,8 +31,8 @@ PRIOR_SCANS = 100
 JUMP_PROBABILITY = 1e-4
 """... and one in so many to err by any distance."""
 WAITED_SCANS = 2
-"""While so many scans in a row do not fit, nothing new is mapped: the pose may be wrong. By then it has been searched
-for everywhere around.
+"""While so many consecutive scans do not fit, nothing new is mapped: the pose may be wrong. By then it has been
+searched for everywhere around.
 """
 MAX_TURN_RAD = 0.25
 """A pose is used if its rotation errs by less, so that what follows from it is nearly linear in its errors."""

@@ -2,7 +2,7 @@
 
 Each hypothesis is a pose with the log-likelihood ratios of the landmarks around the robot (same place against somewhere
 new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior (:mod:`slam.localization.pose_prior`). From keyframe to
-keyframe its pose is carried along by the odometry, and it is measured again there. The posterior odds of hypothesis k
+keyframe its pose is propagated by the odometry, and it is measured again there. The posterior odds of hypothesis k
 against "somewhere new" are
 
     log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (n_k + sum_k o_k),
@@ -104,7 +104,7 @@ class Localizer:
         memory_m: float,
     ) -> None:
         """``which_agree``: which estimates (..., 4, 4) of poses agree, pair by pair; ``memory_m``: travel after which a
-        hypothesis that is no longer measured is forgotten.
+        hypothesis that is not measured any more is dropped.
         """
         self._config = config
         self._which_agree = which_agree
@@ -182,7 +182,7 @@ def _log_somewhere_new(poses: Sequence[Hypothesis], same: BoolArray) -> FloatArr
 def _joined(
     measured: PoseEvidence, before: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
 ) -> Hypothesis:
-    """The hypothesis at a measured pose, with what those from ``before`` that lead there have left behind."""
+    """The hypothesis at a measured pose, with the evidence behind the robot of its predecessors in ``before``."""
     evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
     earlier: dict[int, float] = {}
     for each in before:

@@ -1,4 +1,4 @@
-"""Landmarks of a prior map that are no longer there: the robot passed them and never saw them."""
+"""Landmarks of a prior map that disappeared: the robot passed them and never observed them."""
 
 from __future__ import annotations
 

@@ -72,9 +72,9 @@ class OdometryTrack:
     def add(self, odometry: Odometry) -> list[OdometryPose]:
         """Add a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than that of the last pose adds none, nor does one in a row of descending
-        stamps. The first message, and one after a silence that is long beside the last interval, may have a wrong
-        stamp, and a message at a place that no body can have reached may be an outlier: the next one decides.
+        Messages whose stamp is not later than that of the last pose, or in a series of descending stamps, are left out.
+        The first message, and one after a silence that is long beside the last interval, may have a wrong stamp, and a
+        message at a place that no body can have reached may be an outlier: the next one decides.
         """
         if odometry.stamp_ns < 0:  # by the correction of its clock; no log can hold such a time
             self._counters["odometry_before_time_zero"] += 1
@@ -100,7 +100,7 @@ class OdometryTrack:
         return added
 
     def break_off(self) -> None:
-        """Let the next pose begin a new segment: something else than the odometry shows that it is broken."""
+        """Let the next pose begin a new segment: other evidence shows a discontinuity of the odometry."""
         self._breaks_next = True
 
     def finish(self) -> list[OdometryPose]:

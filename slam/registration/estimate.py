@@ -23,9 +23,9 @@ class Registration:
 
     ``T_reference_query`` (4, 4) carries query points, times ``scale``, into the reference frame. ``covariance`` (6, 6)
     is that of its right perturbation ``T Exp([rotation rad, translation m])``. ``pairs`` (K, 2) are the inliers, one to
-    one, as (query, reference) indices by increasing query; ``inliers`` (K,) says where each stands in the
-    correspondences given, or in ``pairs`` where none were. ``score`` is the support: the sum over the inliers of
-    1 - (residual / gate)^2.
+    one, as (query, reference) indices by increasing query; ``inliers`` (K,) are their rows in the given
+    correspondences, or in ``pairs`` if there were none. ``score`` is the support: the sum over the inliers of 1 -
+    (residual / gate)^2.
     """
 
     T_reference_query: FloatArray | None

@@ -40,7 +40,7 @@ class LabelNoise:
 
     @property
     def is_useless(self) -> bool:
-        """Whether objects are better told apart without their labels."""
+        """Whether objects are better distinguished without their labels."""
         return self.renamed_ns is not None or self.accuracy**2 < SLIGHT
 
 

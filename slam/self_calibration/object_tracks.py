@@ -24,7 +24,7 @@ RANGE_SHARE = 0.25
 SMOOTHED = 4
 """Detections of a track before and after one that, together with it, say where its object is."""
 MISSED_SCANS = 2
-"""Scans in a row in which an object may be missed before its track ends, ..."""
+"""Consecutive scans in which an object may be missed before its track ends, ..."""
 LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
 """... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
 Then a neighbour would be taken for the object. Their number is estimated from the first scans.

@@ -63,8 +63,8 @@ class Survey:
     the same scan, NaN where classes never share a scan; ``objects``: mean number a scan; ``interval_s``: median time
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
-    could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
-    ``detectability``: how often an object in view is detected; ``clutter``: what belongs to no track of an object.
+    could be tracked; ``labels``: their accuracy; ``heights``: noise of the heights of detections; ``detectability``:
+    rate of detection of an object in view; ``clutter``: detections that belong to no track of an object.
 
     ``corrected``: values of the calibration, by their keys, that corrected the scans; ``delay_s``: by how much
     detections are of a later time than their stamps say, against the odometry; ``suspected``: terms that fit the log
@@ -226,7 +226,7 @@ def _label_noise(logs: Sequence[SurveyedLog], known: Calibration) -> LabelNoise:
 
 
 def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Survey:
-    """The survey of scans (at least one), in the order of their stamps; ``tracks``: those of their objects, if known."""
+    """The survey of scans (at least one), in the order of their stamps; ``tracks``: of their objects, if known."""
     poses = np.stack([scan.T_odom_body for scan in scans])
     headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])

@@ -23,7 +23,7 @@ from slam.self_calibration.variance_components import CLIP
 MAX_DETECTIONS = 150_000
 """A survey ends after that many detections; what it estimates has converged by then."""
 FAR_OFF = 100.0
-"""Detections beyond so many median ranges are no measurements."""
+"""Detections beyond so many median ranges are treated as outliers."""
 MAX_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
 
@@ -170,7 +170,7 @@ def _path_length(poses: FloatArray) -> float:
 
 
 def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
-    """The scans without detections so far away that they are no measurements."""
+    """The scans without detections that are implausibly far away."""
     if not scans:
         return scans
     limit_m = FAR_OFF * float(np.median(np.concatenate([_ranges(scan) for scan in scans])))

@@ -123,7 +123,7 @@ def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = 
 
 
 def kidnap_overrides(text: str) -> list[str]:
-    """The overrides for ``load_simulation_config`` that ``text``, "FROM_M:TO_M", stands for.
+    """The overrides for ``load_simulation_config`` of the ``text`` "FROM_M:TO_M".
 
     Raises:
         SimulationError: the text is no such pair, or a number is out of range.

@@ -32,9 +32,9 @@ class TrajectoryCheck:
     """Comparison of the trajectories of a drive by detections on several visits to the same places.
 
     ``gains``: by trajectory, mean logarithm of the density that it predicts for a detection beside the density in the
-    field of view, in nats; above 0 it predicts better than chance. Empty where it cannot be told: none predicts better,
-    as where the drive comes nowhere twice. ``better``: the trajectory that predicts significantly better than the final
-    one, the best if several do; None where none does. ``detections``: how many were predicted.
+    field of view, in nats; above 0 it predicts better than chance. Empty if none predicts better than chance, as where
+    the drive comes nowhere twice. ``better``: the trajectory that predicts significantly better than the final one, the
+    best if several do; None where none does. ``detections``: how many were predicted.
     """
 
     gains: Mapping[str, float] = field(default_factory=dict)

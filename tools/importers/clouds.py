@@ -83,7 +83,7 @@ def urban(
     """A map of the objects of Paris-Lille-3D (the files of 50 classes) or of IQmulus & TerraMobilita.
 
     Movable and unknown objects, bollards and surfaces are left out, as in "Descriptellation" (Xing et al.);
-    printed is how many objects and classes there were and are left, as in its Table I.
+    the numbers of objects and classes before and after are printed, as in its Table I.
 
     Example: dslam import paris-lille lille_map.mcap --file training_50_classes/Lille1.ply
     """

@@ -1,4 +1,4 @@
-"""The rules and thresholds by which everything is measured; they are printed with the numbers."""
+"""The rules and thresholds of the evaluation."""
 
 from __future__ import annotations
 

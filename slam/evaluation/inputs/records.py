@@ -108,7 +108,7 @@ class EvaluationRecords:
 
     @property
     def sensor_range_m(self) -> float | None:
-        """The sensor range that the run went by, estimated or given; None where the log does not tell."""
+        """The sensor range of the run, estimated or given; None if the log does not hold it."""
         estimated = _read_tree(self.provenance.get("estimated", ""))
         given = self.configuration.get("calibration", self.configuration).get("detection")
         range_m = estimated.get("detection.sensor_range_m")

@@ -1,4 +1,4 @@
-"""Two series of poses brought to the same times: the truth, interpolated at the stamps of the estimate."""
+"""Synchronization of two series of poses: the truth is interpolated at the stamps of the estimate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether detections were assigned to the landmark of the object that they show."""
+"""Assignments of detections to the landmark of the object that they show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the covariances of a map are right: errors measured by the covariance that the map gives them.
+"""Consistency of the covariances of a map with its errors.
 
 The normalised estimation error squared (NEES) of an error e with the covariance P is ``e^T P^-1 e``. If P is right and
 the errors are normal, it has the chi-squared distribution of the dimension of e (Bar-Shalom, Li and Kirubarajan,

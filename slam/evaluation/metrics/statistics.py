@@ -1,4 +1,4 @@
-"""Shares, percentiles, and the mean and spread of a figure over several runs; undefined is None."""
+"""Fractions, percentiles, and the mean and spread of a figure over several runs; undefined values are None."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How good loop closures are: a table of all candidates, each judged by the truth, and the figures made of it."""
+"""Evaluation of loop closures: a table of all candidates, each compared with the truth, and its figures."""
 
 from __future__ import annotations
 

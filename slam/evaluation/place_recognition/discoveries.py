@@ -1,4 +1,4 @@
-"""Where accepted closures come from: found by retrieval, followed from the closure before, or led back to.
+"""Origin of accepted closures: found by retrieval, or propagated forwards or backwards from another closure.
 
 A closure that retrieval found is a discovery; those that it predicts for the keyframes after it and before it are
 checks of the same discovery. So a precision is as sure as its discoveries are many, and these only count as several

@@ -1,4 +1,4 @@
-"""What any threshold on the score would have accepted: precision against recall."""
+"""Precision and recall of every threshold on the score."""
 
 from __future__ import annotations
 

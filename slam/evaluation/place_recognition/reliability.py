@@ -1,4 +1,4 @@
-"""Whether the posterior probabilities of places are right as often as they say: a reliability diagram in numbers.
+"""Reliability of the posterior probabilities of places: a reliability diagram in numbers.
 
 Of each query the likeliest candidate has posterior odds against "somewhere new". If they are calibrated, of all that
 have the probability p a share p is right (DeGroot and Fienberg, The Statistician 1983).

@@ -1,4 +1,4 @@
-"""Which keyframes come back to an earlier place by the truth, and which of these revisits were recognised."""
+"""Revisits of a drive by the truth, and the recognised ones among them."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 class Scan:
     """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
 
-    ``used`` (M,) says which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
+    ``used`` (M,): which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
     ``sensor`` is the frame that the message named.
     """
 

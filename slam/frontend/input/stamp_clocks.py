@@ -2,8 +2,8 @@
 
 A message is made, stamped, and logged some time later. That time is much the same from message to message of a topic,
 whatever the two clocks show. Where it changes and stays changed, either messages take longer, or the clock of the
-stamps was set. Two things tell a clock that was set: stamps begin again before the last one, though messages are logged
-as before, or stamps are suddenly later than when they were logged.
+stamps was set. Two signs reveal a clock that was set: stamps restart before the last one, though messages are logged as
+before, or stamps are suddenly later than their log times.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ def sensor_optical(log: Recording) -> Recording:
 
 @fault()
 def sensor_mirrored(log: Recording, seconds: Duration = 20.0) -> Recording:
-    """Left and right of the sensor are exchanged for S from half time on."""
+    """Left and right of the sensor are exchanged for S from the middle of the drive on."""
     begin_ns, end_ns = log.from_half(seconds)
     return _moved(log, lambda seen: seen.positions * [1.0, -1.0 if begin_ns <= seen.stamp_ns < end_ns else 1.0, 1.0])
 
@@ -227,7 +227,7 @@ def labels_one_class(log: Recording) -> Recording:
 
 @fault()
 def labels_case(log: Recording) -> Recording:
-    """Labels are in capitals from half time on."""
+    """Labels are in capitals from the middle of the drive on."""
     return _renamed_from_half(log, str.upper)
 
 

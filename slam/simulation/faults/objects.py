@@ -31,7 +31,7 @@ def detections_stop(log: Recording, fraction: Part = 0.5) -> Recording:
 
 @fault()
 def scan_repeated(log: Recording, seconds: Duration = 10.0) -> Recording:
-    """The last scan before half time is repeated for S."""
+    """The last scan before the middle of the drive is repeated for S."""
     begin_ns, end_ns = log.from_half(seconds)
     changed: list[Scan] = []
     last: Scan | None = None
@@ -48,7 +48,7 @@ def scan_repeated(log: Recording, seconds: Duration = 10.0) -> Recording:
 def objects_burst(
     log: Recording, count: Number = 5000, seconds: Duration = 3.0, *, rng: np.random.Generator
 ) -> Recording:
-    """NUMBER more objects of the classes of the log appear for S from half time on."""
+    """NUMBER more objects of the classes of the log appear for S from the middle of the drive on."""
     begin_ns, end_ns = log.from_half(seconds)
     labels, frame = log.labels or ["object"], log.body_frames()
     radius_m = _BURST_RADIUS_M * np.sqrt(rng.random(count))

@@ -27,7 +27,7 @@ def heading_jump(log: Recording, angle_deg: Degrees = 30.0, fraction: Part = 0.5
 
 @fault()
 def pitch_jump(log: Recording, angle_deg: Degrees = 20.0) -> Recording:
-    """Its pitch jumps by DEG at half time."""
+    """Its pitch jumps by DEG in the middle of the drive."""
     R = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
     return log.redirected(log.row_at(0.5), make_transform(R, np.zeros(3)))
 
@@ -45,7 +45,7 @@ def odometry_jumps(
 
 @fault()
 def odometry_wild(log: Recording, distance_m: Metres = 1000.0, *, rng: np.random.Generator) -> Recording:
-    """One message at half time is M away and turned at random; the next one is right again."""
+    """One message in the middle of the drive is M away and turned at random; the next one is right again."""
     direction_rad, turn_rad = rng.uniform(-np.pi, np.pi, 2).tolist()
     poses, row = log.poses, _last_row_at(log, 0.5)
     poses[row] = poses[row] @ _shift(distance_m, direction_rad) @ _turn(turn_rad)
@@ -60,7 +60,7 @@ def odometry_frozen(log: Recording, fraction: Part = 0.5) -> Recording:
 
 @fault()
 def odometry_freezes(log: Recording, seconds: Duration = 10.0) -> Recording:
-    """It stands still for S from half time on; travel of that time is missing afterwards."""
+    """It stands still for S from the middle of the drive on; travel of that time is missing afterwards."""
     begin_ns, end_ns = log.from_half(seconds)
     still = (log.stamps_ns[1:] > begin_ns) & (log.stamps_ns[1:] <= end_ns)
     return log.with_steps(np.where(still[:, None, None], np.eye(4), log.steps))
@@ -88,14 +88,14 @@ def odometry_turns(log: Recording, factor: Factor = 1.1) -> Recording:
 
 @fault("3:10", "30:1")
 def gyro_bias(log: Recording, rate_deg_s: _Rate = 3.0, seconds: Duration = 10.0) -> Recording:
-    """Its heading turns by DEG/S too much for S from half time on."""
+    """Its heading turns by DEG/S too much for S from the middle of the drive on."""
     turned_ns = np.diff(np.clip(log.stamps_ns, *log.from_half(seconds)))
     return log.with_steps(log.steps @ _turn(np.deg2rad(rate_deg_s) * turned_ns * 1e-9))
 
 
 @fault("1.5:5", "0.5:5")
 def wheel_slip(log: Recording, factor: Factor = 1.5, seconds: Duration = 5.0) -> Recording:
-    """Its travel is multiplied for S from half time on."""
+    """Its travel is multiplied for S from the middle of the drive on."""
     begin_ns, end_ns = log.from_half(seconds)
     steps = log.steps
     steps[(log.stamps_ns[:-1] >= begin_ns) & (log.stamps_ns[:-1] < end_ns), :3, 3] *= factor
@@ -104,7 +104,7 @@ def wheel_slip(log: Recording, factor: Factor = 1.5, seconds: Duration = 5.0) ->
 
 @fault()
 def odometry_restart(log: Recording) -> Recording:
-    """Its poses restart at the origin at half time, as after a restart of the node."""
+    """Its poses restart at the origin in the middle of the drive, as after a restart of the node."""
     poses, row = log.poses, _last_row_at(log, 0.5)
     poses[row:] = invert(poses[row]) @ poses[row:]
     return log.with_poses(poses)

@@ -1,4 +1,4 @@
-"""A log in memory, and the changes that faults are made of; each returns another recording."""
+"""A log in memory, and the elementary changes of faults; each returns another recording."""
 
 from __future__ import annotations
 
@@ -119,11 +119,11 @@ class Recording:
 
     @property
     def half_ns(self) -> int:
-        """The stamp at half time."""
+        """The stamp in the middle of the drive."""
         return self.stamp_at(0.5)
 
     def from_half(self, seconds: float) -> tuple[int, int]:
-        """The stamp at half time, and so long after it."""
+        """The stamp in the middle of the drive, and so long after it."""
         return self.half_ns, self.half_ns + seconds_ns(seconds)
 
     @property

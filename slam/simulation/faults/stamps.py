@@ -22,14 +22,14 @@ def time_offset(log: Recording, seconds: Seconds = 0.1) -> Recording:
 
 @fault()
 def detections_clock_back(log: Recording, seconds: Duration = 30.0) -> Recording:
-    """The clock of the detections is S behind from half time on."""
+    """The clock of the detections is S behind from the middle of the drive on."""
     half_ns = log.half_ns
     return log.restamped(lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= half_ns))
 
 
 @fault()
 def odometry_clock_back(log: Recording, seconds: Duration = 30.0) -> Recording:
-    """The clock of the odometry is S behind from half time on."""
+    """The clock of the odometry is S behind from the middle of the drive on."""
     late_ns = seconds_ns(seconds) * (log.stamps_ns >= log.half_ns)
     return _with_stamps(log, (log.stamps_ns - late_ns).tolist())
 
@@ -70,14 +70,14 @@ def frame_rate(log: Recording, rate_hz: Hertz = 1.0) -> Recording:
 
 @fault()
 def odometry_pause(log: Recording, seconds: Duration = 10.0) -> Recording:
-    """No odometry comes for S from half time on."""
+    """No odometry comes for S from the middle of the drive on."""
     begin_ns, end_ns = log.from_half(seconds)
     return _select_odometry(log, ((log.stamps_ns < begin_ns) | (log.stamps_ns >= end_ns)).tolist())
 
 
 @fault()
 def log_gap(log: Recording, seconds: Duration = 10.0) -> Recording:
-    """Neither odometry nor detections come for S from half time on."""
+    """Neither odometry nor detections come for S from the middle of the drive on."""
     begin_ns, end_ns = log.from_half(seconds)
     without = log.select_scans(lambda stamp_ns: not begin_ns <= stamp_ns < end_ns)
     return replace(without, odometry=odometry_pause.function(log, seconds).odometry)
@@ -92,7 +92,7 @@ def messages_twice(log: Recording) -> Recording:
 
 @fault()
 def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> Recording:
-    """Stamps of the odometry fall instead of rising for S from half time on."""
+    """Stamps of the odometry fall instead of rising for S from the middle of the drive on."""
     begin_ns, end_ns = log.from_half(seconds)
     falls = (log.stamps_ns >= begin_ns) & (log.stamps_ns < end_ns)
     return _with_stamps(log, np.where(falls, begin_ns + end_ns - log.stamps_ns, log.stamps_ns).tolist())
