@@ -30,7 +30,7 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "max": 100.0}
 class LiveDrive:
     """Maps messages one by one; a context manager that writes ``output``, if one is given, and finishes it.
 
-    ``publish`` is called with topic, record and log time of all that becomes known.
+    ``publish`` is called with topic, record and log time of each update.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Localization of a single scan in a map: a query submap of one scan, without odometry.
 
-It takes the way of a closure in a prior map: retrieval proposes places, :class:`Verifier` registers the scan there, and
-:class:`Acceptance` accepts the likeliest of them once its posterior probability of being wrong is small enough. The
+The stages are those of a closure in a prior map: retrieval proposes places, :class:`Verifier` registers the scan there,
+and :class:`Acceptance` accepts the likeliest of them once its posterior probability of being wrong is small enough. The
 prior is uniform over the map, and the alternatives are the other candidates and "not in the map".
 """
 

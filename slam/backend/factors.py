@@ -48,7 +48,7 @@ class LandmarkPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is not an ``EdgeKind``."""
+    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
 
     from_keyframe: int
     to_keyframe: int

@@ -47,12 +47,13 @@ class Objects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
-    """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none,
-    ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that.
-    ``log_likelihood_ratios`` (D,): of each match, against a detection of no landmark; 0 for the others.
-    ``is_contested``: a detection is near several landmarks, or several detections are near one.
-    ``is_uncertain``: what landmarks should be seen at has twice the variance of what they are seen at, in the median.
-    ``is_inconsistent``: the matches are farther apart, all together, than their covariances explain."""
+    """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none, ``AMBIGUOUS``
+    where it has none although one is near: it may be a bad measurement of that. ``log_likelihood_ratios`` (D,): of each
+    match, against a detection of no landmark; 0 for the others. ``is_contested``: a detection is near several
+    landmarks, or several detections are near one. ``is_uncertain``: the predicted positions of landmarks have twice the
+    variance of their detections, in the median. ``is_inconsistent``: the matches are farther apart, all together, than
+    their covariances explain.
+    """
 
     landmark_rows: IntArray
     log_likelihood_ratios: FloatArray
@@ -166,7 +167,7 @@ def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[Flo
 def density(positions: FloatArray, covariances: FloatArray) -> float:
     """Objects per m^3 among N at ``positions`` (N, 3) m, known by covariances (M, 3, 3) m^2.
 
-    The volume is that of the cylinder that holds them. What stands at one place is spread by the noise alone: by
+    The volume is that of the cylinder that holds them. Detections of one object are spread by the noise alone: by
     sqrt(2 pi e) standard deviations, the entropy of a Gaussian.
     """
     spread = np.sqrt(2.0 * np.pi * np.e * np.median(np.diagonal(covariances, axis1=1, axis2=2), axis=0))

@@ -74,7 +74,7 @@ class Frontend:
         self._is_broken = True
 
     def advance(self) -> Iterator[OdometryPose | DetectionAssociations]:
-        """Place the scans that the odometry has caught up with.
+        """Place the waiting scans up to the newest odometry.
 
         Yields the poses before each scan, which the caller makes keyframes of, and then its associations.
         """

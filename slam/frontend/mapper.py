@@ -127,7 +127,7 @@ class Mapper:
         return keyframe
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
-        """Find where a scan, taken at ``pose``, was made among the landmarks around, and which of them it has."""
+        """Estimate the pose of a scan, predicted by ``pose``, among the landmarks, and associate its detections."""
         self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
         T_local_odom = self._active.T_local_odom

@@ -60,7 +60,7 @@ class ObservationGroup:
         return bool(added.mean() > MAX_ADDED_VARIANCE)
 
     def take(self) -> list[Observation]:
-        """One observation a landmark, in the frame of the last keyframe; a next group begins."""
+        """The observations of the group, one a landmark, in the frame of the last keyframe; the next group begins."""
         keyframes, observations, frames = self._keyframes, self._observations, self._frames
         T_local_body = self._T_local_body
         self._keyframes, self._T_local_body, self._observations, self._frames = [], [], [], []

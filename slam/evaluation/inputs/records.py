@@ -58,10 +58,10 @@ _Record = TypeVar("_Record", bound=Record)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluationRecords:
-    """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
+    """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 
-    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: what the replay
-    recorded of itself. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
+    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: the metadata of
+    the replay. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
     """
 
     trajectory: TrajectoryRecord | None = None
