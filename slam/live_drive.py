@@ -1,4 +1,4 @@
-"""A robot mapped while it drives: messages in as they come, estimates out at once."""
+"""Maps a robot while it drives: each message gives estimates immediately."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class LiveDrive:
         self._seconds.append(time.perf_counter() - started)
 
     def finish(self) -> FinalMap:
-        """Optimise everything at once, and publish the result.
+        """Optimise the whole graph, and publish the result.
 
         Raises:
             InputDataError: there was nothing to map.

@@ -123,14 +123,14 @@ class LiveSlam:
         return updates
 
     def catch_up(self) -> list[Record]:
-        """Let a map that is being built catch up at once, as at the end of a drive; returns the updates."""
+        """Complete the second map immediately, as at the end of a drive; returns the updates."""
         if self._successor is None:
             return []
         self._successor.follow(self._records, len(self._records))
         return self._succeed(self._successor)
 
     def finish(self) -> FinalMap:
-        """Close the last keyframe, optimise everything at once and hand out the result.
+        """Close the last keyframe, optimise the whole graph and return the result.
 
         Raises:
             InputDataError: there was nothing to map.

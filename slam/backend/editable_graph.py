@@ -58,7 +58,7 @@ class EditableGraph:
 
     @property
     def factors(self) -> Mapping[int, Factor]:
-        """The factors that are in force, by their numbers."""
+        """The active factors, by their numbers."""
         return self._factors
 
     @property

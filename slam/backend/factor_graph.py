@@ -202,7 +202,7 @@ class FactorGraph(EditableGraph):
         return self._attached.covariances(self._keyframes, of_anchors)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
-        """The whole graph at its current estimate, as it goes into a log."""
+        """The whole graph at its current estimate, as a record of a log."""
         try:
             covariances = self.pose_covariances()
         except FactorGraphError as error:

@@ -1,4 +1,4 @@
-"""The factor graph as it goes into a log, and as it comes out of one."""
+"""Conversion of the factor graph to a record of a log and back."""
 
 from __future__ import annotations
 
@@ -87,6 +87,6 @@ def observations_of(
 
 
 def _covariance_inflations(observations: Sequence[Observation]) -> FloatArray:
-    """Those of observations (O,), none where all are 1."""
+    """The kernel weights of observations (O,); empty if all are 1."""
     inflations = np.array([observation.covariance_inflation for observation in observations], dtype=np.float64)
     return inflations if (inflations != 1.0).any() else np.zeros(0)

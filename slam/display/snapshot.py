@@ -20,7 +20,7 @@ NEW_SHARE = 0.01
 
 
 class SnapshotSchedule:
-    """When snapshots are due: each holds the whole map, so the larger that is, the fewer are taken.
+    """Schedule of the snapshots: each holds the whole map, so that a larger map has fewer.
 
     ``first_keyframe``: the number of keyframes before the drive; ``update_keyframes``: every so many bring the estimate
     up to date.

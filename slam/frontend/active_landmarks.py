@@ -89,7 +89,7 @@ class ActiveLandmarks:
         return np.asarray(self.T_local_body @ invert(self.T_odom_body))
 
     def restart(self, pose: OdometryPose) -> None:
-        """Begin anew at a pose, without landmarks."""
+        """Restart at a pose, without landmarks."""
         self._local.start(pose.T_odom_body)
         self._pose = pose
 

@@ -69,7 +69,7 @@ class Frontend:
         return self._track.at(stamp_ns)
 
     def break_off(self) -> None:
-        """Begin a new segment at the next pose: the robot was carried off."""
+        """Begin a new segment at the next pose: the robot was kidnapped."""
         self._track.break_off()
         self._is_broken = True
 

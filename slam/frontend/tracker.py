@@ -1,9 +1,10 @@
 """Tracking: the pose of the body among the active landmarks at a scan, and the associations of its detections.
 
-Where the odometry predicts the pose better than objects are apart, each detection has one landmark, and the assignment
-is the answer. Where it does not, or where more detections are unmatched than matched although landmarks should be in
-view, the modes of :mod:`slam.frontend.pose_posterior` are compared; what the likeliest ones agree on is used. Their
-prior is a mixture: the odometry is right, or it errs by as much as the body moves, or the body is anywhere around.
+Where the odometry predicts the pose better than objects are apart, each detection has one landmark in its gate, and the
+optimal assignment is used. Where it does not, or where more detections are unmatched than matched although landmarks
+should be in view, the modes of :mod:`slam.frontend.pose_posterior` are compared; what the likeliest ones agree on is
+used. Their prior is a mixture: the odometry is right, or it errs by as much as the body moves, or the body is anywhere
+around.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class Candidate:
     def record(
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
     ) -> LoopClosureRecord:
-        """The candidate with the decision about it, as it goes into a log."""
+        """The candidate with its decision, as a record of a log."""
         return LoopClosureRecord(
             stamp_ns=self.query_stamp_ns,
             query_keyframe_id=self.query,

@@ -84,7 +84,7 @@ class LoopCloser:
 
     @property
     def kidnapping_probability(self) -> float:
-        """Probability that the robot was carried off lately, by the landmarks around."""
+        """Probability of a recent kidnapping, by the landmarks around."""
         return self._continuity.kidnapping_probability
 
     def missing_landmarks(self) -> IntArray:

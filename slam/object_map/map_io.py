@@ -1,4 +1,4 @@
-"""Maps that last: landmarks, keyframes and the factors between them, saved to a log and loaded from it."""
+"""Saved maps: landmarks, keyframes and the factors between them, written to a log and read from it."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from scipy.special import bdtrc, chdtri
 from slam.common.arrays import FloatArray
 
 WINDOW = 20
-"""Corrections after which the scale is estimated anew."""
+"""Corrections after which the scale is estimated again."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: larger corrections contradict the odometry."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))

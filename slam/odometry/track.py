@@ -39,7 +39,7 @@ class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
     A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
-    ``counters`` is where it counts the messages that it cannot use; ``sensor_range_m`` is that of the detections.
+    ``counters``: of unusable messages; ``sensor_range_m`` is that of the detections.
     """
 
     def __init__(

@@ -127,7 +127,7 @@ class Detectability:
 
 
 def objects_among(tracks: ObjectTracks) -> ObjectTracks:
-    """The tracks that are of objects rather than of false detections that lie near each other by chance."""
+    """The tracks of objects, without those of false detections that are near each other by chance."""
     return tracks.of(_existence(tracks) > 0.5)
 
 

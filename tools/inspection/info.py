@@ -74,7 +74,7 @@ def info(
 
 
 def _limits(settings: Sequence[str] | None) -> ReadingLimits | None:
-    """Those that are set, of all settings the only ones that reading a log asks for."""
+    """The limits of reading a log that differ from the defaults."""
     if not settings:
         return None
     from slam.common.config import load_config

@@ -36,7 +36,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
     """Set errors (N, D) against covariances (N, D, D), leaving out those that are not positive definite; N may be 0.
 
     ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``coverage``: share of the errors in the
-    region that holds :data:`COVERAGE_PROBABILITY` of them if the covariances are right; ``count``: errors used.
+    region with probability :data:`COVERAGE_PROBABILITY`; ``count``: errors used.
     """
     dimension = errors.shape[1]
     finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)

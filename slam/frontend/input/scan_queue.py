@@ -38,7 +38,7 @@ class ScanQueue:
         return detections.stamp_ns + self._offset_ns
 
     def take(self, until_ns: int, before_ns: int | None = None) -> Iterator[ObjectDetections]:
-        """Those not later than ``until_ns``, one after the other; ``before_ns`` keeps those at or after it waiting."""
+        """The scans up to ``until_ns``, in their order; scans at or after ``before_ns`` wait."""
         while self._waiting:
             stamp_ns = self._waiting[0][0]
             if stamp_ns > until_ns or (before_ns is not None and stamp_ns >= before_ns):

@@ -153,7 +153,9 @@ class StampClocks:
         return ClockDrift(rate, self._logged[False][0] - self._delays[False][0])
 
     def delays(self) -> LoggingDelays:
-        """Those of all messages so far; none where they are longer than the log: its clock counts from elsewhere."""
+        """The delays of all messages so far; empty if they exceed the length of the log, whose clock then has another
+        origin.
+        """
         odometry, detections = (self._delays[of_odometry] for of_odometry in (True, False))
         if not odometry or not detections:
             return LoggingDelays()

@@ -21,7 +21,7 @@ _YawNoise = Annotated[float, Field(ge=0.0, le=1.0, description="rad / sqrt(m)")]
 
 @fault("5", "30", "90", "180")
 def heading_jump(log: Recording, angle_deg: Degrees = 30.0, fraction: Part = 0.5) -> Recording:
-    """The heading of the odometry jumps by DEG at once, at a part of the drive."""
+    """The heading of the odometry jumps by DEG at a part of the drive."""
     return log.redirected(log.row_at(fraction), _turn(np.deg2rad(angle_deg)))
 
 

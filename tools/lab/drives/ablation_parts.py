@@ -100,6 +100,6 @@ def switched_off(part: Part) -> Iterator[None]:
 
 
 def compute_without(cell: Cell, *, scratch: Path) -> CellResult:
-    """The cell with the part off that its variant names."""
+    """The cell of a variant, with the part of that name switched off."""
     with switched_off(PARTS[cell.variant]):
         return compute_cell(cell, scratch=scratch)
