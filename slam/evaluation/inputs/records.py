@@ -22,7 +22,6 @@ from logs.messages import (
     ObjectMapRecord,
     Odometry,
     Record,
-    RelocalizationRecord,
     SlamPose,
     StatusRecord,
     TrajectoryRecord,
@@ -42,7 +41,6 @@ _ESTIMATED_KINDS = frozenset(
         RecordKind.FACTOR_GRAPH,
         RecordKind.LOOP_CLOSURES,
         RecordKind.OBJECT_MAP,
-        RecordKind.RELOCALIZATIONS,
         RecordKind.SLAM_POSE,
         RecordKind.STATUS,
         RecordKind.TRAJECTORY,
@@ -75,7 +73,6 @@ class EvaluationRecords:
     closures: tuple[LoopClosureRecord, ...] = ()
     graph: FactorGraphRecord | None = None
     statuses: tuple[StatusRecord, ...] = ()
-    relocalizations: tuple[RelocalizationRecord, ...] = ()
     configuration: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
     has_prior_map: bool = False
@@ -166,7 +163,6 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
         closures=tuple(of_kind[LoopClosureRecord]),
         graph=_last(of_kind[FactorGraphRecord]),
         statuses=tuple(of_kind[StatusRecord]),
-        relocalizations=tuple(of_kind[RelocalizationRecord]),
     )
 
 
