@@ -29,7 +29,7 @@ _stopped: Stopped | None = None
 
 
 def stopped() -> Stopped | None:
-    """What asked the process to end, although what was raised of it may have become another error on its way."""
+    """The signal that ended the process, even if its exception was replaced by another error."""
     return _stopped
 
 

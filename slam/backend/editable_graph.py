@@ -115,12 +115,12 @@ class EditableGraph:
             self._fixed_landmarks.update(landmarks)
 
     def add_edge(self, edge: Edge) -> int:
-        """Tie two keyframes together; returns the factor's number."""
+        """Add a factor between two keyframes; returns its number."""
         self._check_ends(edge)
         return self._add(edge)
 
     def add_observations(self, observations: Sequence[Observation]) -> None:
-        """Tie landmarks to the keyframes that saw them.
+        """Add factors between landmarks and the keyframes that observed them.
 
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
         under-constrained.
@@ -130,7 +130,7 @@ class EditableGraph:
         self._insert([self._number(each) for each in seen], factors, positions)
 
     def remove_factor(self, number: int) -> None:
-        """Remove a factor; a landmark leaves the graph with its last observation."""
+        """Remove a factor, and landmarks without any other observation."""
         self._remove([number])
 
     def remove_landmarks(self, landmarks: Iterable[int]) -> None:

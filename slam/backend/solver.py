@@ -40,7 +40,7 @@ class Solver(ABC):
         self._uses.update(factor.keys())
 
     def remove(self, number: int) -> None:
-        """Remove a factor; a landmark leaves with its last one."""
+        """Remove a factor, and landmarks without any other."""
         for key in self._factors.pop(number).keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
             if not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
@@ -60,7 +60,7 @@ class Solver(ABC):
 
     @abstractmethod
     def holds(self, key: int) -> bool:
-        """Whether a variable is there."""
+        """Whether the solver holds a variable."""
 
     @abstractmethod
     def insert(self, key: int, value: Value) -> None:

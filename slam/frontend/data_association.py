@@ -2,9 +2,9 @@
 
 Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
 detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
-maximises the product over the scan takes all pairs that nothing else competes for; the others are found by shortest
-augmenting paths (Jonker and Volgenant 1987), where they are many on their sparse matrix, so that a scan of thousands of
-detections costs no more than its neighbourhoods.
+maximises the product over the scan takes all pairs without competitors; the others are found by shortest augmenting
+paths (Jonker and Volgenant 1987), on a sparse matrix if they are many, so that a scan of thousands of detections costs
+no more than its neighbourhoods.
 """
 
 from __future__ import annotations

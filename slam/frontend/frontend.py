@@ -89,7 +89,7 @@ class Frontend:
         yield from self._poses_until(overdue_ns)
 
     def finish(self) -> Iterator[OdometryPose | DetectionAssociations]:
-        """The same at the end of the drive, when no scan can come any more.
+        """The same at the end of the drive, without further scans.
 
         Raises:
             InputDataError: no detection could be placed, for want of a transform.

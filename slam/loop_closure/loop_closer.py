@@ -79,7 +79,7 @@ class LoopCloser:
 
     @property
     def rejected_by_odometry_count(self) -> int:
-        """Keyframes with a candidate that would have been accepted if the odometry had predicted nothing."""
+        """Keyframes with a candidate that would have been accepted with a uniform prior."""
         return sum(not self.closures.is_closed(each) for each in self._rejected_by_odometry)
 
     @property

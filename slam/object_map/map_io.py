@@ -188,7 +188,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
 
 
 def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> NDArray[np.bool_]:
-    """Which edges (E,) are of that kind."""
+    """Whether each edge (E,) is of that kind."""
     return np.array([each == kind for each in graph.edge_kinds], dtype=np.bool_)
 
 

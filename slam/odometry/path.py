@@ -28,7 +28,7 @@ class OdometryPath:
 
     @property
     def first_stamp_ns(self) -> int:
-        """When it began; 0 before it did."""
+        """Stamp of the first pose; 0 before it."""
         return self._stamps_ns[0] if self._stamps_ns else 0
 
     @property

@@ -104,7 +104,7 @@ class OdometryTrack:
         self._breaks_next = True
 
     def finish(self) -> list[OdometryPose]:
-        """Add the message that waits for the next one, if there is any: nothing refutes it any more."""
+        """Add the message that waits for the next one, if there is any."""
         added = [] if self._doubtful is None else self._take(self._doubtful)
         added += [] if self._jump is None else [self._append(self._jump)]
         self._doubtful = self._jump = None

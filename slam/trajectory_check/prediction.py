@@ -37,7 +37,7 @@ class Prediction:
 
 
 class VisitPredictor:
-    """Asks trajectories to predict scans; ``sigma_m``: by how much an object's position differs between two visits."""
+    """Predicts scans by trajectories; ``sigma_m``: deviation of an object's position between two visits."""
 
     def __init__(self, scans: tuple[SampledScan, ...], *, sensor_range_m: float, sigma_m: float) -> None:
         self._range_m = sensor_range_m

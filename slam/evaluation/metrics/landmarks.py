@@ -138,7 +138,7 @@ def evaluate_landmarks(
     """Position errors, classes, precision and recall of the confirmed landmarks, by the keys of the JSON.
 
     Errors are those after aligning windows of path, and those after the alignment of the whole trajectory ("global").
-    What has no denominator is None. The class is right by construction where landmarks were matched by it, and
+    Fractions without a denominator are None. The class is right by construction where landmarks were matched by it, and
     ``class_accuracy`` is None.
 
     Args:
