@@ -15,17 +15,14 @@ from dslam import (
     ImportedMap,
     InputDataError,
     LogError,
-    LogReader,
     ObjectDetections,
     Odometry,
-    ScanLocalizer,
     Slam,
     landmark_table,
     load_map,
     read_map,
     read_trajectory,
     save_map,
-    select_topics,
 )
 from slam.place_recognition.imported_map import make_imported_map
 from slam.replay import replay
@@ -67,23 +64,6 @@ def test_a_saved_map_and_the_result_of_a_replay_hold_the_same_landmarks(folder: 
     assert {len(column) for column in table.values()} == {len(final.ids)}
     np.testing.assert_array_equal(np.column_stack([table["x_m"], table["y_m"], table["z_m"]]), final.positions)
     assert np.all(table["sigma_x_m"] > 0.0)
-
-
-@pytest.mark.slow
-def test_scans_are_found_where_they_were_made(folder: Path) -> None:
-    trajectory = read_trajectory(folder / "map.mcap")
-    localizer = ScanLocalizer(read_map(folder / "saved.mcap"))
-    with LogReader(SAMPLE) as log:
-        records = [entry.record for entry in log.records(select_topics(log.topics()))]
-    scans = [record for record in records if isinstance(record, ObjectDetections)]
-    errors_m = []
-    for scan in scans[::10]:
-        found = localizer.localize(scan)
-        place = min(int(np.searchsorted(trajectory.stamps_ns, scan.stamp_ns)), len(trajectory.stamps_ns) - 1)
-        if found.found:
-            errors_m.append(np.linalg.norm((found.T_reference_query - trajectory.T_map_body[place])[:2, 3]))
-    assert len(errors_m) > len(scans[::10]) / 2
-    assert np.median(errors_m) < 1.0
 
 
 def test_a_log_without_a_map_is_refused() -> None:

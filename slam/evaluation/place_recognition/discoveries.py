@@ -42,8 +42,7 @@ def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol) -> dict[str
         "led_back_count": len(accepted) - found_count - int(is_followed.sum()),
         "independent_count": independent,
         "independent_false_count": independent_false,
-        "proposer_counts": dict(sorted(proposers.items())),
-        "descriptor_verdict": _descriptor_verdict(proposers) if found_count else None,
+        "proposer_counts": {"descriptor": 0, **dict(sorted(proposers.items()))} if proposers else {},
         "largest_false_share": largest_false_share(independent, independent_false),
     }
 
@@ -56,11 +55,3 @@ def largest_false_share(count: int, false_count: int) -> float | None:
     if count == 0 or count == false_count:
         return 1.0 if count else None
     return float(betaincinv(false_count + 1, count - false_count, CONFIDENCE))
-
-
-def _descriptor_verdict(proposers: Counter[str]) -> str | None:
-    """What the descriptor decided, in words; None where the log does not have the proposers."""
-    if not proposers:
-        return None
-    count = proposers["descriptor"]
-    return f"{count} proposed by the descriptor" if count else "none proposed by the descriptor, which decided nothing"

@@ -73,7 +73,7 @@ SUMMARY = {
         " ({closures[recognised]:.2%} with data association)",
         "; {closures[found_count]:d} retrieved, {closures[followed_count]:d} propagated",
         ", {closures[led_back_count]:d} back",
-        ", {closures[descriptor_verdict]:s}",
+        ", {closures[proposer_counts][descriptor]:d} proposed by the descriptor",
         "; {closures[independent_count]:d} independent: at most {closures[largest_false_share]:.0%} false",
     ),
     "relocalization": (

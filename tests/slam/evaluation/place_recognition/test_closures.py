@@ -225,11 +225,6 @@ def test_decisions_and_stages_are_in_order() -> None:
     assert list(found["stage_counts"]) == list(STAGES)
 
 
-def test_curve_ends_with_the_false_candidates() -> None:
-    records = [*(loop(query, stage="acceptance") for query in REVISITS), loop(100, 10, shift_m=9.0, score=0.5)]
-    assert judge(records, TRUTH)["precision_recall_curve"]["precision"][-1] == COUNT / (COUNT + 1)
-
-
 def test_two_keyframes_with_one_stamp() -> None:
     ids, stamps_ns = keyframes([40, 200, 200])
     ids[2] = 999
