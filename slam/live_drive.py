@@ -1,4 +1,4 @@
-"""A robot mapped while it drives: messages in as they come, estimates out at once."""
+"""Maps a robot while it drives: each message gives estimates immediately."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "max": 100.0}
 class LiveDrive:
     """Maps messages one by one; a context manager that writes ``output``, if one is given, and finishes it.
 
-    ``publish`` is called with topic, record and log time of all that becomes known.
+    ``publish`` is called with topic, record and log time of each update.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class LiveDrive:
         self._stack = ExitStack()
         self._stack.enter_context(threadpool_limits(1, user_api="blas"))
         writer = None if output is None else self._stack.enter_context(LogWriter(output))
-        log = OutputLog(writer, DriveDisplay(config.sensor_range_m), publish, None)
+        log = OutputLog(writer, DriveDisplay(), publish, None)
         self._mapper = LogMapper(self.slam, InputRecords(config, LabelMap(config.labels), frames), clocks, log)
         self._log_time_ns = 0
 

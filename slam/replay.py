@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -14,12 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from logs.errors import LogError, UnwritableLogError
-from logs.messages import (
-    GroundTruthPose,
-)
 from logs.reader import LogReader
-from logs.selection import Selection
-from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
@@ -116,13 +111,10 @@ def replay(
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
         clocks = StampClocks(prepared.drift, keeps_delays=online)
         slam = _make_slam(prepared, clocks, prior_map, initial_pose, extend=extend, online=online)
-        display = DriveDisplay(
-            prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
-        )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, display, None, georeference))
+            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, DriveDisplay(), None, georeference))
             final = _map(mapper, prepared, reader, writer, progress)
             calibration = slam.calibration if isinstance(slam, LiveSlam) else prepared.calibration
             provenance = provenance_of(reader, config, prepared, calibration, prior_map, extend=extend)
@@ -233,7 +225,7 @@ def _save(
 
 
 def _about_labels(labels: LabelMap) -> list[str]:
-    """What of the table of labels did not fit the log."""
+    """Names of the table of labels that the log does not have."""
     return [
         *(f"no detection has the class of {name}" for name in labels.unused()),
         *(f"class {name} is read as {to}: they differ in case only" for name, to in labels.respelled().items()),
@@ -250,14 +242,3 @@ def _about_the_map(mapper: LogMapper, prior_map: PriorMap | None, final: FinalMa
         return [f"probably relocalized at a wrong place: {doubt}"] if doubt else []
     reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, mapper.fixes)
     return [f"not relocalized, probably because: {reason}"]
-
-
-def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterator[GroundTruthPose]:
-    """The true poses of a log; it is opened when the first is asked for."""
-    topics = selection.topics_of(RecordKind.GROUND_TRUTH)
-    if topics:
-        with LogReader(source, config.reading_limits) as reader:
-            wanted = Selection(dict.fromkeys(topics, (RecordKind.GROUND_TRUTH,)))
-            for entry in reader.records(wanted):
-                if isinstance(entry.record, GroundTruthPose):
-                    yield entry.record

@@ -38,10 +38,6 @@ CalibrationFile = Annotated[
     ),
 ]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)]
-TableFiles = Annotated[
-    list[Path] | None,
-    typer.Option("--table", metavar="FILE.csv|.tex", help="Write the table as CSV or LaTeX. Repeatable."),
-]
 Topics = Annotated[
     list[str] | None,
     typer.Option(
@@ -54,7 +50,6 @@ def can_draw(path: Path | None) -> Path | None:
     """The path of a picture or page; where its libraries are missing, the command ends before any work is done."""
     if path is not None:
         import matplotlib  # noqa: F401
-        import plotly  # noqa: F401
     return path
 
 

@@ -1,4 +1,4 @@
-"""What goes to the terminal: results to standard output, progress to standard error."""
+"""Output to the terminal: results to standard output, progress to standard error."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class VisibleFormatter(logging.Formatter):
 
 
 class _PlainTable(Table):
-    """Cells are text as it stands: no markup, no control characters."""
+    """Cells are plain text: no markup, no control characters."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         super().add_row(*(Text(visible(cell)) if isinstance(cell, str) else cell for cell in cells), **options)

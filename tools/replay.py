@@ -131,7 +131,7 @@ def describe(summary: ReplaySummary) -> dict[str, str]:
 
 
 def noted_counters(counters: Mapping[str, int]) -> list[str]:
-    """What a user is warned of: the counters, other than zeros, of what was not simply used."""
+    """Warnings for the user: the nonzero counters of records that were left out or corrected."""
     return [
         f"{name.replace('_', ' ')} {count}"
         for name, count in counters.items()

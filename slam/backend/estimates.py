@@ -22,7 +22,7 @@ class Estimates:
     landmark_positions: FloatArray
 
     def with_keyframes(self, keyframes: IntArray, positions: FloatArray) -> Estimates:
-        """These, and positions (N, 3) of other keyframes (N,)."""
+        """The estimates with positions (N, 3) of other keyframes (N,)."""
         return replace(
             self,
             keyframes=np.concatenate([self.keyframes, keyframes]),

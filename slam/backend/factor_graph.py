@@ -158,9 +158,9 @@ class FactorGraph(EditableGraph):
         return self.settle().log_determinant()
 
     def condense(self, anchors: Mapping[int, int]) -> None:
-        """Attach keyframes to others, as they are at the optimum; the incremental estimate goes on from there.
+        """Attach keyframes to others, as they are at the optimum; the incremental estimate continues from there.
 
-        An attached keyframe is no variable any more and moves rigidly with its anchor, which takes over what was
+        An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it.
         """
         solver = self.settle()
@@ -201,7 +201,7 @@ class FactorGraph(EditableGraph):
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def estimates(self) -> Estimates:
-        """Where everything is as far as it is known now; nothing is solved for it."""
+        """The current estimates of all variables, without solving."""
         attached = np.array(list(self._attached.anchors), dtype=np.int64)
         values = gtsam.Values(self._solver.values())
         if isinstance(self._solver, IncrementalSolver):
@@ -227,7 +227,7 @@ class FactorGraph(EditableGraph):
         return self._attached.covariances(self._keyframes, of_anchors)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
-        """The whole graph at its current estimate, as it goes into a log."""
+        """The whole graph at its current estimate, as a record of a log."""
         try:
             covariances = self.pose_covariances()
         except FactorGraphError as error:

@@ -100,8 +100,8 @@ def between_factor(edge: Edge) -> gtsam.NoiseModelFactor:
 
 
 def map_frame_factor(edge: Edge) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge from the map frame, which is no variable: far from its origin a rotation by less than
-    a solver can tell would move the other keyframe.
+    """The GTSAM factor of an edge from the map frame, which is not a variable: a rotation below the resolution of a
+    solver would move a keyframe that is far from its origin.
     """
     pose, noise = _measurement(edge)
     return gtsam.PriorFactorPose3(X(edge.to_keyframe), pose, noise)

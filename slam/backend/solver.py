@@ -1,4 +1,4 @@
-"""What the incremental and the batch solver have in common: factors by their numbers, and the variables in use."""
+"""The common part of incremental and batch solver: factors by their numbers, and the variables in use."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Solver(ABC):
 
     @abstractmethod
     def holds(self, key: int) -> bool:
-        """Whether a variable is there."""
+        """Whether the solver holds a variable."""
 
     @abstractmethod
     def insert(self, key: int, value: Value) -> None:

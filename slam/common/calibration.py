@@ -1,4 +1,4 @@
-"""What is known of a robot's sensors: noise, scales and faults, estimated from its logs or given by hand.
+"""Calibration of a robot's sensors: noise, scales and faults, estimated from its logs or given by hand.
 
 Lengths of the program that are not here are fractions of ``detection.sensor_range_m``. The defaults are priors:
 those of a car with a sensor range of 30 m.
@@ -178,7 +178,7 @@ class ObjectCalibration(Branch):
 
 
 class Calibration(Branch):
-    """All that a log tells of a robot's sensors."""
+    """Everything that is estimated about the sensors of a robot."""
 
     odometry: OdometryCalibration = OdometryCalibration()
     detection: DetectionCalibration = DetectionCalibration()

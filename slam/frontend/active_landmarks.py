@@ -35,7 +35,7 @@ MIN_SWERVE_S = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
+    """Predicted positions (A, 3) m of landmarks, and covariances (A, 3, 3) m^2, relative to the robot."""
 
     positions: FloatArray
     covariances: FloatArray
@@ -77,7 +77,7 @@ class ActiveLandmarks:
         return np.asarray(self.T_local_body @ invert(self.T_odom_body))
 
     def restart(self, pose: OdometryPose) -> None:
-        """Begin anew at a pose, without landmarks."""
+        """Restart at a pose, without landmarks."""
         self._local.start(pose.T_odom_body)
         self._pose = pose
 
@@ -131,7 +131,7 @@ class ActiveLandmarks:
         self._local.move(slots, shifts, np.repeat(variances[:, None], 3, axis=1))
 
     def predict(self) -> Prediction:
-        """Where the active landmarks should be seen from the pose that was advanced to."""
+        """The predicted positions of the active landmarks from the propagated pose."""
         return Prediction(*self._local.predict(np.arange(len(self.rows))))
 
     def known_landmarks(self, slots: IntArray | None = None) -> KnownLandmarks:

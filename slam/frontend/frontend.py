@@ -23,11 +23,11 @@ from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
 
 REJOINING_SCANS = 20
-"""Scans that may show that a step that no body can have made is none."""
+"""Scans that may show that an implausible step is an error of the odometry."""
 
 
 class Frontend:
-    """Follows the odometry and places the scans of one drive; ``counters`` is where it counts what it used."""
+    """Tracks the odometry and places the scans of one drive; ``counters`` counts the records."""
 
     def __init__(
         self,
@@ -68,12 +68,12 @@ class Frontend:
         return self._track.at(stamp_ns)
 
     def break_off(self) -> None:
-        """Begin a new segment at the next pose: the robot was carried off."""
+        """Begin a new segment at the next pose: the robot was kidnapped."""
         self._track.break_off()
         self._is_broken = True
 
     def advance(self) -> Iterator[OdometryPose | DetectionAssociations]:
-        """Place the scans that the odometry has caught up with.
+        """Place the waiting scans up to the newest odometry.
 
         Yields the poses before each scan, which the caller makes keyframes of, and then its associations.
         """
@@ -88,7 +88,7 @@ class Frontend:
         yield from self._poses_until(overdue_ns)
 
     def finish(self) -> Iterator[OdometryPose | DetectionAssociations]:
-        """The same at the end of the drive, when no scan can come any more.
+        """The same at the end of the drive, without further scans.
 
         Raises:
             InputDataError: no detection could be placed, for want of a transform.

@@ -38,7 +38,7 @@ class LocalMap:
         self.start(np.eye(4))
 
     def start(self, T_odom_body: FloatArray) -> None:
-        """Begin anew at a pose, without landmarks, as after a discontinuity of the odometry."""
+        """Restart at a pose, without landmarks, as after a discontinuity of the odometry."""
         # Positions inside are relative to the start, so that lever arms stay short wherever the odometry begins.
         self._origin = T_odom_body[:3, 3].copy()
         self._T = make_transform(T_odom_body[:3, :3], np.zeros(3))
@@ -102,7 +102,7 @@ class LocalMap:
         return np.asarray(self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T)
 
     def update(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
-        """Correct the state by landmarks seen at once.
+        """Correct the state by landmarks of one scan.
 
         Args:
             slots: (K,) of the landmarks, none twice.
@@ -134,7 +134,7 @@ class LocalMap:
         self._apply(innovation @ gain)
 
     def update_landmarks(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
-        """Correct landmarks seen at once, and nothing but them: the body does not rely on them.
+        """Correct landmarks by one scan, but not the pose of the body.
 
         The gains of all else are zero (Schmidt, Advances in Control Systems 3, 1966). Arguments as of ``update``.
         """

@@ -43,7 +43,7 @@ CONFIRM_AGE_S = 1.0
 MISSED_RANGES, MISSED_SCANS = 0.5, 20
 """A tentative landmark unseen for that travel in sensor ranges, or for more scans, retires."""
 MOVING_RANGES_PER_S, MOVING_RANGES, MOVING_OBSERVATIONS = 1.0 / 30.0, 1.0 / 12.0, 5
-"""What is faster than that, went so far, both in sensor ranges, and was seen so often, moves."""
+"""An object moves if it is faster than that and has moved so far, both in sensor ranges, in so many observations."""
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 
@@ -80,7 +80,9 @@ class Mapper:
 
     @property
     def innovation_ratios(self) -> dict[str, float]:
-        """By source, the last squared innovation by its variance and the gate: above 1 the source is contradicted."""
+        """By source, the ratio of the last squared innovation to its variance and the gate: above 1 the others
+        contradict the source.
+        """
         return {
             "odometry": self._active.odometry_innovation_ratio,
             "detections": self._active.detections_innovation_ratio,
@@ -124,7 +126,7 @@ class Mapper:
         return keyframe
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
-        """Find where a scan, taken at ``pose``, was made among the landmarks around, and which of them it has."""
+        """Estimate the pose of a scan, predicted by ``pose``, among the landmarks, and associate its detections."""
         self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
         labels = self._map.label_indices(scan.labels)

@@ -22,7 +22,7 @@ MAX_MEASUREMENTS = 20
 
 
 class PendingObservations:
-    """What was seen since the last keyframe, from the keyframes since the last group, and of tentative landmarks."""
+    """Observations since the last keyframe, from the keyframes since the last group, and of tentative landmarks."""
 
     def __init__(self, config: Config, object_map: ObjectMap) -> None:
         self._detection = config.calibration.detection
@@ -43,7 +43,7 @@ class PendingObservations:
         self._held_back.pop(row, None)
 
     def close(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
-        """What goes into the graph once a keyframe has all its observations; those of tentative landmarks wait.
+        """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait.
 
         ``T_local_body`` (4, 4): where the landmarks have the keyframe by then.
         """

@@ -1,4 +1,4 @@
-"""Where the body is by one scan: a posterior over poses among the landmarks around, with a mixture prior.
+"""The pose of the body from one scan: a posterior over poses among the landmarks around, with a mixture prior.
 
 The pose is off from the predicted one by xi = (phi, tau): a small rotation about the body and a shift. Its prior is a
 mixture of Gaussians: the odometry with its noise, and an odometry that errs by as much as the body moves. The scan has
@@ -124,7 +124,7 @@ class ModeSearch:
 
     @property
     def is_pose_uncertain(self) -> bool:
-        """Whether the error that all landmarks share is larger than what each has of its own, with its detection's."""
+        """Whether the common error of all landmarks is larger than the own error of each with that of its detection."""
         A = _jacobians(self._seen.positions - self._origin)
         common = np.einsum("kij,jl,kil->k", A, self._common, A)
         own = np.trace(self._seen.covariances, axis1=1, axis2=2) + np.median(np.trace(self._own, axis1=1, axis2=2))

@@ -1,9 +1,10 @@
-"""Tracking: where the body is among the active landmarks at a scan, and which detection is which of them.
+"""Tracking: the pose of the body among the active landmarks at a scan, and the associations of its detections.
 
-Where the odometry predicts the pose better than objects are apart, each detection has one landmark, and the assignment
-is the answer. Where it does not, or where more detections are unmatched than matched although landmarks should be in
-view, the modes of :mod:`slam.frontend.pose_posterior` are compared; what the likeliest ones agree on is used. Their
-prior is a mixture: the odometry is right, or it errs by as much as the body moves, or the body is anywhere around.
+Where the odometry predicts the pose better than objects are apart, each detection has one landmark in its gate, and the
+optimal assignment is used. Where it does not, or where more detections are unmatched than matched although landmarks
+should be in view, the modes of :mod:`slam.frontend.pose_posterior` are compared; what the likeliest ones agree on is
+used. Their prior is a mixture: the odometry is right, or it errs by as much as the body moves, or the body is anywhere
+around.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ PRIOR_SCANS = 100
 JUMP_PROBABILITY = 1e-4
 """... and one in so many to err by any distance."""
 WAITED_SCANS = 2
-"""While so many scans in a row do not fit, nothing new is mapped: the pose may be wrong. By then it has been searched
-for everywhere around.
+"""While so many consecutive scans do not fit, nothing new is mapped: the pose may be wrong. By then it has been
+searched for everywhere around.
 """
 MAX_TURN_RAD = 0.25
 """A pose is used if its rotation errs by less, so that what follows from it is nearly linear in its errors."""

@@ -1,8 +1,8 @@
-"""Where the robot is: a posterior over poses in earlier traversals, and "somewhere new".
+"""Localization: a posterior over poses in earlier traversals, and "somewhere new".
 
 Each hypothesis is a pose with the log-likelihood ratios of the landmarks around the robot (same place against somewhere
 new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior (:mod:`slam.localization.pose_prior`). From keyframe to
-keyframe its pose is carried along by the odometry, and it is measured again there. The posterior odds of hypothesis k
+keyframe its pose is propagated by the odometry, and it is measured again there. The posterior odds of hypothesis k
 against "somewhere new" are
 
     log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (n_k + sum_k o_k),
@@ -38,7 +38,7 @@ from slam.common.geometry import invert
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvidence:
-    """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
+    """The evidence of one keyframe about one pose.
 
     ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``rows`` (N,): landmarks of the
     query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
@@ -75,7 +75,7 @@ class Hypothesis:
 
     @property
     def log_likelihood_ratio(self) -> float:
-        """What the landmarks say of it, in nats."""
+        """The evidence of the landmarks, in nats."""
         return sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
 
 
@@ -110,7 +110,7 @@ class Localizer:
         memory_m: float,
     ) -> None:
         """``which_agree``: which estimates (..., 4, 4) of poses agree, pair by pair; ``memory_m``: travel after which a
-        hypothesis that is no longer measured is forgotten.
+        hypothesis that is not measured any more is dropped.
         """
         self._config = config
         self._which_agree = which_agree
@@ -137,7 +137,7 @@ class Localizer:
         measured: Sequence[PoseEvidence],
         are_consistent: Callable[[int, int], bool],
     ) -> Posterior:
-        """Take in what a keyframe says of the poses, one at least, and return their posterior.
+        """Update the poses, at least one, with the evidence of a keyframe, and return their posterior.
 
         Args:
             T_odom_query: (4, 4), gravity frame of the keyframe in the frame of the odometry.
@@ -180,7 +180,7 @@ class Localizer:
 def _joined(
     measured: PoseEvidence, before: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
 ) -> Hypothesis:
-    """The hypothesis at a measured pose, with what those from ``before`` that lead there have left behind."""
+    """The hypothesis at a measured pose, with the evidence behind the robot of its predecessors in ``before``."""
     evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
     earlier: dict[int, float] = {}
     for each in before:

@@ -91,7 +91,7 @@ class AcceptedClosures:
 
         If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
         and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
-        revoked closures, and whether it was kidnapped.
+        revoked closures, and whether the robot was kidnapped.
         """
         segment = keyframe.odometry.segment
         connecting = [

@@ -83,7 +83,7 @@ class Candidate:
     def record(
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
     ) -> LoopClosureRecord:
-        """The candidate with the decision about it, as it goes into a log."""
+        """The candidate with its decision, as a record of a log."""
         return LoopClosureRecord(
             stamp_ns=self.query_stamp_ns,
             query_keyframe_id=self.query,
@@ -112,7 +112,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor stands for it in the
+    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
     graph, its own or one nearby.
     """
 

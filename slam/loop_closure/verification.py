@@ -86,9 +86,9 @@ class Verifier:
         return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf, "hypothesis")
 
     def tracked_place(self, query: Query) -> Place | None:
-        """Where the query is by the landmarks of an earlier traversal that data association still follows.
+        """Pose of the query by the landmarks of an earlier traversal that are still associated.
 
-        They make one map with those of the query, in which the pose is known; None where there are too few of them.
+        They are in one map with those of the query, so that the pose is known; None if there are too few of them.
         """
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
         if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:

@@ -1,4 +1,4 @@
-"""Maps that last: landmarks, keyframes and the factors between them, saved to a log and loaded from it."""
+"""Saved maps: landmarks, keyframes and the factors between them, written to a log and read from it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedMap:
-    """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
+    """The map of a drive for the next one: confirmed landmarks, and the graph that connects them.
 
     Descriptors are not kept: computing them takes less time than reading them, and a map serves any configured
     descriptor. ``metadata``: format of the file and provenance of the last drive; ``drives``:
@@ -57,7 +57,7 @@ class SavedMap:
 
     @property
     def georeference(self) -> Georeference | None:
-        """Where on earth the map lies, if that is known.
+        """Georeference of the map, if it is known.
 
         Raises:
             GeometryError: the metadata have an invalid one.
@@ -86,7 +86,7 @@ def save_map(
         graph: the optimised graph. Condensed keyframes are left out, and a stretch that only a break of the odometry
             ties to the rest, which lies anywhere, with what only it saw.
         provenance: version, configuration and input of the drive.
-        earlier_drives: those of the map that the drive went on from.
+        earlier_drives: those of the map that the drive extended.
 
     Returns:
         How many keyframes were left out.
@@ -145,7 +145,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
 
     Raises:
         LogError: no MCAP file.
-        SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
+        SavedMapError: a log that is no map, of another format version, damaged, empty, or inconsistent.
     """
     with LogReader(path, RESULT_LIMITS) as reader:
         metadata = reader.metadata().get(METADATA)
@@ -182,7 +182,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
 
 
 def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> NDArray[np.bool_]:
-    """Which edges (E,) are of that kind."""
+    """Whether each edge (E,) is of that kind."""
     return np.array([each == kind for each in graph.edge_kinds], dtype=np.bool_)
 
 
@@ -193,7 +193,7 @@ def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
 
 def of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
     """Of the landmarks those that are ``kept`` (N,)."""
-    # What others stand for is retired, and not in a map.
+    # Merged landmarks are retired, and not in a map.
     return replace(take_rows(objects, N=np.flatnonzero(kept)), merged_into=())
 
 
@@ -214,7 +214,7 @@ def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[
 
 
 def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:
-    """Which keyframes (K,) only condensed edges tie to the rest: others stand for them, and observed what they did."""
+    """Which keyframes (K,) only condensed edges connect to the rest: other keyframes represent them."""
     is_condensed = are_of_kind(graph, EdgeKind.CONDENSED)
     tied, otherwise = graph.edge_keyframe_ids[is_condensed], graph.edge_keyframe_ids[~is_condensed]
     needed = np.concatenate([otherwise.ravel(), graph.observation_keyframe_ids])

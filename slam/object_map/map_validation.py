@@ -19,7 +19,7 @@ ROUNDING = 1e-6
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
-    """The first thing that is wrong with a map, in one line; empty where nothing is.
+    """The first error of a map, in one line; empty for a valid map.
 
     Args:
         objects: its landmarks, all confirmed.

@@ -1,4 +1,4 @@
-"""How much larger the errors of the odometry are than its noise model says, by the corrections that landmarks make.
+"""Scale of the noise of the odometry, from the corrections that landmarks make.
 
 If the model is right, the corrections of the pose have the covariance by which they reduce that of its error
 (covariance matching: Mehra, IEEE T-AC 1970). So the noise of translation, tilt and heading is scaled by the ratio of
@@ -13,7 +13,7 @@ from scipy.special import chdtri
 from slam.common.arrays import FloatArray
 
 WINDOW = 20
-"""Corrections after which the scale is estimated anew."""
+"""Corrections after which the scale is estimated again."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: larger corrections contradict the odometry."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))

@@ -13,7 +13,7 @@ from slam.odometry.pose import OdometryPose
 # The speed before a step is the greatest of that many steps, because a single one is noisy.
 RECENT_STEPS = 10
 MAX_GAP_S = 20.0
-"""A longer gap is a discontinuity: nobody knows where the body went in between."""
+"""A longer gap is a discontinuity: the motion in between is unknown."""
 MAX_SPEED_RANGES = 2.0
 """A faster step is one, too, in sensor ranges per second: what is in view would be passed within a second."""
 MAX_ACCELERATION_RANGES = 1.0 / 6.0
@@ -43,7 +43,7 @@ class StepLimits:
         return seconds > MAX_GAP_S or step_m > self._farthest_step_m(poses, seconds)
 
     def _farthest_step_m(self, poses: Reversible[OdometryPose], seconds: float) -> float:
-        """How far the body can have come since the last pose; farther is a jump of the odometry."""
+        """Limit of the motion since the last pose; a larger step is a jump of the odometry."""
         speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
         reachable_mps = speed_mps + MAX_ACCELERATION_RANGES * self._sensor_range_m * seconds
         return min(reachable_mps, MAX_SPEED_RANGES * self._sensor_range_m) * seconds + self._jump_slack_m

@@ -25,8 +25,10 @@ JITTER_RANGES = 0.05 / 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What detections say of a pose of the track: ``T_odom`` (4, 4) moves it, in the odometry frame; ``variances``
-    (3,) of the corrected step: of each coordinate [m^2], of the tilt and of the heading [rad^2].
+    """The correction of a pose of the track by detections.
+
+    ``T_odom`` (4, 4) moves the pose, in the odometry frame; ``variances`` (3,) of the corrected step: of each
+    coordinate [m^2], of the tilt and of the heading [rad^2].
     """
 
     T_odom: FloatArray
@@ -37,7 +39,7 @@ class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
     A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
-    ``counters`` is where it counts the messages that it cannot use; ``sensor_range_m`` is that of the detections.
+    ``counters``: of unusable messages; ``sensor_range_m`` is that of the detections.
     """
 
     def __init__(
@@ -69,9 +71,9 @@ class OdometryTrack:
     def add(self, odometry: Odometry) -> list[OdometryPose]:
         """Add a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than that of the last pose adds none, nor does one in a row of descending
-        stamps. The first message, and one after a silence that is long beside the last interval, may have a wrong
-        stamp, and a message at a place that no body can have reached may be an outlier: the next one decides.
+        Messages whose stamp is not later than that of the last pose, or in a series of descending stamps, are left out.
+        The first message, and one after a silence that is long beside the last interval, may have a wrong stamp, and a
+        message at a place that no body can have reached may be an outlier: the next one decides.
         """
         if odometry.stamp_ns < 0:  # by the correction of its clock; no log can hold such a time
             self._counters["odometry_before_time_zero"] += 1
@@ -97,11 +99,11 @@ class OdometryTrack:
         return added
 
     def break_off(self) -> None:
-        """Let the next pose begin a new segment: something else than the odometry shows that it is broken."""
+        """Let the next pose begin a new segment: other evidence shows a discontinuity of the odometry."""
         self._breaks_next = True
 
     def finish(self) -> list[OdometryPose]:
-        """Add the message that waits for the next one, if there is any: nothing refutes it any more."""
+        """Add the message that waits for the next one, if there is any."""
         added = [] if self._doubtful is None else self._take(self._doubtful)
         added += [] if self._jump is None else [self._append(self._jump)]
         self._doubtful = self._jump = None

@@ -1,7 +1,7 @@
 """The calibration of a robot from the survey of its logs.
 
-A value that was given by hand stays as it is. Where the logs tell too little, the noise is taken to be large: a prior
-in units of the sensor range, not that of a good sensor.
+Values that were given by hand are kept. Where the logs tell too little, the noise is taken to be large: a prior in
+units of the sensor range, not that of a good sensor.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by
 """
 MIN_DRIFT, MIN_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
-and by so many radians. An estimate of zero only says that the noise is below what detections show.
+and by so many radians. An estimate of zero means that the noise is too small to be observed.
 """
 CERTAIN = 2.0
 """Standard errors by which a noise is larger, with a probability of 98 %."""
@@ -311,7 +311,7 @@ def _evidence(survey: Survey) -> dict[str, float]:
 
 
 def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
-    """What a user should know of the log: its faults, whether corrected or not."""
+    """Notes for the user on the faults of the log, corrected or not."""
     for key, meaning in _MEANINGS.items():
         branch, _, name = key.partition(".")
         if corrections.get(key, usual := getattr(getattr(Calibration(), branch), name)) != usual:

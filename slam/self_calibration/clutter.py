@@ -14,7 +14,7 @@ def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -
     so many that are ``tracked``, with noise ``sigma_m``.
 
     Where points lie at random with a density d, the nearest one is farther than r with the probability
-    exp(-pi d r^2), whatever the field of view; half of them are farther than the median.
+    exp(-pi d r^2), for any field of view; half of them are farther than the median.
     """
     heights = np.concatenate([scan.positions[:, 2] for scan in scans])
     nearest_m = [nearest_of_class_m(scan.positions[:, :2], np.zeros_like(scan.labels)) for scan in scans]

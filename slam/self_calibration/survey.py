@@ -1,4 +1,4 @@
-"""The survey of a robot's logs: what corrects their input, and what the corrected scans tell of noise and sizes."""
+"""The survey of a robot's logs: corrections of the input, and noise and lengths of the corrected scans."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ ROUNDS = 10
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What the beginning of a log tells.
+    """The survey of the beginning of a log.
 
     ``range_m``, ``median_range_m``, ``max_range_m``: the 95th percentile, the median and the maximum of the horizontal
     ranges of detections; ``spacing_m``: the median distance of a detection from the nearest other one of its class in
@@ -217,9 +217,7 @@ def _label_noise(logs: Sequence[SurveyedLog], known: Calibration) -> LabelNoise:
 
 
 def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Survey:
-    """What scans (one at least), in the order of their stamps, tell; ``tracks``: those of their objects, where they are
-    known already.
-    """
+    """The survey of scans (at least one), in the order of their stamps; ``tracks``: of their objects, if known."""
     poses = np.stack([scan.T_odom_body for scan in scans])
     headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])

@@ -58,7 +58,7 @@ EXACT = 1e-13
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
 OWN, SHARED = 7, 11
-"""How many of the components are of single detections, and of the odometry."""
+"""Numbers of the components of single detections, and of the odometry."""
 TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
 
@@ -144,7 +144,7 @@ def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstima
 def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     """The tracks that had room for all the noise there is: those between near neighbours end where it is large.
 
-    Where there are few of them, the quarter of the detections with the most room stands for them.
+    Where there are few of them, the quarter of the detections with the most room is used instead.
     """
     same = tracks.track[1:] == tracks.track[:-1]
     steps = tracks.steps[1:][same]

@@ -1,4 +1,4 @@
-"""What a simulated drive is like: every number has its unit, range and meaning; unknown keys are refused."""
+"""Configuration of a simulated drive: every number has its unit, range and meaning; unknown keys are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class _Branch(BaseModel):
 
 
 class DriveConfig(_Branch):
-    """How the body follows the tour."""
+    """Motion of the body along the tour."""
 
     speed_mps: float = Field(default=8.0, gt=0, le=50)
     """cruising speed [m/s]"""
@@ -34,7 +34,7 @@ class DriveConfig(_Branch):
 
 
 class OdometryConfig(_Branch):
-    """How the odometry drifts; see ``slam.simulation.odometry`` for the exact model."""
+    """Drift of the odometry; see ``slam.simulation.odometry`` for the exact model."""
 
     scale_drift_percent: float = Field(default=1.0, ge=0, le=50)
     """rms error of the length accumulated over 100 m of path, in percent of it"""
@@ -45,7 +45,7 @@ class OdometryConfig(_Branch):
 
 
 class SensorConfig(_Branch):
-    """What the object detector sees and how wrong it is."""
+    """Range and errors of the object detector."""
 
     max_range_m: float = Field(default=30.0, gt=0, le=1000)
     """range of the sensor [m]"""

@@ -1,4 +1,4 @@
-"""A detector of objects: what it sees, what it misses, what it invents, and how wrong it is about where and what."""
+"""An object detector with missed and false detections, and errors of position and class."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class World:
         return replace(self, tour=np.vstack([self.tour[along_m < length_m], end]))
 
     def sha256(self) -> str:
-        """Digest over ids, labels, positions and tour: the same world has the same, wherever it comes from."""
+        """Digest over ids, labels, positions and tour."""
         digest = hashlib.sha256()
         for name, label in zip(self.object_ids, self.labels, strict=True):
             digest.update(f"{name}\0{label}\n".encode())

@@ -72,8 +72,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """
         compare =mapped@other.mcap ?mapped --json
-        compare =mapped@other.mcap ?mapped --table out.html
-        compare =mapped@other.mcap ?mapped --table out.tex
+        compare =mapped@other.mcap ?mapped --rules
         sweep ?drive -o sweep --degrade dropout=0.3 --seeds 1 --jobs 1
         evaluate =mapped --reference ?trajectory.tum|trajectory.kitti --json"""),
     # A training itself would take too long: the second map is refused.

@@ -26,7 +26,7 @@ def mapped(source: Path, output: Path) -> tuple[float, dict[str, int]]:
     counters = replay(source, output, Config()).counters
     estimate = evaluate(read_records(output)).estimate
     assert estimate is not None
-    return estimate.absolute.rmse_m, counters
+    return estimate.ate_m, counters
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json, TableFiles, Topics, check_outputs, parse_topics
+from tools.arguments import Json, Topics, parse_topics
 from tools.evaluation.evaluated_log import (
     Calib,
     MapRun,
@@ -39,36 +39,28 @@ def compare(
     protocol: Protocols = None,
     require: Require = None,
     rules: Rules = False,
-    tables: TableFiles = None,
 ) -> None:
     """Evaluate several maps, and print them side by side.
 
     Runs of one version and configuration count as repetitions; differences
     larger than their spread are marked.
 
-    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap --table ab.csv --table ab.tex
+    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap
     """
     truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-    check_outputs(tables or (), [*logs, reference, times, calib, map_run])
-    from slam.evaluation.comparison import NO_SPREAD, RULE, compare_runs
-    from slam.evaluation.report.table_files import check_endings, write_table
+        from slam.evaluation.comparison import compare_runs
     from tools import console
 
-    check_endings(tables or ())
     _refuse_copies(logs)
     runs = [_evaluate(log, truth) for log in logs]
     comparison = compare_runs(runs)
-    shown, note = comparison.to_table(), RULE if comparison.has_spread else NO_SPREAD
-    for path in tables or ():
-        write_table(path, shown, note)
     if as_json:
         console.show_json(comparison.to_json_dict())
     else:
-        groups = comparison.groups if len(comparison.groups) > 1 else ()
-        members = [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in groups]
-        console.show(console.frame(shown), "", *members, note, *filter(None, [comparison.descriptor_verdict]))
+        members = [f"{label}: {', '.join(run.name for run in group)}" for label, group in comparison.groups.items()]
+        console.show(console.frame(comparison.to_table()), "", *members, comparison.note)
         if rules:
             console.show(console.pairs(runs[0].results["protocol"]["rules"], title="\nrules"))
     finish({run.name: run.results for run in runs}, require, quiet=as_json)

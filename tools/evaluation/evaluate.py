@@ -48,8 +48,7 @@ def evaluate(
     """
     truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     check_outputs([picture, page], [log, reference, times, calib, map_run])
-    from slam.evaluation.report.figures import summarize
-    from slam.evaluation.report.tables import make_tables
+    from slam.evaluation.report.figures import list_figures, summarize
     from tools import console
 
     records, evaluation = evaluate_log(log, truth)
@@ -59,9 +58,9 @@ def evaluate(
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
     if page is not None:
-        from slam.evaluation.page.page import write_report
+        from slam.evaluation.page.page import write_page
 
-        write_report(page, records, evaluation, title=log.stem)
+        write_page(page, records, evaluation, title=log.stem)
     results = evaluation.to_json_dict()
     if as_json:
         console.show_json(results)
@@ -69,8 +68,8 @@ def evaluate(
         written = ", ".join(str(path) for path in (picture, page) if path is not None)
         console.show(console.pairs(summarize(results) | ({"written": written} if written else {})))
         if every:
-            console.show(*(console.frame(table, title=f"\n{title}") for title, table in make_tables(results).items()))
-            console.show(console.pairs(dict(evaluation.unavailable), title="\nnot measured"))
+            listed = list_figures(results) | {"not measured": dict(evaluation.unavailable)}
+            console.show(*(console.pairs(texts, title=f"\n{title}") for title, texts in listed.items()))
         if rules:
             console.show(console.pairs(evaluation.protocol.describe(), title="\nrules"))
     finish({"": results}, require, quiet=as_json)

@@ -57,7 +57,7 @@ Rules = Annotated[bool, typer.Option("--rules", help="Also print the rules of th
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What the logs are compared with, if it is not in themselves.
+    """The ground truth, if the logs do not hold it, and how it is used.
 
     ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's
     format; ``map_run``: the drive that made the map in which the robot found itself; ``topics``: by kind;
@@ -91,7 +91,7 @@ def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
 
 
 def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation]:
-    """What was read of the log, and what was measured.
+    """The records of the log and their evaluation.
 
     Raises:
         LogError: it cannot be read.

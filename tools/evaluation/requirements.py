@@ -48,10 +48,11 @@ def finish(
     for name, results in runs.items():
         run = f"{name}: " if name else ""
         for requirement in map(parse_requirement, requirements or ()):
-            if shortfall := requirement.shortfall(results):
-                unmet.append(run + shortfall)
+            is_met, text = requirement.check(results)
+            if not is_met:
+                unmet.append(run + text)
             elif not quiet:
-                console.show(f"met: {run}{requirement.describe(results)}")
+                console.show(f"met: {run}{text}")
     lines = [f"{what}: {'; '.join(texts)}" for what, texts in (("failed", failures), ("not met", unmet)) if texts]
     if lines:
         sys.stdout.flush()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def find_faults(summary: LogSummary) -> list[str]:
-    """What keeps detections from being placed on the odometry: frames that nothing connects, and other clocks."""
+    """Reasons why detections cannot be placed on the odometry: unconnected frames, and other clocks."""
     from logs.topics import RecordKind
 
     if summary.selection is None:

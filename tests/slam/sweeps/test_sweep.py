@@ -88,9 +88,10 @@ def test_groups_hold_the_seeds_and_failures_are_named(log, tmp_path):
     sweep = sweep_over(log, tmp_path)
     assert sweep.failures == ["keep_label=unicorn, seed 0: no unicorn"]
     told = json.loads(json.dumps(sweep.to_json_dict(), allow_nan=False))
-    assert [each["label"] for each in told["groups"]] == [f"faults={name or 'none'}" for name in DEGRADATIONS]
-    assert [len(each["runs"]) for each in told["groups"]] == [1, 2, 1]
-    assert told["groups"][1]["figures"]["trajectory.ate_m"]["mean"] == pytest.approx(0.15)
+    none, dropout, unicorn = (f"faults={name or 'none'}" for name in DEGRADATIONS)
+    assert list(told["groups"]) == [none, dropout, unicorn]
+    assert [each["group"] for each in told["runs"]] == [none, dropout, dropout, unicorn]
+    assert told["groups"][dropout]["trajectory.ate_m"]["mean"] == pytest.approx(0.15)
     assert told["runs"][-1]["error"] == "no unicorn"
     assert told["runs"][0]["reported"] == ["optimised"]
 

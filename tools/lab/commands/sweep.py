@@ -8,17 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tools.arguments import (
-    ConfigFile,
-    InputLog,
-    Jobs,
-    Json,
-    Settings,
-    TableFiles,
-    Topics,
-    check_outputs,
-    parse_topics,
-)
+from tools.arguments import ConfigFile, InputLog, Jobs, Json, Settings, Topics, parse_topics
 from tools.evaluation.requirements import Require, finish
 from tools.lab.tables import Markdown, ResultFolder, report, rows_of
 
@@ -58,7 +48,6 @@ def sweep(
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
-    tables: TableFiles = None,
     markdown: Markdown = False,
     as_json: Json = False,
     require: Require = None,
@@ -74,15 +63,11 @@ def sweep(
 
     Example: dslam sweep drive.mcap -o out/ablation --part calibration --part labels
     """
-    check_outputs(tables or (), [log])
     from slam.common.config import load_config
-    from slam.evaluation.comparison import RULE
-    from slam.evaluation.report.table_files import check_endings, write_table
     from slam.sweeps.sweep import DEFAULT_DEGRADATIONS, plan_sweep, run_sweep
     from tools import console
     from tools.lab.drives.parts import PARTS, map_without
 
-    check_endings(tables or ())
     parts = _chosen_parts(part or ())
     changed = {text: text.split(";") for text in variant or ()} | {name: PARTS[name].settings for name in parts}
     if not variant:
@@ -93,12 +78,10 @@ def sweep(
     with console.progress_bar("sweeping", "sweeping") as progress:
         swept = run_sweep(tasks, folder, jobs=jobs or os.cpu_count() or 1, on_progress=progress, compute=map_without)
     comparison = swept.compare()
-    for path in tables or ():
-        write_table(path, comparison.to_table().T, RULE)
     first = {task.name: result for task, result in swept.results.items() if task.seed == 0}
     report(
         rows_of(comparison),
-        RULE,
+        comparison.note,
         f"{swept.computed} drives mapped, {len(tasks) - swept.computed} mapped before",
         *(f"{name}: {'; '.join(result.reported) or result.error}" for name, result in first.items()),
         markdown=markdown,

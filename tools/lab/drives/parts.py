@@ -18,7 +18,7 @@ from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 @dataclass(frozen=True, slots=True)
 class Part:
     """What switches a part off: ``settings`` ("key=value"), and ``replaced``, functions and constants by their full
-    names with what stands for them, where there is no setting.
+    names with their replacements, where there is no setting.
     """
 
     settings: tuple[str, ...] = ()

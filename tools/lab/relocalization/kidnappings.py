@@ -1,4 +1,4 @@
-"""How soon a robot finds out where it is in a map, at places of a drive with truth.
+"""Time to relocalization in a map, at places of a drive with truth.
 
 ``benchmark_relocalization`` is where to begin reading.
 """
@@ -158,13 +158,13 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config, protoco
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
         T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0])
         error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
-        is_near = error_m <= protocol.relocalization_translation_m
+        is_near = error_m <= protocol.closure_translation_m
         outcome |= {
             "distance_m": float(truth.travelled_at_m(at_ns)[0]),
             "seconds": 1e-9 * (fix.stamp_ns - slam.first_stamp_ns),
             "error_m": error_m,
             "error_deg": error_deg,
-            "is_right": is_near and error_deg <= protocol.relocalization_rotation_deg,
+            "is_right": is_near and error_deg <= protocol.closure_rotation_deg,
         }
     return outcome
 

@@ -1,1 +1,1 @@
-"""Descriptors and quads that are asked for the place: at the revisits of drives, and in maps of objects."""
+"""Place recognition by descriptors and quads: at the revisits of drives, and in maps of objects."""

@@ -1,4 +1,4 @@
-"""What proposes places in a map of objects: a descriptor with its index, or the quads of imported maps."""
+"""Proposers of places in a map of objects: a descriptor with its index, or the quads of imported maps."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from tools.lab.relocalization.kidnappings import RECOVERED_WITHIN_M, benchmark_r
 
 SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
 GIVEN = Config.model_validate({"calibrate": False})
-PROTOCOL = Protocol(relocalization_translation_m=1.0, relocalization_rotation_deg=3.0)
+PROTOCOL = Protocol(closure_translation_m=1.0, closure_rotation_deg=3.0)
 BLOCK_M = 60.0
 
 
@@ -77,7 +77,7 @@ def test_truth_only_judges(entries: list[Entry], tmp_path: Path) -> None:
         T = transform_from_xyz_yaw(np.array([100.0, 50.0, 0.0]), 1.0)
         return replace(record, T_world_body=T @ record.T_world_body)
 
-    strict = replace(PROTOCOL, relocalization_translation_m=1e-6)
+    strict = replace(PROTOCOL, closure_translation_m=1e-6)
     first = run(tmp_path, entries, kidnaps=1, protocol=strict)
     again = run(tmp_path, change(entries, GroundTruthPose, moved), kidnaps=1, protocol=strict)
     assert first["groups"]["everywhere"]["false_relocalization_rate"] == 1.0
