@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -101,10 +102,12 @@ def settings() -> str:
 
 def json_keys() -> str:
     """Every key of the JSON of an evaluation."""
-    from slam.evaluation.evaluate import evaluate
-    from slam.evaluation.inputs.records import EvaluationRecords
+    from dslam import evaluate_log, replay
 
-    tree = evaluate(EvaluationRecords()).to_json_dict()
+    with TemporaryDirectory() as folder:
+        mapped = Path(folder) / "map.mcap"
+        replay(ROOT / "logs" / "samples" / "short_drive.mcap", mapped)
+        tree = evaluate_log(mapped).to_json_dict()
     lines = ["# JSON of an evaluation", "", "Keys of `dslam evaluate --json`, which `--require` takes, too. What is "]
     lines[-1] += "undefined is `null`. [What they mean](../evaluation.md)."
     for part, value in tree.items():

@@ -17,7 +17,7 @@ from logs import messages as m
 from logs.schemas import dslam_pb2 as pb
 from logs.validation import LAST_NS, MAX_COORDINATE_M, Refusal, flat_array, transforms, usable_covariance
 
-_Record = TypeVar("_Record", bound="m.ObjectMapRecord | m.FactorGraphRecord")
+_Record = TypeVar("_Record", bound="m.ObjectDetections | m.ObjectMapRecord | m.FactorGraphRecord")
 
 _MAX_ENTRY = (1e3 * MAX_COORDINATE_M) ** 2
 """Of a variance: that of the farthest place, seen in a direction that is unknown in each of many steps, is less."""
@@ -99,7 +99,8 @@ class Codec:
     def rows_of(self, record: Any, letter: str) -> dict[str, Any]:
         """The arrays and tuples of a record that have that length, by name; those that are left out are missing."""
         counted = (field.name for field in self._fields if field.lengths[:1] == [letter])
-        return {name: values for name in counted if len(values := getattr(record, name))}
+        found = ((name, getattr(record, name)) for name in counted)
+        return {name: values for name, values in found if values is not None and len(values)}
 
     def encode(self, record: Any) -> Message:
         """The message of ``record``."""

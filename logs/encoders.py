@@ -22,7 +22,7 @@ from google.protobuf.message import Message
 from logs import messages as m
 from logs.dslam_codec import CODECS
 from logs.scene import encode_lines, encode_markers, encode_points, timestamp
-from logs.validation import FloatArray, covariance_to_parent, quaternion_xyzw
+from logs.validation import FloatArray, quaternion_xyzw
 
 _UNKNOWN_COVARIANCE = (0.0,) * 36
 
@@ -87,11 +87,7 @@ def _odometry(r: m.Odometry) -> Message:
         frame_id=r.frame_id,
         body_frame_id=r.child_frame_id,
         pose=_pose(r.T_odom_body),
-        pose_covariance=(
-            _UNKNOWN_COVARIANCE
-            if r.covariance is None
-            else covariance_to_parent(r.covariance, r.T_odom_body).ravel().tolist()
-        ),
+        pose_covariance=_UNKNOWN_COVARIANCE,
     )
 
 

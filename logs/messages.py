@@ -5,7 +5,7 @@ Every record is frozen, holds plain NumPy arrays and strings, and knows neither 
 * ``stamp_ns``: integer nanoseconds, the time of the measurement (not the time at which it was logged).
 * ``T_a_b``: ``(4, 4)`` float64 homogeneous transform, ``p_a = T_a_b @ p_b``, metres.
 * Pose covariances: ``(6, 6)`` float64 in GTSAM's order (rotation x y z [rad], then translation x y z [m]),
-  in the tangent space of the right-hand frame (body). Decoders reorder those that come in the ROS order.
+  in the tangent space of the right-hand frame (body).
 * ``(N, ...)`` arrays may have N = 0.
 """
 
@@ -30,7 +30,6 @@ class Odometry:
     T_odom_body: FloatArray
     frame_id: str = "odom"
     child_frame_id: str = "base_link"
-    covariance: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -146,11 +146,12 @@ class LogReader:
         Messages of the topics in ``times_of`` that are neither come without their content. A message that no record
         may be made of is counted and comes without records.
         """
-        decoder = RecordDecoder(selection, self._limits)
+        decoder = RecordDecoder(self._limits)
         self._decoding_counters = decoder.counters
         read = {*selection.topics, *copy}
         for raw in self.messages({*read, *times_of}, without_content=set(times_of) - read):
-            yield LogItem(raw, decoder.records(raw))
+            kinds = selection.kinds.get(raw.topic, ())
+            yield LogItem(raw, decoder.records(raw, kinds, selection.mappings.get(raw.topic)) if kinds else ())
 
     def records(self, selection: Selection) -> Iterator[LogEntry]:
         """One pass over the records of the selected topics; see :meth:`items`."""

@@ -17,21 +17,15 @@ from logs.validation import rotation_errors
 ROTATION_TOLERANCE = 1e-3
 """Of the entries of R^T R: float32 and four digits stay below it."""
 
-_COUNT = -1
-"""Length of an array that has a row for each label."""
 _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
-    m.Odometry: {"T_odom_body": (4, 4), "covariance": (6, 6)},
+    m.Odometry: {"T_odom_body": (4, 4)},
     m.Transform: {"T_parent_child": (4, 4)},
     m.GroundTruthPose: {"T_world_body": (4, 4)},
     m.SlamPose: {"T_map_body": (4, 4), "T_map_odom": (4, 4)},
-    m.ObjectDetections: {
-        "positions": (_COUNT, 3),
-        "scores": (_COUNT,),
-        "covariances": (_COUNT, 3, 3),
-        "sizes": (_COUNT, 3),
-    },
+    m.ObjectDetections: {"positions": (-1, 3), "scores": (-1,), "covariances": (-1, 3, 3), "sizes": (-1, 3)},
 }
-_OPTIONAL = ("covariance", "T_map_odom", "covariances", "sizes")
+"""Of the arrays of a record; -1: a row for each label."""
+_OPTIONAL = ("T_map_odom", "covariances", "sizes")
 
 
 def check_record(record: m.Record) -> None:
@@ -43,16 +37,16 @@ def check_record(record: m.Record) -> None:
     """
     if type(record) not in _SHAPES:
         return
-    if type(record.stamp_ns) is not int and not isinstance(record.stamp_ns, np.integer):
+    if not isinstance(record.stamp_ns, int | np.integer):
         raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
     labels = record.labels if isinstance(record, m.ObjectDetections) else ()
     if not isinstance(labels, tuple) or not {*map(type, labels)} <= {str, np.str_}:
         raise _error(record, "labels", "not a tuple of texts; give one for each position")
     for name, shape in _SHAPES[type(record)].items():
         value = getattr(record, name)
+        wanted = tuple(len(labels) if length == -1 else length for length in shape)
         if value is None and name in _OPTIONAL:
             continue
-        wanted = tuple(len(labels) if length == _COUNT else length for length in shape)
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.shape != wanted:
             found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
             raise _error(record, name, f"{found}; give a float64 array of shape {wanted}")

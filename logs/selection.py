@@ -22,33 +22,23 @@ _DEFAULT_TOPICS = {
     RecordKind.OBJECT_TRUTH: OBJECT_TRUTH_TOPIC,
 }
 
-IN_IMAGES = ("vision_msgs/msg/Detection2DArray", "apriltag_msgs/msg/AprilTagDetectionArray")
+_IN_IMAGES = ("vision_msgs/msg/Detection2DArray", "apriltag_msgs/msg/AprilTagDetectionArray")
 """Detections that a camera's calibration and depth are needed for."""
 
-# Strongest first: a topic that calls itself odometry is one, a bare pose may come from anywhere; likewise a message
-# made for detections, and a picture that may show anything. Bare poses (geometry_msgs/msg/PoseArray) are objects only
-# when asked for: most are particles or paths.
-_SCHEMAS: dict[RecordKind, tuple[tuple[str, ...], ...]] = {
-    RecordKind.ODOMETRY: (
-        ("nav_msgs/msg/Odometry", "foxglove.Odometry"),
-        ("foxglove.PoseInFrame", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    ),
-    RecordKind.DETECTIONS: (
-        (
-            "dslam.ObjectDetections",
-            "vision_msgs/msg/Detection3DArray",
-            "autoware_perception_msgs/msg/TrackedObjects",
-            "autoware_perception_msgs/msg/DetectedObjects",
-            "autoware_auto_perception_msgs/msg/TrackedObjects",
-            "autoware_auto_perception_msgs/msg/DetectedObjects",
-        ),
-        ("foxglove.SceneUpdate",),
-        IN_IMAGES,
-        ("visualization_msgs/msg/MarkerArray",),
-    ),
-    RecordKind.GNSS: (("sensor_msgs/msg/NavSatFix", "foxglove.LocationFix"),),
+_CHOSEN = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GNSS)
+_WEAKER = {
+    "foxglove.PoseInFrame": 1,
+    "geometry_msgs/msg/PoseStamped": 1,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": 1,
+    "foxglove.SceneUpdate": 1,
+    **dict.fromkeys(_IN_IMAGES, 2),
+    "visualization_msgs/msg/MarkerArray": 3,
 }
-
+"""Rank of schemas that are taken where none of a smaller rank is there; that of others is 0: a topic that calls itself
+odometry is one, a bare pose may come from anywhere; likewise a message made for detections, and a picture that may show
+anything."""
+_WHEN_ASKED_FOR = ("geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2")
+"""Most of these are particles, paths and scans without classes."""
 
 _MAPPING_HINT = "; name its fields, for example --topic 'detections=/plants:plants[] position=position label=kind'"
 
@@ -118,10 +108,10 @@ def select_topics(
         chosen[kind] = [_overridden(there, kind, each.strip(), mappings) for each in topic.split(",")]
         if len(chosen[kind]) > 1 and kind == RecordKind.ODOMETRY:
             raise TopicSelectionError(f"--topic {kind}={topic}: the odometry is a single topic; name one")
-    for kind in _SCHEMAS:
+    for kind in _CHOSEN:
         if kind not in chosen:
             chosen[kind] = _strongest(there, inputs, kind, is_needed=kind in needed)
-    in_images = {info.topic for info in there if info.schema_name in IN_IMAGES}
+    in_images = {info.topic for info in there if info.schema_name in _IN_IMAGES}
     for kind in (RecordKind.CAMERA_INFO, RecordKind.DEPTH):
         chosen.setdefault(kind, _of_cameras(there, kind) if in_images & {*chosen[RecordKind.DETECTIONS]} else [])
     for kind, topic in _DEFAULT_TOPICS.items():
@@ -147,13 +137,12 @@ def select_all(topics: Iterable[TopicInfo]) -> Selection:
 
 
 def _likely_kind(info: TopicInfo) -> RecordKind:
+    likely: tuple[RecordKind, ...] = ()
     if _is_truth(info.topic):
-        for kind in (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH):
-            if kind in info.kinds:
-                return kind
-    if info.topic.startswith(OUTPUT_PREFIX) and RecordKind.SLAM_POSE in info.kinds:
-        return RecordKind.SLAM_POSE
-    return info.kinds[0]
+        likely = (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH)
+    elif info.topic.startswith(OUTPUT_PREFIX):
+        likely = (RecordKind.SLAM_POSE,)
+    return next((kind for kind in likely if kind in info.kinds), info.kinds[0])
 
 
 def _is_truth(topic: str) -> bool:
@@ -166,8 +155,8 @@ def _is_input(topic: str) -> bool:
 
 def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:
     """The one topic of the strongest schema that any has; none, or an error if one is needed, where several have it."""
-    ranked = ({i.topic for i in inputs if i.message_count and i.schema_name in schemas} for schemas in _SCHEMAS[kind])
-    fitting = sorted(next(filter(None, ranked), ()))
+    ranks = {info.topic: _WEAKER.get(info.schema_name, 0) for info in inputs if _is_chosen(info, kind)}
+    fitting = [topic for topic, rank in ranks.items() if rank == min(ranks.values())]
     if len(fitting) > 1 and is_needed:
         every = f", or use all: --topic {kind}={','.join(fitting)}" if kind == RecordKind.DETECTIONS else ""
         raise TopicSelectionError(
@@ -175,6 +164,12 @@ def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind
             f"--topic {kind}={fitting[0]}{every}. {_listing(there)}"
         )
     return fitting if len(fitting) == 1 else []
+
+
+def _is_chosen(info: TopicInfo, kind: RecordKind) -> bool:
+    """Whether a topic may be of that kind without being asked for: frames on /tf may not be the odometry."""
+    is_frames = RecordKind.TRANSFORMS in info.kinds
+    return kind in info.kinds and info.message_count > 0 and not is_frames and info.schema_name not in _WHEN_ASKED_FOR
 
 
 def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:
@@ -211,8 +206,7 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: d
 
 def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
     fitting = [info.topic for info in inputs if kind in info.kinds]
-    schemas = ", ".join(schema for rank in _SCHEMAS.get(kind, ()) for schema in rank)
-    remedy = f"record a topic with a schema that does ({schemas})" if schemas else "record a topic that does"
+    remedy = "record a topic with a schema that does (docs/log.md lists them)"
     if fitting:
         remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"
     return TopicSelectionError(f"no topic gives {kind}; {remedy}. {_listing(there)}")

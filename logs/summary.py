@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs import messages as m
 from logs.closures import find_final_decisions, rank_stage
@@ -31,7 +30,7 @@ MAX_FRAMES = 100
 MAX_CLOSURES = 100_000
 """Later records of loop closures are not kept."""
 
-_FRAMES = ("frame_id", "child_frame_id", "parent_frame_id")
+_FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
@@ -171,33 +170,33 @@ class _TopicGathering:
         """Note the frames that a record names, and which of them it connects."""
         if len(self.frames) >= MAX_FRAMES:
             return
-        self.frames |= {getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES}
-        if isinstance(record, m.Transform):
-            self.edges.add((record.parent_frame_id.lstrip("/"), record.child_frame_id.lstrip("/")))
-        elif isinstance(record, m.Odometry):
-            self.edges.add((record.frame_id.lstrip("/"), record.child_frame_id.lstrip("/")))
+        names = [getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES]
+        self.frames |= {*names} - {""}
+        if len(names) == 2 and all(names):
+            self.edges.add((names[0], names[1]))
 
     def summary(self, info: TopicInfo) -> TopicSummary:
         times_ns = np.array(self.times_ns, dtype=np.int64)
         out_of_order = int((times_ns[1:] < np.maximum.accumulate(times_ns)[:-1]).sum())
         times_ns.sort()
-        gap_count, longest_gap_s, duplicates = _gaps(times_ns)
-        span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
+        first_ns, last_ns = (int(times_ns[0]), int(times_ns[-1])) if len(times_ns) else (0, 0)
+        steps_ns = np.diff(times_ns)
+        periods_ns = steps_ns[steps_ns > 0]
         return TopicSummary(
             topic=info.topic,
             schema_name=info.schema_name,
             encoding=info.encoding,
             kinds=info.kinds,
             message_count=len(times_ns),
-            first_ns=int(times_ns[0]) if len(times_ns) else 0,
-            last_ns=int(times_ns[-1]) if len(times_ns) else 0,
-            rate_hz=(len(times_ns) - 1) / (span_ns * 1e-9) if span_ns else None,
-            gap_count=gap_count,
-            longest_gap_s=longest_gap_s,
-            duplicate_stamps=duplicates,
+            first_ns=first_ns,
+            last_ns=last_ns,
+            rate_hz=len(steps_ns) / ((last_ns - first_ns) * 1e-9) if last_ns > first_ns else None,
+            gap_count=int((periods_ns > GAP_FACTOR * np.median(periods_ns)).sum()) if len(periods_ns) else 0,
+            longest_gap_s=float(periods_ns.max(initial=0) * 1e-9),
+            duplicate_stamps=len(steps_ns) - len(periods_ns),
             out_of_order_stamps=out_of_order,
-            frames=tuple(sorted(self.frames - {""})),
-            frame_edges=tuple(sorted(edge for edge in self.edges if "" not in edge)),
+            frames=tuple(sorted(self.frames)),
+            frame_edges=tuple(sorted(self.edges)),
         )
 
 
@@ -251,14 +250,3 @@ class _Gathering:
             return None
         xyz = np.frombuffer(self._odometry_xyz, dtype=np.float64).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())
-
-
-def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float, int]:
-    """Number of gaps, the longest pause in seconds, and the number of duplicates, of sorted times (N,)."""
-    periods_ns = np.diff(times_ns)
-    duplicates = int((periods_ns == 0).sum())
-    periods_ns = periods_ns[periods_ns > 0] if duplicates else periods_ns
-    if len(periods_ns) == 0:
-        return 0, 0.0, duplicates
-    usual_ns = np.median(periods_ns)
-    return int((periods_ns > GAP_FACTOR * usual_ns).sum()), float(periods_ns.max() * 1e-9), duplicates

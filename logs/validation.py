@@ -165,24 +165,3 @@ def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     if (known & ~good).any():
         counters["ignored_covariances"] += int((known & ~good).sum())
     return np.where(good[:, None, None], symmetric, 0.0)
-
-
-def covariance_to_body(P_parent: FloatArray, T_parent_body: FloatArray) -> FloatArray:
-    """From the ROS form, ``(6, 6)`` (x, y, z, rotations about x, y, z) in the parent frame, to the records' form.
-
-    The records' form is (rotation, translation) in the tangent space of the body: ``T Exp(xi)``. A small turn about the
-    parent's axes is R^T of it in the body, and a small shift likewise, so both blocks turn and change places.
-    """
-    return _swap_blocks(P_parent, T_parent_body[:3, :3].T)
-
-
-def covariance_to_parent(P_body: FloatArray, T_parent_body: FloatArray) -> FloatArray:
-    """The inverse of :func:`covariance_to_body`."""
-    return _swap_blocks(P_body, T_parent_body[:3, :3])
-
-
-def _swap_blocks(P: FloatArray, R: FloatArray) -> FloatArray:
-    A = np.zeros((6, 6))
-    A[:3, 3:] = R
-    A[3:, :3] = R
-    return A @ P @ A.T

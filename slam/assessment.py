@@ -43,7 +43,7 @@ def assess(
 
 
 def diagnose_uncorrected(graph: FactorGraphRecord, counters: Mapping[str, int]) -> str:
-    """Why neither landmarks nor closures correct the odometry; empty where they do.
+    """Reasons why neither landmarks nor closures correct the odometry; empty if they do.
 
     Args:
         graph: at the end of the drive.

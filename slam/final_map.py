@@ -49,7 +49,7 @@ class FinalMap:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How the final optimisation went, for people."""
+    """Result of the final optimisation, for the user."""
 
     level: str
     message: str
@@ -89,7 +89,7 @@ def judge_outcome(
 
 
 class FinalRecords:
-    """What is handed out of the graph, the object map and the track of a drive that is optimised.
+    """The final records of an optimised drive, from its graph, object map and track.
 
     ``keyframes``: all of them, of which those from ``first_keyframe`` on, and the landmarks from ``first_segment`` on,
     are of this drive; ``path``: the odometry; ``stamp_ns``: of the records.

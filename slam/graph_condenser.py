@@ -41,7 +41,7 @@ class GraphCondenser:
         closures: AcceptedClosures,
         counters: Counter[str],
     ) -> None:
-        """``counters``: where it counts the keyframes that are attached, and the closures that it rejects."""
+        """``counters``: of attached keyframes and rejected closures."""
         self._min_travel_m = config.closure_travel_m
         self._radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
         self._anchor_every = GROUP_KEYFRAMES

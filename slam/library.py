@@ -1,4 +1,4 @@
-"""What other programs call, beside :func:`slam.replay.replay`: maps, and results of a log as arrays."""
+"""Functions of the library beside :func:`slam.replay.replay`: maps, and results of a log as arrays."""
 
 from __future__ import annotations
 

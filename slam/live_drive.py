@@ -1,9 +1,8 @@
-"""A robot mapped while it drives: messages in as they come, estimates out at once."""
+"""Maps a robot while it drives: each message gives estimates immediately."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import StampClocks
 from slam.live_slam import LiveSlam
 from slam.localization.prior_map import PriorMap
+from slam.log_mapper import LogMapper
 from slam.output_log import OutputLog
 
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "max": 100.0}
@@ -30,7 +30,7 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "max": 100.0}
 class LiveDrive:
     """Maps messages one by one; a context manager that writes ``output``, if one is given, and finishes it.
 
-    ``publish`` is called with topic, record and log time of all that becomes known.
+    ``publish`` is called with topic, record and log time of each update.
     """
 
     def __init__(
@@ -41,16 +41,14 @@ class LiveDrive:
         prior_map: PriorMap | None = None,
         output: Path | None = None,
     ) -> None:
-        frames = SensorFrames()
-        self._clocks = StampClocks()
-        self.slam = LiveSlam(config, prior_map, frames=frames, delays=self._clocks.delays)
-        self._inputs = InputRecords(config, LabelMap(config.labels), frames)
+        frames, clocks = SensorFrames(), StampClocks()
+        self.slam = LiveSlam(config, prior_map, frames=frames, delays=clocks.delays)
         self._stack = ExitStack()
         self._stack.enter_context(threadpool_limits(1, user_api="blas"))
         writer = None if output is None else self._stack.enter_context(LogWriter(output))
-        self._log = OutputLog(writer, DriveDisplay(config.sensor_range_m), publish, None)
+        log = OutputLog(writer, DriveDisplay(), publish, None)
+        self._mapper = LogMapper(self.slam, InputRecords(config, LabelMap(config.labels), frames), clocks, log)
         self._log_time_ns = 0
-        self._seconds: list[float] = []
 
     def __enter__(self) -> LiveDrive:
         return self
@@ -60,31 +58,22 @@ class LiveDrive:
 
     def process(self, item: LogItem) -> None:
         """Map the next message, and publish what it makes known."""
-        started = time.perf_counter()
         self._log_time_ns = max(self._log_time_ns, item.raw.log_time_ns)
-        for record in self._inputs.prepare(self._clocks.follow(item)):
-            self._log.write_updates(self.slam.process(record), self._log_time_ns)
-            if (snapshot := self.slam.snapshot()) is not None:
-                self._log.write_snapshot(snapshot, self._log_time_ns)
-        self._seconds.append(time.perf_counter() - started)
+        self._mapper.process(item, self._log_time_ns)
 
-    def finish(self) -> FinalMap:
-        """Optimise everything at once, and publish the result.
+    def finish(self, counters: Mapping[str, int] | None = None) -> FinalMap:
+        """Optimise everything at once, and publish the result; ``counters``: of what was read.
 
         Raises:
             InputDataError: there was nothing to map.
         """
-        for record in self._inputs.prepare(self._clocks.finish()):
-            self._log.write_updates(self.slam.process(record), self._log_time_ns)
-        self._inputs.check()
-        self._log.write_updates(self.slam.catch_up(), self._log_time_ns)
-        final = self.slam.finish()
-        self._log.write_final(final, None, self._log_time_ns)
+        final = self._mapper.finish(self._log_time_ns, counters or {})
+        self._mapper.log.write_final(final, None, self._log_time_ns)
         return final
 
     def latency_s(self) -> dict[str, float]:
         """How long messages took on this machine: the median, the 99th percentile and the longest, in seconds."""
-        if not self._seconds:
+        if not self._mapper.seconds:
             return {}
-        values = np.percentile(self._seconds, list(PERCENTILES.values()))
+        values = np.percentile(self._mapper.seconds, list(PERCENTILES.values()))
         return dict(zip(PERCENTILES, values.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Maps a drive of a robot that is not calibrated: by what has been seen so far, and by nothing that comes later."""
+"""Maps a drive of a robot without calibration from the past records alone."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class LiveSlam:
         self._frames = frames or SensorFrames()
         self._delays = delays
         self.calibration = CalibratedLog(self._given)
-        """By which the map is built now, and what it corrects."""
+        """The current calibration, with its corrections."""
         self._slam = self._build(self._given)
         self._successor: _Successor | None = None
         self._is_estimating = config.calibrate and not self._given.calibration.is_complete
@@ -67,7 +67,7 @@ class LiveSlam:
 
     @property
     def counters(self) -> Counter[str]:
-        """What was done and what was dropped since the start, for the map as it is now."""
+        """Counters since the start, of the current map."""
         return self._slam.counters
 
     @property
@@ -100,7 +100,7 @@ class LiveSlam:
         return self._slam.snapshot()
 
     def process(self, record: Record) -> list[Record]:
-        """Process the next record in the order of the log; returns what it made known.
+        """Process the next record in the order of the log; returns the updates.
 
         Raises:
             InvalidRecordError: as :meth:`slam.system.Slam.process`.
@@ -123,14 +123,14 @@ class LiveSlam:
         return updates
 
     def catch_up(self) -> list[Record]:
-        """Let a map that is being built catch up at once, as at the end of a drive; returns what that made known."""
+        """Complete the second map immediately, as at the end of a drive; returns the updates."""
         if self._successor is None:
             return []
         self._successor.follow(self._records, len(self._records))
         return self._succeed(self._successor)
 
     def finish(self) -> FinalMap:
-        """Close the last keyframe, optimise everything at once and hand out the result.
+        """Close the last keyframe, optimise the whole graph and return the result.
 
         Raises:
             InputDataError: there was nothing to map.

@@ -17,6 +17,7 @@ from logs.messages import (
 from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.display.drive_display import DriveDisplay
+from slam.display.map_topics import LANDMARKS, map_messages
 from slam.display.snapshot import MapSnapshot
 from slam.final_map import FinalMap
 
@@ -33,7 +34,7 @@ _TOPICS: Mapping[type[Record], str] = {
 
 
 class OutputLog:
-    """Writes what the estimator makes known, on the clock of the input, whatever its stamps are.
+    """Writes the updates of the estimator at the log times of the input.
 
     ``writer``: None where nothing is to be written. ``view`` is called with topic, record and log time of all of it;
     ``georeference``: where on earth the map is, if that is known; ``tracked`` counts the poses in the map.
@@ -53,7 +54,7 @@ class OutputLog:
         self.tracked = 0
 
     def write_updates(self, updates: Iterable[Record], log_time_ns: int) -> None:
-        """Write what one record of the input made known."""
+        """Write the updates by one record of the input."""
         for update in updates:
             if type(update) in _TOPICS:
                 self._write(_TOPICS[type(update)], update, log_time_ns)
@@ -65,8 +66,8 @@ class OutputLog:
                     self._write(LOCATION, _location(update, self._georeference), log_time_ns)
 
     def write_snapshot(self, snapshot: MapSnapshot, log_time_ns: int) -> None:
-        """Write the map as it is known now, for viewers."""
-        for topic, message in self._display.show_map(snapshot):
+        """Write a snapshot of the map for viewers."""
+        for topic, message in map_messages(snapshot):
             self._write(topic, message, log_time_ns)
 
     def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
@@ -77,8 +78,7 @@ class OutputLog:
             self._writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
         for topic, record in _final_records(final):
             self._write(topic, record, log_time_ns)
-        shown = [*self._display.show(final.status), *self._display.show_map(final.snapshot, is_final=True)]
-        for topic, message in shown:
+        for topic, message in (*self._display.show(final.status), *map_messages(final.snapshot)):
             self._write(topic, message, log_time_ns)
 
     def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
@@ -89,7 +89,7 @@ class OutputLog:
 
 
 def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
-    """Where on earth a pose in the map is."""
+    """The geodetic position of a pose in the map."""
     latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
     return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
 
@@ -97,6 +97,7 @@ def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
 def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
     yield "/slam/trajectory_stamped", final.trajectory
     yield "/slam/map", final.object_map
+    yield LANDMARKS, final.markers
     yield "/slam/graph", final.graph
     for closure in final.closures:
         yield "/slam/closures", closure

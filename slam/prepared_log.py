@@ -1,4 +1,4 @@
-"""What is read of a log before it is mapped: its topics and frames, and the settings that are estimated from it."""
+"""Preparation of a log: its topics and frames, and the settings that are estimated from it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TR
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedLog:
-    """A log that can be mapped.
+    """A log with the topics, frames and settings for a replay.
 
     ``selection``: all topics that were chosen; ``mapped``: those of them that are mapped, without transforms, which are
     in ``frames``; ``copied``: topics that go into the output as they are; ``first_ns``, ``last_ns``: log times of the
@@ -60,7 +60,7 @@ class PreparedLog:
     lost: Mapping[str, int]
 
     def inputs(self) -> InputRecords:
-        """What makes records of the log those of the estimator, by the calibration."""
+        """Conversion of records of the log to those of the estimator, by the calibration."""
         return InputRecords(self.calibration.config, self.labels, self.frames, self.scans)
 
 
@@ -139,7 +139,7 @@ def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, c
 
 
 def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[str]) -> frozenset[str]:
-    """What goes into the output as it is: what an evaluation needs, and what is ``wanted``."""
+    """The topics that are copied to the output: those for an evaluation, and those in ``wanted``."""
     copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
     copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
     return frozenset(copied | _checked_copies(reader, wanted))

@@ -1,4 +1,4 @@
-"""What made an output, as its metadata: enough to make it again."""
+"""Provenance of an output, as metadata: enough to reproduce it."""
 
 from __future__ import annotations
 

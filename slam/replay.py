@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -14,14 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from logs.errors import LogError, UnwritableLogError
-from logs.messages import (
-    GeodeticFix,
-    GroundTruthPose,
-    Record,
-)
 from logs.reader import LogReader
-from logs.selection import Selection
-from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
@@ -33,13 +26,13 @@ from slam.live_slam import LiveSlam
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
+from slam.log_mapper import LogMapper
 from slam.object_map.map_io import METADATA, save_map
 from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.initial_pose import InitialPose
 from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import provenance_of
-from slam.self_calibration.calibration import CalibratedLog
 from slam.system import Slam
 from slam.trajectory_check.judgement import TrajectoryCheck
 
@@ -118,22 +111,27 @@ def replay(
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
         clocks = StampClocks(prepared.drift, keeps_delays=online)
         slam = _make_slam(prepared, clocks, prior_map, initial_pose, extend=extend, online=online)
-        display = DriveDisplay(
-            prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
-        )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-            drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, None, georeference))
-            final = drive.map(reader, writer, progress)
-            provenance = provenance_of(reader, config, prepared, drive.calibration, prior_map, extend=extend)
+            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, DriveDisplay(), None, georeference))
+            final = _map(mapper, prepared, reader, writer, progress)
+            calibration = slam.calibration if isinstance(slam, LiveSlam) else prepared.calibration
+            provenance = provenance_of(reader, config, prepared, calibration, prior_map, extend=extend)
             provenance["trajectory_check"] = json.dumps(asdict(final.trajectory_check))
             writer.add_metadata("dslam", provenance)
             if prior_map is None:
-                georeference = find_georeference(final.trajectory, drive.fixes)
-            drive.log.write_final(final, georeference, prepared.last_ns)
+                georeference = find_georeference(final.trajectory, mapper.fixes)
+            mapper.log.write_final(final, georeference, prepared.last_ns)
         unsaved = 0 if map_path is None else _save(Path(map_path), output, slam, final, provenance, prior_map)
-    return _summarize(drive, final, _about_the_map(drive, prior_map, final, config), unsaved, started)
+    notes = (
+        *calibration.notes,
+        *([str(prepared.drift)] if prepared.drift.rate else []),
+        *map(str, clocks.steps),
+        *_about_the_map(mapper, prior_map, final, config),
+        *_about_labels(prepared.labels),
+    )
+    return _summarize(mapper, final, notes, unsaved, prepared.last_ns - prepared.first_ns, started)
 
 
 def _make_slam(
@@ -151,77 +149,46 @@ def _make_slam(
     return LiveSlam(config, prior_map, extend=extend, initial_pose=initial_pose, frames=frames, delays=clocks.delays)
 
 
-class _Drive:
-    """A log that is mapped, message by message.
-
-    ``fixes``: those of a satellite receiver; ``max_message_latency_s``: longest processing time of a message.
-    """
-
-    def __init__(self, slam: Slam | LiveSlam, prepared: PreparedLog, clocks: StampClocks, log: OutputLog) -> None:
-        self.slam = slam
-        self.prepared = prepared
-        self.log = log
-        self.clocks = clocks
-        self.fixes: list[GeodeticFix] = []
-        self.max_message_latency_s = 0.0
-        self._inputs = prepared.inputs()
-
-    @property
-    def calibration(self) -> CalibratedLog:
-        """By which the map is built."""
-        return self.slam.calibration if isinstance(self.slam, LiveSlam) else self.prepared.calibration
-
-    def map(self, reader: LogReader, writer: LogWriter, progress: Callable[[float], None] | None) -> FinalMap:
-        """Map the whole log, and write what each message makes known, and the topics that are copied."""
-        prepared = self.prepared
-        for item in reader.items(prepared.mapped, copy=prepared.copied):
-            if item.raw.topic in prepared.copied:
-                writer.write_raw(item.raw)
-            self._take(list(self.clocks.follow(item)), item.raw.log_time_ns)
-            if progress is not None:
-                done = (item.raw.log_time_ns - prepared.first_ns) / max(prepared.last_ns - prepared.first_ns, 1)
-                progress(min(max(done, 0.0), 1.0))
-        self._take(list(self.clocks.finish()), prepared.last_ns)
-        self._inputs.check()
-        if isinstance(self.slam, LiveSlam):
-            self.log.write_updates(self.slam.catch_up(), prepared.last_ns)
-        self.slam.counters.update(Counter(reader.counters) + Counter(prepared.lost) + Counter(self._inputs.counters))
-        return self.slam.finish()
-
-    def _take(self, records: Sequence[Record], log_time_ns: int) -> None:
-        before = time.perf_counter()
-        self.fixes += [record for record in records if isinstance(record, GeodeticFix)]
-        for record in self._inputs.prepare(records):
-            self.log.write_updates(self.slam.process(record), log_time_ns)
-            if (snapshot := self.slam.snapshot()) is not None:
-                self.log.write_snapshot(snapshot, log_time_ns)
-        self.max_message_latency_s = max(self.max_message_latency_s, time.perf_counter() - before)
+def _map(
+    mapper: LogMapper,
+    prepared: PreparedLog,
+    reader: LogReader,
+    writer: LogWriter,
+    progress: Callable[[float], None] | None,
+) -> FinalMap:
+    """Map the whole log, and write what each message makes known, and the topics that are copied."""
+    for item in reader.items(prepared.mapped, copy=prepared.copied):
+        if item.raw.topic in prepared.copied:
+            writer.write_raw(item.raw)
+        mapper.process(item, item.raw.log_time_ns)
+        if progress is not None:
+            done = (item.raw.log_time_ns - prepared.first_ns) / max(prepared.last_ns - prepared.first_ns, 1)
+            progress(min(max(done, 0.0), 1.0))
+    return mapper.finish(prepared.last_ns, Counter(reader.counters) + Counter(prepared.lost))
 
 
 def _summarize(
-    drive: _Drive, final: FinalMap, about_the_map: Sequence[str], keyframes_not_saved: int, started: float
+    mapper: LogMapper,
+    final: FinalMap,
+    notes: tuple[str, ...],
+    keyframes_not_saved: int,
+    log_ns: int,
+    started: float,
 ) -> ReplaySummary:
-    slam, prepared = drive.slam, drive.prepared
+    slam = mapper.slam
     return ReplaySummary(
         counters=dict(final.status.counters),
-        log_s=(prepared.last_ns - prepared.first_ns) * 1e-9,
+        log_s=log_ns * 1e-9,
         wall_s=time.perf_counter() - started,
         solver_s=slam.solver_seconds,
-        max_message_latency_s=drive.max_message_latency_s,
+        max_message_latency_s=max(mapper.seconds, default=0.0),
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
-        notes=(
-            *drive.calibration.notes,
-            *drive.calibration.suspicions,
-            *([str(prepared.drift)] if prepared.drift.rate else []),
-            *map(str, drive.clocks.steps),
-            *about_the_map,
-            *_about_labels(prepared.labels),
-        ),
+        notes=notes,
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=keyframes_not_saved,
-        tracked_ratio=drive.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
+        tracked_ratio=mapper.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
         trajectory_check=final.trajectory_check,
     )
 
@@ -251,40 +218,27 @@ def _save(
         )
     earlier_drives = None if prior_map is None else prior_map.drives
     try:
-        return save_map(
-            map_path, final.object_map, final.graph, final.markers, provenance, earlier_drives=earlier_drives
-        )
+        return save_map(map_path, final.object_map, final.graph, provenance, earlier_drives=earlier_drives)
     except (SavedMapError, UnwritableLogError) as error:
         error.add_note(f"{output} is complete")
         raise
 
 
 def _about_labels(labels: LabelMap) -> list[str]:
-    """What of the table of labels did not fit the log."""
+    """Names of the table of labels that the log does not have."""
     return [
         *(f"no detection has the class of {name}" for name in labels.unused()),
         *(f"class {name} is read as {to}: they differ in case only" for name, to in labels.respelled().items()),
     ]
 
 
-def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
+def _about_the_map(mapper: LogMapper, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
     """What explains that the robot was not found in its map, or says that it was found at a wrong place."""
     if prior_map is None:
         return []
     sigma_m = config.calibration.objects.landmark_sigma_m
-    if drive.slam.fixes:
+    if mapper.slam.fixes:
         doubt = why_doubtful(prior_map, final.object_map, final.trajectory, sigma_m)
         return [f"probably relocalized at a wrong place: {doubt}"] if doubt else []
-    reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, drive.fixes)
+    reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, mapper.fixes)
     return [f"not relocalized, probably because: {reason}"]
-
-
-def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterator[GroundTruthPose]:
-    """The true poses of a log; it is opened when the first is asked for."""
-    topics = selection.topics_of(RecordKind.GROUND_TRUTH)
-    if topics:
-        with LogReader(source, config.reading_limits) as reader:
-            wanted = Selection(dict.fromkeys(topics, (RecordKind.GROUND_TRUTH,)))
-            for entry in reader.records(wanted):
-                if isinstance(entry.record, GroundTruthPose):
-                    yield entry.record

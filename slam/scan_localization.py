@@ -1,7 +1,7 @@
-"""Where in a map a single scan was made: a query submap of one scan, without odometry.
+"""Localization of a single scan in a map: a query submap of one scan, without odometry.
 
-It takes the way of a closure in a prior map: retrieval proposes places, :class:`Verifier` registers the scan there, and
-:class:`Acceptance` accepts the likeliest of them once its posterior probability of being wrong is small enough. The
+The stages are those of a closure in a prior map: retrieval proposes places, :class:`Verifier` registers the scan there,
+and :class:`Acceptance` accepts the likeliest of them once its posterior probability of being wrong is small enough. The
 prior is uniform over the map, and the alternatives are the other candidates and "not in the map".
 """
 
@@ -36,7 +36,7 @@ Verified = Candidate | LoopClosureRecord
 """A candidate, or the record with the reason why there is none at a place."""
 
 SCAN = 1
-"""The scan as a keyframe; the one before it stands for the frame of the map."""
+"""The scan as a keyframe; the one before it is the frame of the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +121,7 @@ class ScanLocalizer:
         return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4))
 
     def has_enough_objects(self, query: Query) -> bool:
-        """Whether it has the objects without which there is no pose."""
+        """Whether it has enough objects for a pose."""
         return len(query.submap) >= self._acceptance.min_objects
 
     def propose(self, query: Query) -> list[Verified]:

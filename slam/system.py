@@ -142,7 +142,7 @@ class Slam:
         return self._advance()
 
     def snapshot(self) -> MapSnapshot | None:
-        """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
+        """A snapshot of the map for viewers; None if it is not due."""
         return self._snapshot() if self._schedule.is_due(len(self._mapper.keyframes)) else None
 
     def _snapshot(self) -> MapSnapshot:
@@ -156,7 +156,7 @@ class Slam:
         )
 
     def finish(self) -> FinalMap:
-        """Close the last keyframe, optimise everything at once and hand out the result.
+        """Close the last keyframe, optimise the whole graph and return the result.
 
         Raises:
             InputDataError: there was nothing to map.
@@ -171,7 +171,7 @@ class Slam:
         return self._final_map(*self._optimize())
 
     def _optimize(self) -> tuple[list[LoopClosureRecord], str, Optimization]:
-        """Estimate all at once; returns the closures removed as outliers, a warning about them, and how it went."""
+        """Optimise the whole graph; returns the closures removed as outliers, a warning about them, and the result."""
         self._mapper.close_keyframe()
         self._graph.settle()
         removed, warning = self._closer.closures.reject_outliers()
@@ -317,7 +317,7 @@ def _refused_noises() -> Iterator[None]:
 
 
 def _localization(stamp_ns: int, state: State, mapper: Mapper, closer: LoopCloser) -> LocalizationRecord:
-    """How well the robot knows its pose at a scan."""
+    """Certainty of the robot's pose at a scan."""
     ratios = mapper.innovation_ratios
     return LocalizationRecord(
         stamp_ns,

@@ -32,7 +32,6 @@ SHORTER = {
 }
 """Of an option that comes twice, the last one counts."""
 ELSEWHERE = {
-    r"import semantic-kitti": "its importer has tests of its own",
     r"import map .*\.osm": "pyosmium may not be here; tests/logs/importers/maps",
     r"^view map\.mcap$|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
     r"mine:Rings": "tests/descriptors/test_own_class.py has the class of the page",

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +60,6 @@ def reader_questions() -> list[str]:
     return [line for line in section.splitlines()[3:] if line.startswith("|")]
 
 
-def test_ten_questions_of_readers_have_answers() -> None:
-    assert len(reader_questions()) == 10
-
-
 @pytest.mark.parametrize("row", reader_questions(), ids=lambda row: row.split("|")[1].strip())
 def test_answer_is_in_at_most_three_files(row: str) -> None:
     files = [(ROOT / target).read_text(encoding="utf-8") for target in LINK.findall(row)]
@@ -79,12 +74,11 @@ def blocks_of(name: str) -> list[str]:
     return [block for language, block in FENCE.findall(text) if language in SHELLS]
 
 
-def commands(block: str, *, variables: bool = True) -> Iterator[list[str]]:
-    """Arguments of each ``dslam`` in a block of shell; ``variables``, if it has any, are 1."""
+def commands(block: str) -> Iterator[list[str]]:
+    """Arguments of each ``dslam`` in a block of shell; its variables are 1."""
     block = re.sub(r"<<'END'.*?^END$", "", block, flags=re.DOTALL | re.MULTILINE).replace("\\\n", " ")
     for line in block.splitlines():
-        line = re.sub(r"\$\{?\w+\}?", "1", line) if variables else line
-        lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
+        lexer = shlex.shlex(re.sub(r"\$\{?\w+\}?", "1", line), posix=True, punctuation_chars=True)
         lexer.whitespace_split = True
         words: list[str] = []
         for word in [*lexer, ";"]:
@@ -110,7 +104,7 @@ def parse(arguments: list[str]) -> Any:
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_are_those_of_the_program(name: str) -> None:
     for block in blocks_of(name):
-        for arguments in commands(next(expanded(block))):
+        for arguments in commands(block):
             if arguments[0].startswith("--"):  # options of dslam itself act while they are parsed
                 continue
             try:
@@ -119,15 +113,6 @@ def test_commands_are_those_of_the_program(name: str) -> None:
                 message = getattr(error, "format_message", lambda error=error: str(error))()
                 pytest.fail(f"{name}: dslam {' '.join(arguments)}: {message}")
             (load_simulation_config if arguments[0] == "simulate" else load_config)(None, settings)
-
-
-def test_commands_are_found_in_blocks() -> None:
-    block = (
-        "for x in a b; do dslam info $x.mcap --json > $x.json; done\ndslam export map.mcap \\\n  --tum t.txt # and g2o"
-    )
-    assert list(commands(block)) == [["info", "1.mcap", "--json"], ["export", "map.mcap", "--tum", "t.txt"]]
-    with pytest.raises(Exception, match=r"flly|No such"):
-        parse(["flly"])
 
 
 @pytest.fixture
@@ -163,21 +148,6 @@ def test_outputs_older_than_the_change_before_the_last_are_stale(results: dict[s
     assert results["have_changed"](demo.output, figures.replace("0.086", "0.186"))
 
 
-def test_the_demo_keeps_its_date_until_its_figures_change(results: dict[str, Any], tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("```\necho\n```\n\n<!-- output of demo -->\n<!-- end -->\n", encoding="utf-8")
-    results["write_output"].__globals__["QUICK_START"] = page
-    written = []
-    for printed in ("ATE 1.0 m", "ATE 1.01 m", "ATE 2.0 m"):
-        (block,) = results["read_blocks"](page)
-        earlier = re.sub(r"[\d-]{10}", "2026-01-01", block.output)
-        results["write_output"](replace(block, output=earlier), printed)
-        written.append(page.read_text(encoding="utf-8"))
-    assert "2026-01-01" not in written[0]
-    assert "Version 0.1.0, 2026-01-01:" in written[1]
-    assert ", before 2026-01-01:" in written[2]
-
-
 def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
     results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
     blocks = {block.name: block for block in results["all_blocks"]()}
@@ -186,50 +156,6 @@ def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
     assert "\n".join(rows) in (ROOT / "docs/results/README.md").read_text(encoding="utf-8")
     with pytest.raises(ValueError, match="has no ATE of KITTI 00"):
         list(results["figure_rows"](blocks | {"kitti00": replace(blocks["kitti00"], output="nothing")}))
-
-
-def expanded(block: str) -> Iterator[str]:
-    """The block for each combination of the values of its loops, other variables but ``$D`` replaced, too."""
-    block = re.sub(r"#.*", "", block)
-    fixed = dict(re.findall(r"^\s*(\w+)=(\S+)$", block, flags=re.MULTILINE))
-    loops = {name: values.split() for name, values in re.findall(r"for (\w+) in ([^;]+);", block)}
-    for values in product(*loops.values()):
-        text = block
-        for name, value in [*fixed.items(), *zip(loops, values, strict=True)]:
-            text = re.sub(rf"\$({name}\b|{{{name}}})", lambda _, value=value: value, text)
-        yield text
-
-
-def files_of(arguments: list[str]) -> tuple[set[str], set[str]]:
-    """Files of a command: what it reads, and what it writes."""
-    writes, reads = set[str](), set[str]()
-    words = iter(arguments)
-    for word in words:
-        if word in ("-o", "--save-map", "--picture", "--html"):
-            writes.add(next(words))
-        elif re.search(r"\.(mcap|csv|gz|txt|xz|safetensors)$", word):
-            reads.add(word.rpartition("=")[2])
-    if arguments[0] in ("simulate", "import", "train"):
-        first = arguments[2 if arguments[0] == "import" else 1]
-        writes.add(f"{first}/weights.safetensors" if arguments[0] == "train" else first)
-    return reads - writes, writes
-
-
-@pytest.mark.parametrize("wrong", ["", "dslam replay nowhere.mcap -o out.mcap\n", "dslam info $D/nowhere.csv\n"])
-def test_what_commands_of_results_read_is_data_or_made_before(wrong: str) -> None:
-    """Block by block, in the order in which they are run."""
-    results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
-    blocks, data = results["all_blocks"](), ROOT.parent / "shared" / "data"
-    made, missing = set[str](), list[str]()
-    for block in [*blocks, replace(blocks[0], commands=wrong)]:
-        texts = [text.replace("$D", str(data)) for text in expanded(block.commands)]
-        used = [files_of(arguments) for text in texts for arguments in commands(text, variables=False)]
-        made.update(*(writes for _, writes in used), re.findall(r"> (\S+\.csv)", block.commands))
-        read = set[str]().union(*(reads for reads, _ in used)) - made
-        is_data = {each for each in read if each.startswith(str(data))}
-        there = {each for each in is_data if Path(each).is_file() or not data.is_dir()}
-        missing += [f"{block.name}: {each}" for each in sorted(read - there)]
-    assert len(missing) == bool(wrong), missing
 
 
 def test_reference_pages_hold_every_command_setting_and_key() -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import tarfile
-import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -106,24 +104,6 @@ def test_the_wheel_holds_one_package(wheel: Path) -> None:
     assert "dslam/descriptors/weights/descriptellation_lr.safetensors" in names
     assert not [name for name in names if "/tests/" in name]
     assert wheel.stat().st_size < 5e6
-
-
-def test_the_dockerfile_names_what_there_is() -> None:
-    """It cannot be built here."""
-    lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
-    steps = [line.split(maxsplit=1) for line in lines if line and not line.startswith("#")]
-    assert [name for name, _ in steps] == ["FROM", "WORKDIR", "COPY", "RUN", "WORKDIR", "ENTRYPOINT"]
-    text = dict(reversed(steps))
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    found = re.fullmatch(r"python:(3\.\d+)-slim", text["FROM"])
-    assert found is not None
-    assert project["requires-python"] == f">={found[1]}"
-    assert json.loads(text["ENTRYPOINT"])[0] in project["scripts"]
-    *sources, _ = text["COPY"].split()
-    assert all((ROOT / source).exists() for source in sources)
-    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
-    needed = {"pyproject.toml", "setup.py", "README.md", "LICENSE", "dslam.py", "slam", "logs", "descriptors", "tools"}
-    assert not needed & set(ignored)
 
 
 def test_the_source_distribution_holds_licence_and_build(sdist: Path) -> None:

@@ -1,7 +1,7 @@
 """The command line: parse, call one library function, print. Here is the process around it.
 
 A terminal is not always one: streams may be closed, full, or of an encoding without umlauts; and whoever interrupts or
-ends the process gets one line, whatever was being done, modules being imported included.
+ends the process gets one line, also while modules are imported.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _stopped: Stopped | None = None
 
 
 def stopped() -> Stopped | None:
-    """What asked the process to end, although what was raised of it may have become another error on its way."""
+    """The signal that ended the process, even if its exception was replaced by another error."""
     return _stopped
 
 

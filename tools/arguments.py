@@ -37,6 +37,7 @@ CalibrationFile = Annotated[
         show_default=False,
     ),
 ]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)]
 Topics = Annotated[
     list[str] | None,
     typer.Option(
@@ -49,7 +50,6 @@ def can_draw(path: Path | None) -> Path | None:
     """The path of a picture or page; where its libraries are missing, the command ends before any work is done."""
     if path is not None:
         import matplotlib  # noqa: F401
-        import plotly  # noqa: F401
     return path
 
 

@@ -33,7 +33,6 @@ _PREFIX = __name__.removesuffix("tools.cli")
 
 _EXTRA_OF = {
     "matplotlib": "pictures",
-    "plotly": "pictures",
     "torch": "learn",
     "rerun": "view",
     "foxglove": "live",
@@ -53,7 +52,7 @@ _COMMANDS = {
     "fleet": "fleet:app",
     "evaluate": "evaluation.evaluate:evaluate",
     "compare": "evaluation.compare:compare",
-    "sweep": "evaluation.sweep:sweep",
+    "sweep": "lab.commands.sweep:sweep",
     "view": "results.view:view",
     "export": "results.export:export",
     "config": "settings.config:config",
@@ -111,7 +110,7 @@ def _global_options(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and return its exit code; whatever goes wrong is one line on standard error."""
+    """Run one command line and return its exit code; any error is one line on standard error."""
     debug = "--debug" in arguments
     moved = [argument for argument in arguments if argument in _ANYWHERE]
     rest = [argument for argument in arguments if argument not in _ANYWHERE]

@@ -1,4 +1,4 @@
-"""What goes to the terminal: results to standard output, progress to standard error."""
+"""Output to the terminal: results to standard output, progress to standard error."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ _MAX_NUMBER_WIDTH = 12
 """Words of so many characters are not folded on a narrow terminal: a number that loses digits is another number."""
 
 
+_STYLE: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": None, "pad_edge": False}
+
+
 class VisibleFormatter(logging.Formatter):
     """Messages of the log, in which the names of a file stand."""
 
@@ -35,7 +38,7 @@ class VisibleFormatter(logging.Formatter):
 
 
 class _PlainTable(Table):
-    """Cells are text as it stands: no markup, no control characters."""
+    """Cells are plain text: no markup, no control characters."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         super().add_row(*(Text(visible(cell)) if isinstance(cell, str) else cell for cell in cells), **options)
@@ -72,9 +75,7 @@ def _plain(value: Any) -> Any:
 
 def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
     """Names and values below one another, without lines."""
-    table = _PlainTable(
-        title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False
-    )
+    table = _PlainTable(title=title, show_header=False, **_STYLE)
     table.add_column(no_wrap=True, style="cyan")
     words = (cell_len(word) for value in rows.values() for word in value.split())
     table.add_column(overflow="fold", min_width=min(max(words, default=1), _MAX_NUMBER_WIDTH))
@@ -83,33 +84,21 @@ def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
     return table
 
 
-def grid(columns: Mapping[str, bool], title: str | None = None) -> Table:
-    """A table without lines; ``columns`` tells for each heading whether it is a column of numbers."""
-    table = _PlainTable(
-        title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="cyan"
-    )
-    for heading, is_number in columns.items():
-        table.add_column(heading, justify="right" if is_number else "left", overflow="fold")
-    return table
-
-
-def table(rows: Sequence[Mapping[str, str]], *, texts: Collection[str] = (), title: str | None = None) -> Table:
-    """Rows with the same headings as a table; the first column and ``texts`` are to the left."""
-    headings = list(rows[0]) if rows else []
-    shown = grid({heading: heading not in (*headings[:1], *texts) for heading in headings}, title)
+def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), title: str | None = None) -> Table:
+    """Rows with the same headings as a table without lines; the first column and ``texts`` are to the left."""
+    shown = _PlainTable(title=title, header_style="cyan", **_STYLE)
+    for heading in rows[0] if rows else ():
+        is_number = bool(shown.columns) and heading not in texts
+        width = max(cell_len(row[heading]) for row in rows) if is_number else None  # a number keeps its digits
+        shown.add_column(visible(heading), justify="right" if is_number else "left", overflow="fold", min_width=width)
     for row in rows:
         shown.add_row(*row.values())
     return shown
 
 
-def frame(table: pd.DataFrame, title: str | None = None) -> Table:
-    """A table of texts without lines; the index names the rows."""
-    shown = grid({"": False} | dict.fromkeys(map(visible, table.columns), True), title)
-    for name, cells in zip(table.index, table.to_numpy().tolist(), strict=True):
-        shown.add_row(str(name), *cells)
-    for column in shown.columns:  # a number that loses digits is another number
-        column.min_width = max((cell_len(str(cell)) for cell in column.cells), default=1)
-    return shown
+def frame(table_of_texts: pd.DataFrame, title: str | None = None) -> Table:
+    """A table of texts; the index names the rows."""
+    return table(table_of_texts.rename_axis("").reset_index().to_dict("records"), title=title)
 
 
 @contextmanager

@@ -10,8 +10,8 @@ import typer
 from tools.arguments import InputLog, Json, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
-    from slam.simulation.faults.fault import FaultCase
     from slam.simulation.faults.faulty_log import FaultSummary
+    from slam.simulation.faults.registry import Fault
 
 
 def _list_faults(wanted: bool) -> None:
@@ -19,7 +19,7 @@ def _list_faults(wanted: bool) -> None:
         from slam.simulation.faults.registry import FAULTS
         from tools import console
 
-        console.show(console.pairs({fault.usage: fault.meaning for fault in FAULTS.values()}))
+        console.show(console.pairs({fault.name: fault.meaning for fault in FAULTS.values()}))
         raise typer.Exit
 
 
@@ -57,15 +57,15 @@ def degrade(
     from slam.simulation.faults.registry import parse_faults
     from tools import console
 
-    cases = parse_faults(fault)
+    faults = parse_faults(fault)
     with console.progress_bar("degrading", "finishing") as progress:
-        summary = write_faulty(source, output, cases, seed=seed, topics=chosen, progress=progress)
+        summary = write_faulty(source, output, faults, seed=seed, topics=chosen, progress=progress)
     if json:
         console.show_json(
             {
                 "output": str(output),
                 "seed": seed,
-                "faults": [case.name for case in cases],
+                "faults": [each.name for each in faults],
                 "detections_before": summary.detections_before,
                 "detections": summary.detections,
                 "message_counts": summary.message_counts,
@@ -73,14 +73,14 @@ def degrade(
             }
         )
     else:
-        _show(output, seed, cases, summary)
+        _show(output, seed, faults, summary)
 
 
-def _show(output: Path, seed: int, cases: list[FaultCase], summary: FaultSummary) -> None:
+def _show(output: Path, seed: int, faults: list[Fault], summary: FaultSummary) -> None:
     from tools import console
 
     rows = {
-        "faults": "\n".join(f"{case.name}: {case.fault.meaning}" for case in cases),
+        "faults": "\n".join(f"{fault.name}: {fault.meaning}" for fault in faults),
         "detections": f"{summary.detections} after, {summary.detections_before} before",
         "warnings": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in summary.left_out.items()) or "none",
         "written": f"{output} (seed {seed})",

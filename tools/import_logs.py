@@ -8,17 +8,13 @@ from typing import Annotated
 import typer
 
 from tools.arguments import Json, NewLog, check_outputs
-from tools.importers import clouds, maps
+from tools.importers import maps
 from tools.importers.drives import write_drive
 
 app = typer.Typer(
     help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
 )
 app.command("map")(maps.map_of_objects)
-app.command("semantic-kitti")(clouds.semantic_kitti)
-app.command("paris-lille")(clouds.urban)
-app.command("iqmulus")(clouds.urban)
-app.command()(clouds.ply)
 
 
 @app.command("kitti-objects")
@@ -26,9 +22,7 @@ def kitti_objects(
     output: NewLog,
     detections: Annotated[
         Path,
-        typer.Option(
-            metavar="ARCHIVE|FOLDER", help="Folder with bow.txt and centroids/, as in the GOSMatch repository."
-        ),
+        typer.Option(metavar="FOLDER", help="Folder with bow.txt and centroids/, as in the archives of GOSMatch."),
     ],
     odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the left camera, KITTI format.")],
     calib: Annotated[Path, typer.Option(metavar="FILE", help="KITTI's calib.txt; Tr is velodyne to left camera.")],
@@ -36,12 +30,11 @@ def kitti_objects(
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the left camera; for evaluation only.")
     ] = None,
-    sequence: Annotated[str | None, typer.Option(help="Name of the sequence, if there are several.")] = None,
     json: Json = False,
 ) -> None:
     """KITTI odometry with objects clustered from its scans.
 
-    Example: dslam import kitti-objects kitti00.mcap --detections 00.tar.xz --odometry vo.txt --calib calib.txt
+    Example: dslam import kitti-objects kitti00.mcap --detections 00 --odometry vo.txt --calib calib.txt
     --times times.txt --ground-truth poses/00.txt
     """
     check_outputs([output], [detections, odometry, calib, times, ground_truth])
@@ -53,7 +46,6 @@ def kitti_objects(
         calib=calib,
         times=times,
         ground_truth=ground_truth,
-        sequence=sequence,
     )
     write_drive(output, drive.records(), drive.source, json=json)
 
@@ -61,10 +53,8 @@ def kitti_objects(
 @app.command("csv")
 def csv(
     output: NewLog,
-    odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the body: TUM, KITTI, EuRoC or CSV.")],
-    detections: Annotated[
-        Path, typer.Option(metavar="TABLE", help="CSV with a header, or JSON lines; positions in the body frame.")
-    ],
+    odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the body: TUM, KITTI or CSV.")],
+    detections: Annotated[Path, typer.Option(metavar="TABLE", help="CSV with a header; positions in the body frame.")],
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the body; for evaluation only.")
     ] = None,
@@ -80,7 +70,7 @@ def csv(
 ) -> None:
     """Text files: poses of the odometry, a table of detections, true poses. Files may be compressed with gzip.
 
-    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ... or cxx ..., diameter_m,
+    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ..., diameter_m,
     track_id, frame, object_id (the truth). Other columns are listed and ignored.
 
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz

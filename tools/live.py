@@ -7,27 +7,22 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import CalibrationFile, ConfigFile, Json, Settings, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
-    from logs.reader import LogItem
+    from logs.reader import LogItem, LogReader
     from slam.common.config import Config
 
-STANDARD_INPUT, SOCKET = "-", "tcp:"
+STANDARD_INPUT = Path("-")
 
 
 def live(
     source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="A log, '-' for standard input, or tcp:HOST:PORT to listen on for one sender.",
-            show_default=False,
-        ),
+        Path, typer.Argument(metavar="LOG|-", help="A log, or '-' for a stream on standard input.", show_default=False)
     ],
     output: Annotated[
         Path | None,
@@ -57,10 +52,13 @@ def live(
 
     A stream holds dslam.StreamMessage records, each after its length as a varint (logs/schemas/dslam.proto). The
     estimates use past records only, also for values that the calibration does not hold.
+
     Example: dslam live drive.mcap --speed 2 --calibration robot.toml
     """
-    chosen, address = parse_topics(topics), _parse_address(source)
-    check_outputs([output], [config_file, calibration, map_log, *([] if _is_stream(source) else [Path(source)])])
+    chosen = parse_topics(topics)
+    check_outputs([output], [config_file, calibration, map_log, source])
+    from logs.reader import LogReader
+    from logs.storage.stream import read_stream
     from slam.common.config import load_config
     from slam.display.foxglove_feed import FoxgloveFeed
     from slam.live_drive import LiveDrive
@@ -74,10 +72,13 @@ def live(
         feed = stack.enter_context(FoxgloveFeed(host, port))
         typer.echo(f"Foxglove: ws://{host}:{feed.port}", err=True)
         drive = stack.enter_context(LiveDrive(config, feed.show, prior_map=prior_map, output=output))
-        for item in _items(stack, source, address, config, chosen, speed, counters):
+        if source == STANDARD_INPUT:
+            items = read_stream(sys.stdin.buffer, counters, config.reading_limits)
+        else:
+            items = _at_speed(stack.enter_context(LogReader(source, config.reading_limits)), config, chosen, speed)
+        for item in items:
             drive.process(item)
-        drive.slam.counters.update(counters)
-        final = drive.finish()
+        final = drive.finish(counters)
     latency_s = drive.latency_s()
     if json:
         console.show_json({"latency_s": latency_s, "status": final.status.message, "counters": final.status.counters})
@@ -85,46 +86,20 @@ def live(
     rows = {
         "latency": ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in latency_s.items()),
         "landmarks": str(len(final.object_map.ids)),
-        "of the robot": "; ".join((*drive.slam.calibration.notes, *drive.slam.calibration.suspicions)),
+        "of the robot": "; ".join(drive.slam.calibration.notes),
         "final status": final.status.message,
         "written": "" if output is None else str(output),
     }
     console.show(console.pairs({name: text for name, text in rows.items() if text}))
 
 
-def _is_stream(source: str) -> bool:
-    return source == STANDARD_INPUT or source.startswith(SOCKET)
-
-
-def _items(
-    stack: ExitStack,
-    source: str,
-    address: tuple[str, int] | None,
-    config: Config,
-    topics: dict[str, str] | None,
-    speed: float,
-    counters: Counter[str],
-) -> Iterator[LogItem]:
-    from logs.storage.stream import read_stream
-
-    if source == STANDARD_INPUT:
-        return read_stream(sys.stdin.buffer, counters, config.reading_limits)
-    if address is not None:
-        return read_stream(stack.enter_context(_accepted(address)), counters, config.reading_limits)
-    return _at_speed(stack, Path(source), config, topics, speed)
-
-
-def _at_speed(
-    stack: ExitStack, path: Path, config: Config, topics: dict[str, str] | None, speed: float
-) -> Iterator[LogItem]:
+def _at_speed(reader: LogReader, config: Config, topics: dict[str, str] | None, speed: float) -> Iterator[LogItem]:
     """The messages of a log, each not before its time."""
     import time
 
-    from logs.reader import LogReader
     from logs.topics import RecordKind
     from slam.prepared_log import prepare_log
 
-    reader = stack.enter_context(LogReader(path, config.reading_limits))
     selection = prepare_log(reader, config, topics=topics, copy=(), is_surveyed=False).selection
     for kind in (RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH):
         selection = selection.without(kind)
@@ -135,23 +110,3 @@ def _at_speed(
             due = started + (item.raw.log_time_ns - first_ns) * 1e-9 / speed
             time.sleep(max(due - time.monotonic(), 0.0))
         yield item
-
-
-def _parse_address(source: str) -> tuple[str, int] | None:
-    """Host and port of tcp:HOST:PORT; None for another source."""
-    if not source.startswith(SOCKET):
-        return None
-    host, _, port = source.removeprefix(SOCKET).rpartition(":")
-    if not host or not port.isdigit():
-        raise typer.BadParameter(f"{source}: expected {SOCKET}HOST:PORT.", param_hint="SOURCE")
-    return host, int(port)
-
-
-def _accepted(address: tuple[str, int]) -> BinaryIO:
-    """What the first program sends that connects to the address."""
-    import socket
-
-    with socket.create_server(address) as server:
-        connection, _ = server.accept()
-        with connection:
-            return connection.makefile("rb")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,10 +21,10 @@ from tools.arguments import (
     parse_topics,
 )
 from tools.pictures import draw_drive
+from tools.replay import describe
 
 if TYPE_CHECKING:
     from slam.place_recognition.initial_pose import InitialPose
-    from slam.replay import ReplaySummary
 
 
 def relocalize(
@@ -78,28 +80,23 @@ def relocalize(
         )
     if picture is not None and summary.relocalization_times_s:
         draw_drive(output, picture, known)
-    times_s, distances_m = summary.relocalization_times_s, summary.relocalization_distances_m
-    found = {
-        "output": str(output),
-        "found": bool(times_s),
-        "time_to_first_relocalization_s": times_s[0] if times_s else None,
-        "distance_to_first_relocalization_m": distances_m[0] if distances_m else None,
-        "relocalization_count": len(times_s),
-        "relocalization_times_s": list(times_s),
-        "keyframes": summary.counters.get("keyframes", 0),
-        "keyframes_recognised": summary.counters.get("keyframes_recognised", 0),
-        "relocalized_keyframe_ratio": _relocalized_keyframe_ratio(summary),
-        "tracked_ratio": summary.tracked_ratio,
-        "kidnappings_detected": summary.counters.get("kidnappings_detected", 0),
-        "relocalizations_revoked": summary.counters.get("relocalizations_revoked", 0),
-        "query_median_s": summary.loop_closure_median_s,
-        "notes": list(summary.notes),
-    }
+    is_found = bool(summary.relocalization_times_s)
     if json:
-        console.show_json(found)
+        console.show_json({"output": str(output), "found": is_found, **asdict(summary)})
     else:
-        _show(summary, output, picture if summary.relocalization_times_s else None)
-    if not summary.relocalization_times_s:
+        counters = Counter(summary.counters)
+        rows = {
+            **describe(summary),
+            "recognised": f"{counters['keyframes_recognised']} of {counters['keyframes']} keyframes",
+            "tracked": f"{100 * summary.tracked_ratio:.0f} % of the online poses were in the map frame",
+            "kidnapped": f"detected {counters['kidnappings_detected']} times; "
+            f"{counters['relocalizations_revoked']} relocalizations revoked",
+            "written": str(output) + (f", {picture}" if picture and is_found else ""),
+        }
+        shown = ("found", "recognised", "tracked", "kidnapped", "warnings", "of the log", "final status", "written")
+        found = {"found": "never: no place of the map was recognised"} | rows
+        console.show(console.pairs({name: found[name] for name in shown if name in found}))
+    if not is_found:
         raise typer.Exit(1)
 
 
@@ -121,30 +118,3 @@ def _parsed_prior(near: str | None) -> InitialPose | None:
         )
     yaw_rad = float(np.deg2rad(yaw_deg[0])) if yaw_deg else None
     return InitialPose(np.array([x_m, y_m]), sigma_m, yaw_rad=yaw_rad)
-
-
-def _relocalized_keyframe_ratio(summary: ReplaySummary) -> float:
-    return summary.counters.get("keyframes_recognised", 0) / max(summary.counters.get("keyframes", 0), 1)
-
-
-def _show(summary: ReplaySummary, output: Path, picture: Path | None) -> None:
-    from tools import console
-
-    counters = summary.counters
-    times_s, distances_m = summary.relocalization_times_s, summary.relocalization_distances_m
-    rows = {
-        "first fix": f"after {times_s[0]:.1f} s and {distances_m[0]:.1f} m"
-        if times_s
-        else "none: no place of the map was recognised",
-        "later fixes": ", ".join(f"{time:.0f} s" for time in times_s[1:]) or "none",
-        "recognised": f"{counters.get('keyframes_recognised', 0)} of {counters.get('keyframes', 0)} keyframes "
-        f"({100 * _relocalized_keyframe_ratio(summary):.0f} %)",
-        "tracked": f"{100 * summary.tracked_ratio:.0f} % of the online poses were in the map frame",
-        "kidnapped": f"detected {counters.get('kidnappings_detected', 0)} times; "
-        f"{counters.get('relocalizations_revoked', 0)} relocalizations revoked",
-        "a query takes": f"{1e3 * summary.loop_closure_median_s:.1f} ms in the median",
-        **({"of the log": "; ".join(summary.notes)} if summary.notes else {}),
-        "final status": summary.final_status,
-        "written": str(output) + (f", {picture}" if picture else ""),
-    }
-    console.show(console.pairs(rows))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -95,46 +96,42 @@ def replay(
         )
     if picture is not None:
         draw_drive(output, picture)
-    written = [str(path) for path in (output, save_map, picture) if path is not None]
     if json:
-        console.show_json({"output": str(output), **asdict(summary), "real_time_factor": _real_time_factor(summary)})
-    else:
-        _show(written, summary)
+        console.show_json({"output": str(output), **asdict(summary)})
+        return
+    console.show(
+        console.pairs(describe(summary) | {"written": ", ".join(map(str, filter(None, (output, save_map, picture))))})
+    )
 
 
-def _show(written: list[str], summary: ReplaySummary) -> None:
-    from tools import console
-
-    counters = summary.counters
-    landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
-    real_time_factor = _real_time_factor(summary)
-    speed = f", {real_time_factor:.1f} x real time" if real_time_factor else ""
+def describe(summary: ReplaySummary) -> dict[str, str]:
+    """How a replay went, for people."""
+    counters = Counter(summary.counters)
+    condensed = counters["keyframes_condensed"]
+    retrieved, accepted = counters["closures_retrieved"], counters["closures_accepted"]
+    fixes = zip(summary.relocalization_times_s, summary.relocalization_distances_m, strict=True)
+    speed = f", {summary.log_s / summary.wall_s:.1f} x real time" if summary.wall_s > 0.0 else ""
+    # The propagated closures are only as right as the retrieved ones that they start from.
     rows = {
         "log": f"{summary.log_s:.1f} s, mapped in {summary.wall_s:.1f} s{speed}",
-        "used": f"{counters.get('odometry_used', 0)} odometry messages, {counters.get('detections_used', 0)} scans "
-        f"with {counters.get('objects_used', 0)} objects",
-        "keyframes": _keyframes(counters),
-        "landmarks": ", ".join(landmarks),
-        "loops": f"{counters.get('closures_accepted', 0)} loop closures accepted ({_origins(counters)}), "
-        f"{counters.get('closures_inserted', 0)} factors, {counters.get('closures_removed', 0)} removed as outliers"
-        + rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)),
-        **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
+        "used": f"{counters['odometry_used']} odometry messages, {counters['detections_used']} scans "
+        f"with {counters['objects_used']} objects",
+        "keyframes": f"{counters['keyframes']}" + (f", {condensed} condensed into earlier ones" if condensed else ""),
+        "landmarks": ", ".join(f"{counters[f'landmarks_{state}']} {state}" for state in _LANDMARK_STATES),
+        "loops": f"{accepted} loop closures accepted ({retrieved} retrieved, {accepted - retrieved} propagated), "
+        f"{counters['closures_inserted']} factors, {counters['closures_removed']} removed as outliers"
+        + _odometry_note(counters["closures_rejected_by_odometry"]),
+        "found": ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes),
         "warnings": ", ".join(noted_counters(counters)) or "none",
-        **({"of the log": "; ".join(summary.notes)} if summary.notes else {}),
+        "of the log": "; ".join(summary.notes),
         "trajectory": str(summary.trajectory_check),
         "final status": summary.final_status,
-        "written": ", ".join(written),
     }
-    console.show(console.pairs(rows))
-
-
-def _keyframes(counters: Mapping[str, int]) -> str:
-    condensed = counters.get("keyframes_condensed", 0)
-    return str(counters.get("keyframes", 0)) + (f", {condensed} condensed into earlier ones" if condensed else "")
+    return {name: text for name, text in rows.items() if text}
 
 
 def noted_counters(counters: Mapping[str, int]) -> list[str]:
-    """What a user is warned of: the counters, other than zeros, of what was not simply used."""
+    """Warnings for the user: the nonzero counters of records that were left out or corrected."""
     return [
         f"{name.replace('_', ' ')} {count}"
         for name, count in counters.items()
@@ -142,24 +139,7 @@ def noted_counters(counters: Mapping[str, int]) -> list[str]:
     ]
 
 
-def _origins(counters: Mapping[str, int]) -> str:
-    """The propagated closures are only as right as the retrieved ones that they start from."""
-    retrieved = counters.get("closures_retrieved", 0)
-    return f"{retrieved} retrieved, {counters.get('closures_accepted', 0) - retrieved} propagated"
-
-
-def _fixes(summary: ReplaySummary) -> str:
-    """Time and travel of each relocalization, since the start of the drive."""
-    fixes = zip(summary.relocalization_times_s, summary.relocalization_distances_m, strict=True)
-    return ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes)
-
-
-def rejected_by_odometry_note(count: int) -> str:
+def _odometry_note(count: int) -> str:
     """A large number means that the odometry drifts more than it is configured to."""
-    if not count:
-        return ""
-    return f"; {count} more rejected by the odometry penalty (calibration.odometry.yaw_sigma, translation_sigma)"
-
-
-def _real_time_factor(summary: ReplaySummary) -> float | None:
-    return summary.log_s / summary.wall_s if summary.wall_s > 0.0 else None
+    settings = "calibration.odometry.yaw_sigma, translation_sigma"
+    return f"; {count} more rejected by the odometry penalty ({settings})" if count else ""

@@ -21,12 +21,6 @@ def simulate(
         int | None, typer.Option(min=0, metavar="N", help="Seed of the town: several drives through one town.")
     ] = None,
     length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
-    kidnap: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FROM_M:TO_M", help="Kidnap the robot: the drive jumps from one place of the tour to another."
-        ),
-    ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     json: Json = False,
@@ -42,13 +36,12 @@ def simulate(
     check_outputs([output], [objects, trajectory, config_file])
     import numpy as np
 
-    from slam.simulation.config import kidnap_overrides, load_simulation_config
+    from slam.simulation.config import load_simulation_config
     from slam.simulation.simulation import write_simulation
     from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
 
-    kidnapping = kidnap_overrides(kidnap) if kidnap is not None else []
-    config = load_simulation_config(config_file, [*(settings or ()), *kidnapping])
+    config = load_simulation_config(config_file, settings or ())
     if objects is not None and trajectory is not None:
         world = load_world(objects, trajectory)
     else:
@@ -65,7 +58,6 @@ def simulate(
                 "output": str(output),
                 "world": world.name,
                 "seed": seed,
-                "driven_m": summary.driven_m,
                 "duration_s": summary.duration_s,
                 "object_count": len(world.object_ids),
                 "detection_count": summary.detection_count,
@@ -74,7 +66,7 @@ def simulate(
         )
         return
     console.show(
-        f"{output}: {summary.driven_m:.0f} m in {summary.duration_s:.0f} s through {world.name} (seed {seed}), "
+        f"{output}: {summary.duration_s:.0f} s through {world.name} (seed {seed}), "
         f"{len(world.object_ids)} objects of {len(world.vocabulary)} classes",
         console.pairs({f"  {topic}": f"{count} messages" for topic, count in summary.message_counts.items()}),
         f"  {summary.detection_count} objects detected",

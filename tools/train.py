@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tools.arguments import Json
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from descriptors.training.contrast import ContrastTraining
-    from descriptors.training.folder import Epoch
     from descriptors.training.maps import TrainingMap
 
 LIKELIHOOD = "descriptellation_lr"
@@ -94,7 +91,10 @@ def train(
     if json:
         console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})
         return
-    console.show(_table(history), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
+    figures = ", ".join(
+        f"{name.replace('_', ' ')} {value:.4g}" for name, value in best.as_row().items() if value is not None
+    )
+    console.show(f"weights of the best epoch: {folder / WEIGHTS}", figures)
 
 
 def _shipped(network: str) -> Path | None:
@@ -125,49 +125,16 @@ def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) ->
 
 
 def _load_map(path: Path) -> TrainingMap:
-    """The objects of a CSV file, of a saved map, or of the final map in a log."""
+    """The objects of a CSV file, of a map of any kind, or of the final map in a log."""
     import numpy as np
 
     from descriptors.training.maps import TrainingMap
+    from logs.importers.maps.object_table import read_object_table
     from slam.common.errors import InputDataError
+    from slam.library import read_map
 
-    if path.suffix.lower() == ".csv":
-        from logs.importers.maps.object_table import read_object_table
-
-        table = read_object_table(path)
-        if table.is_geodetic:
-            raise InputDataError(f"{path}: positions in degrees; give metres")
-        positions, labels = table.positions, table.labels
-    else:
-        from logs.reader import LogReader
-        from slam.object_map.map_io import METADATA, confirmed, load_map
-
-        with LogReader(path) as reader:
-            is_saved = METADATA in reader.metadata()
-        if is_saved:
-            objects = load_map(path).objects
-        else:
-            from slam.evaluation.inputs.records import read_records
-
-            record = read_records(path).object_map
-            if record is None:
-                raise InputDataError(f"{path} holds no map; give a saved map, or a log that 'dslam replay' wrote")
-            objects = confirmed(record)
-        positions, labels = objects.positions, objects.class_probabilities.argmax(axis=1)
-    found, numbers = np.unique(np.asarray(labels), return_inverse=True)
-    return TrainingMap(np.asarray(positions, dtype=np.float64), numbers.astype(np.int64), len(found))
-
-
-def _table(history: list[Epoch]) -> Table:
-    from tools import console
-
-    rows = [{name.replace("_", " "): _cell(name, value) for name, value in epoch.as_row().items()} for epoch in history]
-    return console.table(rows)
-
-
-def _cell(name: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if "top" in name:
-        return f"{100 * value:.1f} %"
-    return f"{value:.4f}" if "loss" in name else f"{value:.0f}"
+    objects: Any = read_object_table(path) if path.suffix.lower() == ".csv" else read_map(path)
+    if getattr(objects, "is_geodetic", False):
+        raise InputDataError(f"{path}: positions in degrees; give metres")
+    found, numbers = np.unique(np.asarray(objects.labels), return_inverse=True)
+    return TrainingMap(np.asarray(objects.positions, dtype=np.float64), numbers.astype(np.int64), len(found))

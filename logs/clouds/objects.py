@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -44,7 +43,6 @@ class CloudObjects:
     sizes: FloatArray
     labels: tuple[str, ...]
     instances: IntArray
-    left_out: Mapping[str, int]
 
     def detections(self, stamp_ns: int, frame_id: str) -> ObjectDetections:
         """The record of these objects; each has the score 1."""
@@ -93,22 +91,19 @@ def find_objects(
     min_points = MIN_POINTS
     if viewpoint is not None:
         min_points = max(min_points, int(np.ceil(MIN_SHARE * len(cloud.positions))))
-    left_out: Counter[str] = Counter()
     found: list[tuple[str, int, Centre, FloatArray]] = []
     for label, instance, points in _parts(cloud, names, GAP_M * scale, voxel_m, upright=upright):
         if len(points) < min_points:
-            left_out["small"] += 1
             continue
         voxels = voxel_means(points, voxel_m)
         size = _size(voxels)
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
-        elif size[0] > MAX_EXTENT_M * scale:
-            left_out["long"] += 1
-            continue
-        else:
+        elif size[0] <= MAX_EXTENT_M * scale:
             spacing_m = _spacing_m(points, viewpoint)
             centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
+        else:
+            continue
         found.append((label, instance, centre, size))
     return CloudObjects(
         np.array([centre.position for _, _, centre, _ in found]).reshape(-1, 3),
@@ -116,7 +111,6 @@ def find_objects(
         np.array([size for *_, size in found]).reshape(-1, 3),
         tuple(label for label, *_ in found),
         np.array([instance for _, instance, _, _ in found], dtype=np.int64),
-        dict(left_out),
     )
 
 

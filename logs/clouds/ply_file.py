@@ -1,4 +1,4 @@
-"""Points of PLY files with all their fields.
+"""Points of binary PLY files with all their fields.
 
 Open3D ignores unsigned integers in PLY, in which labels are published. Greg Turk, "The PLY polygon file format".
 """
@@ -6,7 +6,6 @@ Open3D ignores unsigned integers in PLY, in which labels are published. Greg Tur
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,8 +19,8 @@ from logs.storage.regular_file import open_regular
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 _TYPES |= {"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4"}
 _TYPES |= {"uint32": "u4", "float32": "f4", "float64": "f8"}
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_MAX_HEADER_LINES = 1000
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_HEADER_BYTES = 100_000
 
 
 def read_points(path: Path) -> Mapping[str, NDArray[Any]]:
@@ -32,65 +31,31 @@ def read_points(path: Path) -> Mapping[str, NDArray[Any]]:
     """
     try:
         with open_regular(path) as stream:
-            order, count, fields = _read_header(stream)
-            points = _read_rows(stream, count, np.dtype([(name, order + kind) for name, kind in fields]), order)
+            points = _read_points(stream)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (ValueError, OverflowError, IndexError) as error:
-        raise DatasetError(f"{path}: not a readable PLY file ({error}); write it again") from error
-    if len(points) < count:
-        raise DatasetError(f"{path}: {len(points)} of {count} points are there; the file is truncated, copy it again")
+    except (ValueError, OverflowError, IndexError, KeyError) as error:
+        raise DatasetError(f"{path}: not a readable binary PLY file ({error}); write it again") from error
     return {name: points[name] for name in points.dtype.names or ()}
 
 
-def _read_header(stream: BinaryIO) -> tuple[str, int, list[tuple[str, str]]]:
-    """Order of the bytes ("" for text), number of vertices, and name and type of each of their properties.
+def _read_points(stream: BinaryIO) -> NDArray[Any]:
+    """The points, of which memory is taken for no more than the file has room for.
 
     Raises:
-        ValueError: it is no such header, or that of something else than points.
+        ValueError: it is no PLY file, its first element is not a vertex, or points are missing.
+        KeyError: text, or an unknown type of a property.
     """
-    if stream.readline(16).strip() != b"ply":
-        raise ValueError("it does not begin with 'ply'")
-    order, count, properties, elements = "", 0, list[tuple[str, str]](), list[str]()
-    for _ in range(_MAX_HEADER_LINES):
-        words = stream.readline(1000).decode("ascii").split()
-        match words:
-            case ["end_header"]:
-                break
-            case ["format", name, _] if name in _ORDERS:
-                order = _ORDERS[name]
-            case ["element", name, number]:
-                elements.append(name)
-                count = int(number) if len(elements) == 1 else count
-            case ["property", code, name] if elements == ["vertex"] and code in _TYPES:
-                properties.append((name, _TYPES[code]))
-            case ["comment" | "obj_info", *_]:
-                pass
-            case ["property", *_] if elements != ["vertex"]:
-                pass
-            case _:
-                raise ValueError(f"{' '.join(words)[:60]!r} in its header")
-    else:
-        raise ValueError("its header has no end")
-    if elements[:1] != ["vertex"] or count < 0 or not properties:
-        raise ValueError("its first element is not a list of vertices")
-    return order, count, properties
-
-
-def _read_rows(stream: BinaryIO, count: int, row: np.dtype[Any], order: str) -> NDArray[Any]:
-    """At most ``count`` points, of which memory is taken for no more than the file has room for."""
-    names = row.names or ()
-    min_bytes = row.itemsize if order else 2 * len(names)
-    left = os.fstat(stream.fileno()).st_size - stream.tell() + 1  # the last byte may be left out
-    if count * min_bytes > left:
-        raise ValueError(f"at most {left // min_bytes} of {count} points are there; the file is truncated")
-    if order:
-        return np.fromfile(stream, row, count)
-    if not count:
-        return np.zeros(0, row)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of lines without numbers
-        numbers = np.loadtxt(stream, max_rows=count, ndmin=2)
-    if numbers.shape[1] != len(names):
-        raise ValueError(f"lines of {numbers.shape[1]} numbers for {len(names)} fields")
-    return np.rec.fromarrays(list(numbers.T), dtype=[(name, np.float64) for name in names])
+    head, end, _ = stream.read(_HEADER_BYTES).partition(b"end_header")
+    lines = [line.split() for line in head.decode("ascii").splitlines() if not line.startswith(("comment", "obj_info"))]
+    if not end or lines[0] != ["ply"] or lines[2][:2] != ["element", "vertex"]:
+        raise ValueError("it does not begin with a header whose first element is the vertex")
+    order, count = _ORDERS[lines[1][1]], int(lines[2][2])
+    others = next((i for i, line in enumerate(lines[3:], start=3) if line[:1] != ["property"]), len(lines))
+    row = np.dtype([(line[2], order + _TYPES[line[1]]) for line in lines[3:others]])
+    stream.seek(len(head) + len(end))
+    stream.readline()
+    left = os.fstat(stream.fileno()).st_size - stream.tell()
+    if not 0 <= count * row.itemsize <= left:
+        raise ValueError(f"not all of {count} points are there; the file is truncated")
+    return np.fromfile(stream, row, count)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.registry import Decoder, decoder_for, kinds_of
+from logs.decoders.parts import Context, Records
+from logs.decoders.registry import Decoder, decoder_of, kinds_of
 from logs.errors import InvalidRecordError
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
@@ -22,6 +23,8 @@ _NAMES = {
     Odometry: ("frame_id", "child_frame_id"),
     Transform: ("parent_frame_id", "child_frame_id"),
 }
+# What fields of other types than usual lead to; a log brings its own definitions.
+_OTHER_FIELDS = (AttributeError, TypeError, ValueError, LookupError, OverflowError, MemoryError, RecursionError)
 
 
 def decode(
@@ -30,7 +33,7 @@ def decode(
     counters: Counter[str] | None = None,
     limits: ReadingLimits | None = None,
     decoder: Decoder | None = None,
-) -> tuple[Record, ...]:
+) -> Records:
     """The records of ``raw`` when its topic plays the part ``kind``; a message may hold none, one or several.
 
     Args:
@@ -52,15 +55,17 @@ def decode(
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
         if not is_large and len(raw.data) > limits.input_bytes:
             raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
-        decoder = decoder or decoder_for(raw.channel)
-        records = decoder(raw, kind, Counter() if counters is None else counters)
+        context = Context(raw, kind, Counter() if counters is None else counters)
+        records = (decoder or decoder_of(raw.channel))(context)
         for record in records:
             _check(record, limits)
         return records
-    except Refusal as refusal:
+    except _OTHER_FIELDS as error:
+        if not isinstance(error, Refusal):
+            error = Refusal("fields of other types than known", str(error)[:200])
         raise InvalidRecordError(
-            f"{raw.topic} at {raw.log_time_ns} ns: {refusal}; the message is left out", reason=refusal.reason
-        ) from refusal
+            f"{raw.topic} at {raw.log_time_ns} ns: {error}; the message is left out", reason=error.reason
+        ) from error
 
 
 def _check(record: Record, limits: ReadingLimits) -> None:

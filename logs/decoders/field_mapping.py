@@ -9,18 +9,16 @@ and frame are those of the field ``header``, as ROS has it, else the log time an
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from logs.decoders.parts import Detection, Records, detection_records
+from logs.decoders.parts import Context, Detection, Records, detection_records
 from logs.errors import TopicSelectionError
-from logs.topics import RawMessage, RecordKind
+from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
 _PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
-_OTHER_TYPE = (TypeError, ValueError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,24 +45,21 @@ class FieldMapping:
             )
         return FieldMapping(objects.removesuffix("[]"), fields)
 
-    def decode(self, raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> Records:
-        """The record of ``raw``; see :class:`logs.decoders.registry.Decoder`.
+    def decode(self, context: Context) -> Records:
+        """The records of a message; see :data:`logs.decoders.registry.Decoder`.
 
         Raises:
-            Refusal: bytes that are no such message, or fields that are not there or of other types.
+            Refusal: bytes that are no such message, or a field that is not there.
         """
-        try:
-            message = _tree(raw)
-            objects = _field(message, self.objects) if self.objects else [message]
-            found = [self._detection(each) for each in objects]
-            header = _field(message, "header", None)
-            place = raw.log_time_ns, ""
-            if header is not None:
-                seconds, nanoseconds = _field(header, "stamp.sec"), _field(header, "stamp.nanosec")
-                place = stamp_ns(seconds, nanoseconds, raw.log_time_ns), str(_field(header, "frame_id"))
-        except _OTHER_TYPE as error:
-            raise error if isinstance(error, Refusal) else Refusal("fields of other types", str(error)[:200]) from error
-        return detection_records({place: found}, counters)
+        message = _tree(context.raw)
+        objects = _field(message, self.objects) if self.objects else [message]
+        found = [self._detection(each) for each in objects]
+        header = _field(message, "header", None)
+        place = context.raw.log_time_ns, ""
+        if header is not None:
+            seconds, nanoseconds = _field(header, "stamp.sec"), _field(header, "stamp.nanosec")
+            place = stamp_ns(seconds, nanoseconds, place[0]), str(_field(header, "frame_id"))
+        return detection_records({place: found}, context.counters)
 
     def _detection(self, item: Any) -> Detection:
         def part(name: str, otherwise: Any) -> Any:

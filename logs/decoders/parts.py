@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from logs.dslam_codec import take_rows
 from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.topics import RawMessage, RecordKind
 from logs.validation import (
     MAX_COORDINATE_M,
     FloatArray,
     Refusal,
-    covariance_to_body,
     transform_from_quaternion,
     usable_covariance,
     usable_covariances,
@@ -26,6 +27,11 @@ UNKNOWN_LABEL = "unknown"
 Records = tuple[Record, ...]
 Place = tuple[int, str]
 """Stamp [ns] and frame."""
+
+
+POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
+FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
+"""What a pose, and the pose of a frame in another, may be on a topic."""
 
 
 class Context(NamedTuple):
@@ -63,18 +69,12 @@ def transform_of(position: Any, orientation: Any) -> FloatArray:
     )
 
 
-def pose_records(
-    context: Context, place: Place, pose: Any, covariance: Sequence[float] = (), body_frame_id: str = ""
-) -> Records:
-    """The record that a pose is on a topic of this kind; an empty frame name becomes the usual one.
-
-    ``covariance``: 36 numbers in the order of ROS and Foxglove, or none.
-    """
+def pose_records(context: Context, place: Place, pose: Any, body_frame_id: str = "") -> Records:
+    """The record that a pose is on a topic of this kind; an empty frame name becomes the usual one."""
     stamp_ns, frame_id = place
     T = transform_of(pose.position, pose.orientation)
-    P = _covariance_6x6(covariance, T, context.counters)
     if context.kind == RecordKind.ODOMETRY:
-        return (Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link", P),)
+        return (Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link"),)
     if context.kind == RecordKind.GROUND_TRUTH:
         return (GroundTruthPose(stamp_ns, T, frame_id or "world"),)
     return (SlamPose(stamp_ns, T),)
@@ -93,23 +93,6 @@ def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]
         for t in transforms
         if t.parent_frame_id.strip("/") == "odom"
     )
-
-
-def _covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str]) -> FloatArray | None:
-    """``(6, 6)`` in the records' form; None where unknown or unusable."""
-    if len(values) == 0:
-        return None
-    if len(values) != 36:
-        raise Refusal("lengths disagree", f"covariance of {len(values)} numbers, expected 36")
-    P = np.array(values, dtype=np.float64).reshape(6, 6)
-    given = P.any(axis=0) | P.any(axis=1)
-    if not given.all():
-        # A robot on a plane leaves the rest at zero, which would mean that it is known exactly.
-        if given.any():
-            usable_covariance(P[np.ix_(given, given)], counters)
-        return None
-    usable = usable_covariance(P, counters)
-    return None if usable is None else covariance_to_body(usable, T)
 
 
 def fix_records(context: Context, place: Place, message: Any) -> Records:
@@ -141,31 +124,21 @@ def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str
     n = len(found)
     sizes = [each.size for each in found]
     track_ids = tuple(each.track_id for each in found)
-    return detections_record(
+    covariances = [np.zeros((3, 3)) if each.covariance is None else each.covariance for each in found]
+    record = ObjectDetections(
         *place,
         np.array([each.position for each in found], dtype=np.float64).reshape(n, 3),
         tuple(each.label for each in found),
         np.array([each.score for each in found], dtype=np.float64),
-        np.array([np.zeros((3, 3)) if each.covariance is None else each.covariance for each in found]).reshape(n, 3, 3),
+        np.array(covariances).reshape(n, 3, 3),
         np.array(sizes, dtype=np.float64) if n and None not in sizes else None,
         track_ids if any(track_ids) else None,
-        counters=counters,
     )
+    return usable_detections(record, counters)
 
 
-def detections_record(
-    stamp_ns: int,
-    frame_id: str,
-    positions: FloatArray,
-    labels: tuple[str, ...],
-    scores: FloatArray,
-    covariances: FloatArray | None = None,
-    sizes: FloatArray | None = None,
-    track_ids: tuple[str, ...] | None = None,
-    *,
-    counters: Counter[str],
-) -> ObjectDetections:
-    """The record of N detections, without those whose score or position is not finite, or that are absurdly far away
+def usable_detections(record: ObjectDetections, counters: Counter[str]) -> ObjectDetections:
+    """The detections without those whose score or position is not finite, or that are absurdly far away
     ("dropped_objects").
 
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
@@ -173,23 +146,18 @@ def detections_record(
     ("ignored_sizes").
     """
     with np.errstate(invalid="ignore"):
-        good = (np.abs(positions) <= MAX_COORDINATE_M).all(axis=1) & np.isfinite(scores)
+        good = (np.abs(record.positions) <= MAX_COORDINATE_M).all(axis=1) & np.isfinite(record.scores)
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
-        positions, scores = positions[good], scores[good]
-        labels = tuple(np.array(labels, dtype=object)[good])
-        covariances = None if covariances is None else covariances[good]
-        sizes = None if sizes is None else sizes[good]
-        track_ids = None if track_ids is None else tuple(np.array(track_ids, dtype=object)[good])
+        record = take_rows(record, N=np.flatnonzero(good))
+    covariances, sizes = record.covariances, record.sizes
     if covariances is not None and len(covariances):
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
     if sizes is not None:
         infinite = np.abs(sizes) > MAX_COORDINATE_M
         counters.update({"ignored_sizes": int(infinite.sum())} if infinite.any() else {})
-        sizes = np.where(infinite, np.nan, sizes)
-        sizes = None if np.isnan(sizes).all() else sizes
-    labels = tuple(label or UNKNOWN_LABEL for label in labels)
-    return ObjectDetections(
-        stamp_ns, frame_id, positions, labels, np.clip(scores, 0.0, 1.0), covariances, sizes, track_ids
-    )
+        sizes = None if (infinite | np.isnan(sizes)).all() else np.where(infinite, np.nan, sizes)
+    labels = tuple(label or UNKNOWN_LABEL for label in record.labels)
+    scores = np.clip(record.scores, 0.0, 1.0)
+    return replace(record, labels=labels, scores=scores, covariances=covariances, sizes=sizes)

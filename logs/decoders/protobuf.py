@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -27,20 +27,22 @@ from google.protobuf.json_format import ParseDict, ParseError
 from google.protobuf.message import DecodeError
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from logs import messages as m
 from logs.decoders.parts import (
+    FRAMES,
+    POSE,
     Context,
     Detection,
     Place,
     Records,
     detection_records,
-    detections_record,
     fix_records,
     frame_records,
     pose_records,
+    usable_detections,
     xyz,
 )
 from logs.dslam_codec import CODECS
-from logs.messages import ObjectDetections
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal, stamp_ns
 
@@ -49,22 +51,29 @@ _SECONDS, _NANOSECONDS = {"sec", "seconds"}, {"nsec", "nanosec", "nanos"}
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
 
 
-def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> Records:
-    """Records of one message; see :class:`logs.decoders.registry.Decoder`.
+class MessageDecoder(NamedTuple):
+    """The class of the messages of a schema, what makes records of one, and the parts that a topic may play."""
+
+    message_class: Any
+    records: Callable[[Any, Context], Records]
+    kinds: tuple[RecordKind, ...]
+
+
+def decode(context: Context) -> Records:
+    """Records of one message; see :data:`logs.decoders.registry.Decoder`.
 
     Raises:
         Refusal: bytes that are no such message, or values that no record may have.
     """
-    message_class, function = DECODERS[raw.channel.schema_name]
-    parse = _parse_json if raw.channel.message_encoding == "json" else _parse
-    return function(parse(message_class, raw), Context(raw, kind, counters))
-
-
-def _parse(message_class: Any, raw: RawMessage) -> Any:
+    raw = context.raw
+    known = DECODERS[raw.channel.schema_name]
+    if raw.channel.message_encoding == "json":
+        return known.records(_parse_json(known.message_class, raw), context)
     try:
-        return message_class.FromString(raw.data)
+        message = known.message_class.FromString(raw.data)
     except DecodeError as error:
         raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
+    return known.records(message, context)
 
 
 def _parse_json(message_class: Any, raw: RawMessage) -> Any:
@@ -93,8 +102,7 @@ def _place(message: Any, context: Context) -> Place:
 
 
 def _odometry(message: Any, context: Context) -> Records:
-    place = _place(message, context)
-    return pose_records(context, place, message.pose, message.pose_covariance, message.body_frame_id)
+    return pose_records(context, _place(message, context), message.pose, message.body_frame_id)
 
 
 def _frame_transforms(message: Any, context: Context) -> Records:
@@ -132,22 +140,45 @@ def _class_and_score(entity: Any) -> tuple[str, float]:
         return label, 1.0
 
 
-def _own(record: type) -> tuple[Any, Callable[[Any, Context], Records]]:
+def _own(record: type, *kinds: RecordKind) -> dict[str, MessageDecoder]:
     codec = CODECS[record]
-    if record is ObjectDetections:
-        return codec.message_class, lambda message, context: (
-            detections_record(**codec.values(message, context.counters), counters=context.counters),
-        )
-    return codec.message_class, lambda message, context: (codec.decode(message, context.counters),)
+    decoder = MessageDecoder(
+        codec.message_class, lambda message, context: (codec.decode(message, context.counters),), kinds
+    )
+    return {codec.message_class.DESCRIPTOR.full_name: decoder}
 
 
-DECODERS: dict[str, tuple[Any, Callable[[Any, Context], Records]]] = {
-    "foxglove.Odometry": (Odometry, _odometry),
-    "foxglove.PoseInFrame": (PoseInFrame, lambda m, context: pose_records(context, _place(m, context), m.pose)),
-    "foxglove.FrameTransform": (FrameTransform, _frame_transforms),
-    "foxglove.FrameTransforms": (FrameTransforms, _frame_transforms),
-    "foxglove.LocationFix": (LocationFix, lambda m, context: fix_records(context, _place(m, context), m)),
-    "foxglove.SceneUpdate": (SceneUpdate, _scene_update),
-    **{codec.message_class.DESCRIPTOR.full_name: _own(record) for record, codec in CODECS.items()},
+def _detections(message: Any, context: Context) -> Records:
+    codec = CODECS[m.ObjectDetections]
+    return (usable_detections(m.ObjectDetections(**codec.values(message, context.counters)), context.counters),)
+
+
+def _pose(message: Any, context: Context) -> Records:
+    return pose_records(context, _place(message, context), message.pose)
+
+
+def _fix(message: Any, context: Context) -> Records:
+    return fix_records(context, _place(message, context), message)
+
+
+DECODERS: dict[str, MessageDecoder] = {
+    "foxglove.Odometry": MessageDecoder(Odometry, _odometry, POSE),
+    "foxglove.PoseInFrame": MessageDecoder(PoseInFrame, _pose, (*POSE, RecordKind.SLAM_POSE)),
+    "foxglove.FrameTransform": MessageDecoder(FrameTransform, _frame_transforms, FRAMES),
+    "foxglove.FrameTransforms": MessageDecoder(FrameTransforms, _frame_transforms, FRAMES),
+    "foxglove.LocationFix": MessageDecoder(LocationFix, _fix, (RecordKind.GNSS,)),
+    "foxglove.SceneUpdate": MessageDecoder(SceneUpdate, _scene_update, (RecordKind.DETECTIONS,)),
+    "dslam.ObjectDetections": MessageDecoder(
+        CODECS[m.ObjectDetections].message_class, _detections, (RecordKind.DETECTIONS,)
+    ),
+    **_own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
+    **_own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
+    **_own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
+    **_own(m.TrajectoryRecord, RecordKind.TRAJECTORY),
+    **_own(m.FactorGraphRecord, RecordKind.FACTOR_GRAPH),
+    **_own(m.LoopClosureRecord, RecordKind.LOOP_CLOSURES),
+    **_own(m.RelocalizationRecord, RecordKind.RELOCALIZATIONS),
+    **_own(m.StatusRecord, RecordKind.STATUS),
+    **_own(m.LocalizationRecord, RecordKind.LOCALIZATION),
 }
-"""Schema -> class of its messages, and what makes records of them."""
+"""Schema -> what decodes its messages."""

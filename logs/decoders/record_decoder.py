@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Collection
 
 from logs.container.limits import ReadingLimits
 from logs.decoders.decode import decode
+from logs.decoders.field_mapping import FieldMapping
+from logs.decoders.parts import Records
 from logs.decoders.registry import kinds_of
 from logs.errors import InvalidRecordError
-from logs.messages import Record
-from logs.selection import Selection
-from logs.topics import RawMessage, Schema
+from logs.topics import RawMessage, RecordKind, Schema
 
 MAX_DEFINITIONS = 32
 """Different definitions of messages in one log; further ones are not read, as each takes time and memory."""
@@ -20,33 +21,26 @@ _log = logging.getLogger(__name__)
 
 
 class RecordDecoder:
-    """Decodes the messages of the topics in ``selection``.
+    """Decodes messages, and counts those that are unfit.
 
-    ``counters``: ``invalid_messages``, ``undecodable`` (messages of a selected topic whose schema does not fit),
-    ``dropped_objects``, ``ignored_covariances``, ``ignored_sizes``.
+    ``counters``: ``invalid_messages``, ``undecodable`` (messages whose schema does not fit), ``dropped_objects``,
+    ``ignored_covariances``, ``ignored_sizes``. Invalid messages are reported once for each topic and reason.
     """
 
-    def __init__(self, selection: Selection, limits: ReadingLimits | None = None) -> None:
-        self._selection = selection
+    def __init__(self, limits: ReadingLimits | None = None, counters: Counter[str] | None = None) -> None:
         self._limits = limits or ReadingLimits()
-        self._definitions: set[Schema] = set()
+        self._definitions: set[Schema | None] = set()
         self._reported: set[tuple[str, str]] = set()
-        self.counters: Counter[str] = Counter()
+        self.counters = Counter[str]() if counters is None else counters
 
-    def records(self, raw: RawMessage) -> tuple[Record, ...]:
-        """The records of ``raw``: none where its topic is not selected or the message is unfit.
-
-        Unfit messages are counted, and reported in the log once for each topic and reason.
-        """
-        wanted = self._selection.kinds.get(raw.topic, ())
-        if not wanted:
-            return ()
-        mapping = self._selection.mappings.get(raw.topic)
+    def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:
+        """The records of ``raw`` for those of the ``wanted`` kinds that its schema, or ``mapping``, can give."""
         kinds = [kind for kind in wanted if mapping is not None or kind in kinds_of(raw.channel)]
-        if not kinds or not self._is_readable(raw.channel.schema):
+        self._definitions |= {raw.channel.schema} if len(self._definitions) < MAX_DEFINITIONS else set()
+        if not kinds or raw.channel.schema not in self._definitions:
             self.counters["undecodable"] += 1
             return ()
-        records: tuple[Record, ...] = ()
+        records: Records = ()
         try:
             for kind in kinds:
                 records += decode(raw, kind, self.counters, self._limits, None if mapping is None else mapping.decode)
@@ -57,11 +51,3 @@ class RecordDecoder:
                 _log.warning("%s; further ones on this topic are only counted", error)
             return ()
         return records
-
-    def _is_readable(self, schema: Schema | None) -> bool:
-        if schema is None or schema in self._definitions:
-            return True
-        if len(self._definitions) == MAX_DEFINITIONS:
-            return False
-        self._definitions.add(schema)
-        return True

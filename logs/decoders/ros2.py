@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -11,40 +10,29 @@ from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
 from logs.decoders.cdr import parse
 from logs.decoders.parts import Context, Records, fix_records, frame_records, pose_records
+from logs.decoders.registry import ROS_DETECTIONS
 from logs.decoders.ros2_detections import place_of
-from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal
 
-# What fields of other types than usual lead to; a log brings its own definitions.
-_OTHER_DEFINITION = (AttributeError, TypeError, ValueError, IndexError, KeyError, OverflowError, MemoryError)
 
-
-def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> Records:
-    """Records of one message; see :class:`logs.decoders.registry.Decoder`.
+def decode(context: Context) -> Records:
+    """Records of one message; see :data:`logs.decoders.registry.Decoder`.
 
     Raises:
         Refusal: bytes that are no such message, a definition without the usual fields, or values no record may have.
     """
-    schema = raw.channel.schema
+    schema = context.raw.channel.schema
     if schema is None:
         raise Refusal("no definition of the message in the log")
-    message = parse(schema, raw.data)
-    try:
-        return _DECODERS[schema.name](message, Context(raw, kind, counters))
-    except Refusal:
-        raise
-    except _OTHER_DEFINITION as error:
-        raise Refusal(f"unknown version of {schema.name}", str(error)) from error
+    return _DECODERS[schema.name](parse(schema, context.raw.data), context)
 
 
 def _odometry(message: Any, context: Context) -> Records:
-    placed = message.pose
-    place = place_of(message.header, context)
-    return pose_records(context, place, placed.pose, placed.covariance, message.child_frame_id)
+    return pose_records(context, place_of(message.header, context), message.pose.pose, message.child_frame_id)
 
 
 def _pose_with_covariance(message: Any, context: Context) -> Records:
-    return pose_records(context, place_of(message.header, context), message.pose.pose, message.pose.covariance)
+    return pose_records(context, place_of(message.header, context), message.pose.pose)
 
 
 def _tf(message: Any, context: Context) -> Records:
@@ -69,10 +57,7 @@ _DECODERS: dict[str, Callable[[Any, Context], Records]] = {
     "tf/msg/tfMessage": _tf,
     "sensor_msgs/msg/NavSatFix": _fix,
     "vision_msgs/msg/Detection3DArray": objects.detections_3d,
-    "autoware_perception_msgs/msg/DetectedObjects": objects.autoware_objects,
-    "autoware_perception_msgs/msg/TrackedObjects": objects.autoware_objects,
-    "autoware_auto_perception_msgs/msg/DetectedObjects": objects.autoware_objects,
-    "autoware_auto_perception_msgs/msg/TrackedObjects": objects.autoware_objects,
+    **{name: objects.autoware_objects for name in ROS_DETECTIONS if name.startswith("autoware")},
     "visualization_msgs/msg/MarkerArray": objects.markers,
     "geometry_msgs/msg/PoseArray": objects.poses,
     "vision_msgs/msg/Detection2DArray": images.detections_2d,

@@ -6,8 +6,8 @@ that is empty, of the array's.
   result's pose.
 * autoware (auto_)perception_msgs DetectedObjects, TrackedObjects: the class is the most probable one, by the name that
   the log's own definition gives its number.
-* visualization_msgs/msg/MarkerArray: cubes, spheres, cylinders, meshes and lists of them that are added, not deleted; a
-  class is the marker's text, else its namespace. Texts are objects only where there is nothing else.
+* visualization_msgs/msg/MarkerArray: cubes, spheres, cylinders and meshes that are added, not deleted; a class is the
+  marker's text, else its namespace.
 * geometry_msgs/msg/PoseArray: the class is the name of the topic ("/map/poles": "poles").
 """
 
@@ -21,10 +21,10 @@ import numpy as np
 from logs.decoders.cdr import constants_of
 from logs.decoders.parts import Context, Detection, Place, Records, detection_records, xyz
 from logs.topics import Schema
-from logs.validation import FloatArray, stamp_ns, transform_from_quaternion
+from logs.validation import FloatArray, stamp_ns
 
-_CUBE, _SPHERE, _CYLINDER, _CUBE_LIST, _SPHERE_LIST, _TEXT, _MESH = 1, 2, 3, 6, 7, 9, 10
-_SHAPES = (_CUBE, _SPHERE, _CYLINDER, _MESH, _CUBE_LIST, _SPHERE_LIST)
+_SHAPES = (1, 2, 3, 10)
+"""Cube, sphere, cylinder and mesh."""
 _ADD = 0
 
 
@@ -90,18 +90,12 @@ def _class_names(schema: Schema | None) -> dict[int, str]:
 def markers(message: Any, context: Context) -> Records:
     """Records of a MarkerArray."""
     scans: dict[Place, list[Detection]] = defaultdict(list)
-    added = [marker for marker in message.markers if marker.action == _ADD]
-    objects = [marker for marker in added if marker.type in _SHAPES] or [m for m in added if m.type == _TEXT]
-    for marker in objects:
-        size = None if marker.type == _TEXT else xyz(marker.scale)
-        tracks, points = [f"{marker.ns}/{marker.id}"], np.array([xyz(marker.pose.position)])
-        if marker.type in (_CUBE_LIST, _SPHERE_LIST):
-            points = _turn(marker.pose, np.array([xyz(p) for p in marker.points]).reshape(-1, 3))
-            tracks = [f"{tracks[0]}/{i}" for i in range(len(points))]
-        scans[place_of(marker.header, context)] += [
-            Detection((x, y, z), marker.text or marker.ns, size=size, track_id=track)
-            for (x, y, z), track in zip(points.tolist(), tracks, strict=True)
-        ]
+    for marker in message.markers:
+        if marker.action == _ADD and marker.type in _SHAPES:
+            track = f"{marker.ns}/{marker.id}"
+            scans[place_of(marker.header, context)].append(
+                Detection(xyz(marker.pose.position), marker.text or marker.ns, size=xyz(marker.scale), track_id=track)
+            )
     return detection_records(scans, context.counters)
 
 
@@ -137,10 +131,3 @@ def position_covariance(values: Any) -> FloatArray | None:
         return None
     P[empty, empty] = np.diagonal(P).max()
     return P
-
-
-def _turn(pose: Any, points: FloatArray) -> FloatArray:
-    p, q = pose.position, pose.orientation
-    is_set = any((q.x, q.y, q.z, q.w))  # many leave it at zero, which viewers take for none
-    T = transform_from_quaternion(p.x, p.y, p.z, q.x, q.y, q.z, q.w if is_set else 1.0)
-    return points @ T[:3, :3].T + T[:3, 3]

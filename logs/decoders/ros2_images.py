@@ -1,20 +1,19 @@
 """What ROS 2 cameras see: boxes and tags in the image, how the camera projects, and depth.
 
-* vision_msgs/msg/Detection2DArray: boxes; where a result has a pose of its own, the object is there.
+* vision_msgs/msg/Detection2DArray: boxes.
 * apriltag_msgs/msg/AprilTagDetectionArray: tags, of the class "family:number", which is also their frame on /tf.
 * sensor_msgs/msg/CameraInfo, and sensor_msgs/msg/Image with depth: 16UC1 in millimetres or 32FC1 in metres.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.decoders.parts import UNKNOWN_LABEL, Context, Detection, Place, Records, detection_records, xyz
-from logs.decoders.ros2_detections import best_result, hypothesis_of, place_of, position_covariance
+from logs.decoders.parts import UNKNOWN_LABEL, Context, Records
+from logs.decoders.ros2_detections import best_result, hypothesis_of, place_of
 from logs.messages import CameraModel, DepthImage, ImageDetections
 from logs.validation import FloatArray, Refusal
 
@@ -22,27 +21,16 @@ _DEPTH = {"16UC1": (np.uint16, 1e-3), "mono16": (np.uint16, 1e-3), "32FC1": (np.
 
 
 def detections_2d(message: Any, context: Context) -> Records:
-    """Records of a Detection2DArray: boxes, and objects whose results have a pose."""
-    own = place_of(message.header, context)
-    scans: dict[Place, list[Detection]] = defaultdict(list)
+    """The record of a Detection2DArray."""
     boxes, labels, scores = [], list[str](), []
     for detection in message.detections:
-        best = best_result(detection)
-        label, score = hypothesis_of(best)
-        if best is not None and any(xyz(best.pose.pose.position)):
-            covariance = position_covariance(best.pose.covariance)
-            place = place_of(detection.header, context, own)
-            scans[place].append(Detection(xyz(best.pose.pose.position), label, score, covariance))
-            continue
+        label, score = hypothesis_of(best_result(detection))
         center = getattr(detection.bbox.center, "position", detection.bbox.center)
         boxes.append((center.x, center.y, detection.bbox.size_x, detection.bbox.size_y))
         labels.append(label or UNKNOWN_LABEL)
         scores.append(score)
-    placed = detection_records(scans, context.counters)
-    if placed and not boxes:
-        return placed
     pixels, clipped = _finite(boxes).reshape(-1, 4), np.clip(_finite(scores), 0.0, 1.0)
-    return (*placed, ImageDetections(*own, pixels, tuple(labels), clipped))
+    return (ImageDetections(*place_of(message.header, context), pixels, tuple(labels), clipped),)
 
 
 def tags(message: Any, context: Context) -> Records:

@@ -2,78 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import ImportedRecord
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import Rows
-from logs.importers.text_files import SourceText, describe_sources, parse_numbers, read_source_text
-from logs.messages import FloatArray, GroundTruthPose, IntArray, ObjectDetections, Odometry
+from logs.importers.tables import read_table
+from logs.importers.text_files import SourceText
+from logs.messages import FloatArray
 from logs.validation import MAX_COORDINATE_M, nearest_rotations, rotation_errors
 
 ROTATION_TOLERANCE = 1e-3
 """Largest |R^T R - I| of a rotation that is taken for rounding (the files have 7 digits) and not for damage."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KittiDrive:
-    """stamps_ns (N,), ``T_odom_body`` (N, 4, 4) and, where known, ``T_world_body`` (N, 4, 4), metres.
-
-    The body is the velodyne (x forward, y left, z up); odom and world are the velodyne frame of the first pose.
-    ``source`` names each file and its SHA-256, without folders.
-    """
-
-    stamps_ns: IntArray
-    T_odom_body: FloatArray
-    T_world_body: FloatArray | None
-    source: dict[str, str]
-
-    def records(self, detections: Iterable[tuple[int, ObjectDetections]]) -> Iterator[ImportedRecord]:
-        """For each row and its detections, in the order of time: odometry, detections, truth where known."""
-        for row, found in detections:
-            yield Odometry(found.stamp_ns, self.T_odom_body[row])
-            yield found
-            if self.T_world_body is not None:
-                yield GroundTruthPose(found.stamp_ns, self.T_world_body[row])
-
-
-def read_drive(
-    dataset: str, odometry: Path, calib: Path, times: Path, ground_truth: Path | None, counts: dict[str, int]
-) -> KittiDrive:
-    """Read what a sequence has besides its scans.
-
-    Args:
-        dataset: its name, for ``source``.
-        odometry: estimated poses of the left camera, KITTI format.
-        calib: KITTI odometry calibration; ``Tr`` maps velodyne to left camera.
-        times: seconds of each scan.
-        ground_truth: true poses of the left camera.
-        counts: of what else there must be as many of as poses and times, by what a message calls it.
-
-    Raises:
-        DatasetError: a file that is missing or wrong, or numbers of poses and times that differ.
-    """
-    paths = {"odometry": odometry, "calib": calib, "times": times, "ground_truth": ground_truth}
-    texts = {role: read_source_text(path) for role, path in paths.items() if path is not None}
-    stamps = read_times(texts["times"])
-    T_camera_velodyne = parse_calibration(texts["calib"])
-    poses = {role: parse_poses(texts[role]) for role in ("odometry", "ground_truth") if role in texts}
-    numbers = {
-        **counts,
-        f"times in {times.name}": len(stamps.stamps_ns),
-        **{f"poses in {Path(texts[role].name).name}": len(T) for role, T in poses.items()},
-    }
-    if len(set(numbers.values())) != 1:
-        told = ", ".join(f"{number} {what}" for what, number in numbers.items())
-        raise DatasetError(f"{told}: the numbers must be equal; give files of one sequence")
-    bodies = {role: body_poses(T, T_camera_velodyne) for role, T in poses.items()}
-    source = describe_sources(dataset, texts.items())
-    return KittiDrive(stamps.stamps_ns, bodies["odometry"], bodies.get("ground_truth"), source)
+POSE_COLUMNS = [f"T{row}{column}" for row in range(3) for column in range(4)]
+"""The rows of a 3x4 pose, one after another."""
 
 
 def parse_poses(source: SourceText) -> FloatArray:
@@ -82,9 +26,21 @@ def parse_poses(source: SourceText) -> FloatArray:
     Rotations are made orthonormal by SVD.
 
     Raises:
-        DatasetError: a line that is no 12 finite numbers, or whose rotation is none.
+        DatasetError: a line that is no 12 finite numbers, or no rigid transform.
     """
-    return _rigid_transforms(source.name, *source.numbers(12))
+    table = read_table(source, POSE_COLUMNS)
+    T = np.tile(np.eye(4), (len(table.lines), 1, 1))
+    T[:, :3] = table.matrix().reshape(-1, 3, 4)
+    errors = rotation_errors(T[:, :3, :3])
+    wrong = (errors > ROTATION_TOLERANCE) | (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise DatasetError(
+            f"{source.name}, line {table.lines[row]}: not a rotation (|R^T R - I| = {errors[row]:.3g}), or farther "
+            f"away than {MAX_COORDINATE_M:g} m; expected a 3x4 pose, row-major"
+        )
+    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
+    return T
 
 
 def parse_calibration(source: SourceText) -> FloatArray:
@@ -93,12 +49,11 @@ def parse_calibration(source: SourceText) -> FloatArray:
     Raises:
         DatasetError: no such line, or not a rigid transform.
     """
-    for number, line in source.lines():
-        key, _, values = line.partition(":")
-        if key.strip() == "Tr":
-            row = np.array([parse_numbers(source.name, number, values.split(), 12)])
-            return np.asarray(_rigid_transforms(source.name, [number], row)[0])
-    raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
+    lines = [line.partition(":")[2] if line.startswith("Tr:") else "" for line in source.text.splitlines()]
+    T = parse_poses(replace(source, text="\n".join(lines)))
+    if not len(T):
+        raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
+    return np.asarray(T[0])
 
 
 def read_times(source: SourceText) -> Stamps:
@@ -107,9 +62,7 @@ def read_times(source: SourceText) -> Stamps:
     Raises:
         DatasetError: no line, one that is no time, or that does not come after the one before.
     """
-    lines = source.lines()
-    rows = Rows(source.name, None, " ", [line for line, _ in lines], [[text] for _, text in lines])
-    stamps = read_stamps(rows.table(["stamp_s"]))
+    stamps = read_stamps(read_table(source, ["stamp_s"]))
     stamps.check_increasing(strictly=True)
     return stamps
 
@@ -121,23 +74,3 @@ def body_poses(T_origin_camera: FloatArray, T_camera_velodyne: FloatArray) -> Fl
     """
     T_velodyne_camera = np.linalg.inv(T_camera_velodyne)
     return np.asarray(T_velodyne_camera @ T_origin_camera @ T_camera_velodyne, dtype=np.float64)
-
-
-def _rigid_transforms(name: str, lines: list[int], rows: FloatArray) -> FloatArray:
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3] = rows.reshape(-1, 3, 4)
-    errors = rotation_errors(T[:, :3, :3])
-    if (errors > ROTATION_TOLERANCE).any():
-        i = int((errors > ROTATION_TOLERANCE).argmax())
-        raise DatasetError(
-            f"{name}, line {lines[i]}: not a rotation (|R^T R - I| = {errors[i]:.3g}, allowed {ROTATION_TOLERANCE:g}; "
-            f"det R = {np.linalg.det(T[i, :3, :3]):.3g}); expected a 3x4 pose, row-major"
-        )
-    far = (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
-    if far.any():
-        i = int(far.argmax())
-        raise DatasetError(
-            f"{name}, line {lines[i]}: {T[i, :3, 3]} m is not finite or too far away; correct it, or remove the line"
-        )
-    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
-    return T

@@ -1,26 +1,24 @@
-"""Times in text files: exact to the nanosecond, in one of several units or as dates (ISO 8601)."""
+"""Times in text files, in one of several units, exact to the nanosecond."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
+from logs.errors import DatasetError
 from logs.importers.tables import Column, Table
 from logs.messages import IntArray
 
 STAMP_NAMES = ("stamp", "timestamp", "time", "t")
-TIME_UNITS: Mapping[str, int] = {"": 9, "s": 9, "ms": 6, "us": 3, "ns": 0}
-"""Suffix of a column -> power of ten that makes nanoseconds of it; without a suffix, seconds."""
+TIME_UNITS: Mapping[str, float] = {"": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+"""Suffix of a column -> nanoseconds; without a suffix, seconds."""
 
 UNIT_REMEDY = "call the column by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns"
 _LAST_NS = 2**63 - 1
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S* ?\S*")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,52 +42,41 @@ class Stamps:
 
 
 def read_stamps(table: Table) -> Stamps:
-    """The stamps of ``table``, exact to the nanosecond.
+    """The stamps of ``table``.
 
     Raises:
-        DatasetError: no column of stamps or several, or a cell that is no time from 0 on.
+        DatasetError: no row, no column of stamps or several, or a cell that is no time from 0 on.
     """
     column = table.need("the stamp", "stamp_s", STAMP_NAMES, TIME_UNITS)
-    stamps_ns = np.empty(len(table.cells), dtype=np.int64)
-    for row, cell in enumerate(table.cells[column.name]):
+    if not table.lines:
+        raise DatasetError(f"{table.name} has no rows; expected at least one line with a stamp")
+    stamps_ns = np.empty(len(table.lines), dtype=np.int64)
+    for row, cell in enumerate(table.columns[column.name]):
         try:
-            stamps_ns[row] = _date_ns(cell) if _DATE.fullmatch(cell) else _number_ns(cell, TIME_UNITS[column.unit])
-        except (ValueError, InvalidOperation) as error:
-            reason = "not a time" if isinstance(error, InvalidOperation) else error
+            stamps_ns[row] = _nanoseconds(cell, int(column.scale))
+        except (ValueError, ArithmeticError) as error:
+            reason = error if isinstance(error, ValueError) else "not a time"
             raise table.error(row, column.name, f"{cell[:40]!r} is {reason}; correct it, or {UNIT_REMEDY}") from error
     return Stamps(table, column, stamps_ns)
 
 
-def _date_ns(cell: str) -> int:
-    """Nanoseconds of a date and time, in UTC unless it names an offset.
+def _nanoseconds(cell: str, unit_ns: int) -> int:
+    """Nanoseconds of a number of units of ``unit_ns``.
 
     Raises:
-        ValueError: there is no such time.
-    """
-    date = pd.Timestamp(cell).as_unit("ns")
-    stamp_ns = int((date.tz_localize("UTC") if date.tz is None else date).value)
-    if stamp_ns < 0:
-        raise ValueError("before 1970")
-    return stamp_ns
-
-
-def _number_ns(cell: str, unit: int) -> int:
-    """Nanoseconds of a number of which one is 10 to the power of ``unit`` nanoseconds.
-
-    Raises:
-        InvalidOperation: it is no number.
+        ArithmeticError: it is no number.
         ValueError: it is no time that a log can hold.
     """
-    exact = Decimal(cell)
+    exact = Decimal(cell) * unit_ns
     if not exact.is_finite():
         raise ValueError("not a time")
     if exact < 0:
         raise ValueError("before 0, which no log can hold")
-    if unit == 0 and exact != exact.to_integral_value():
-        raise ValueError("not whole nanoseconds")
-    if exact > Decimal(_LAST_NS).scaleb(-unit):  # the other way round, an exponent might overflow
+    if exact > _LAST_NS:
         raise ValueError("a time after the year 2262")
-    return int(exact.scaleb(unit).to_integral_value())
+    if unit_ns == 1 and exact != exact.to_integral_value():
+        raise ValueError("not whole nanoseconds")
+    return int(exact.to_integral_value())
 
 
 def match_clock(stamps: Stamps, odometry: Stamps) -> NDArray[np.bool_]:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
 from logs.importers.imported_log import ImportedRecord
@@ -18,9 +17,6 @@ from logs.importers.tables import read_table
 from logs.importers.text_files import describe_sources, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
 from logs.messages import GroundTruthPose, Odometry
-
-_LEANING, _UPRIGHT = 0.3, 0.03
-"""1 - cos of the angle between the body's z axis and the vertical: 45 deg and 14 deg."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +52,7 @@ def read_text_log(
 
     Args:
         odometry: poses of the body in a smooth frame; see :class:`TrajectoryFormat`.
-        detections: CSV with a header or JSON lines, positions in the body frame; see :func:`read_detections`.
+        detections: CSV with a header, positions in the body frame; see :func:`read_detections`.
         ground_truth: true poses of the body.
         times: seconds of each pose of the trajectories in KITTI's format.
         calib: KITTI's calibration, if those poses are of the left camera.
@@ -82,21 +78,25 @@ def read_text_log(
     inside = match_clock(table.stamps, path.stamps)
     if truth is not None:
         match_clock(truth.stamps, path.stamps)
-    notes = (*_table_notes(table, inside), *_pose_notes(path, has_calib=calib is not None))
-    return TextLog(path, table, truth, describe_sources("text", sources.items()), notes)
+    notes = _notes(table, inside)
+    if path.format == TrajectoryFormat.KITTI and calib is None:
+        notes.append(
+            "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"
+        )
+    return TextLog(path, table, truth, describe_sources("text", sources.items()), tuple(notes))
 
 
-def _table_notes(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
+def _notes(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
     notes = []
     if not inside.all():
         text = table.stamps.table
         notes.append(
-            f"{text.name}, line {text.cells.index[inside.argmin()]}, column {table.stamps.column.name}: "
+            f"{text.name}, line {text.lines[int(inside.argmin())]}, column {table.stamps.column.name}: "
             f"{np.count_nonzero(~inside)} of {len(inside)} detections, this one first, are outside the odometry's "
             "time; a replay leaves them out"
         )
     if table.unlabelled_count:
-        counts = f"{table.unlabelled_count} of {len(table.labels)} detections"
+        counts = f"{table.unlabelled_count} of {len(inside)} detections"
         notes.append(f"{counts} have no label and are of the class {ONLY_LABEL}")
     frames = sorted(set(table.frames) - {BODY_FRAME})
     if frames:
@@ -105,18 +105,3 @@ def _table_notes(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
             "--set calibration.detection.assume_body_frame=true if it is the body"
         )
     return notes
-
-
-def _pose_notes(path: Trajectory, *, has_calib: bool) -> list[str]:
-    if path.format == TrajectoryFormat.KITTI and not has_calib:
-        return [
-            "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"
-        ]
-    q = np.asarray(Rotation.from_matrix(path.T_world_body[:, :3, :3]).as_quat())
-    tilts = [np.median(1.0 - Rotation.from_quat(each).as_matrix()[:, 2, 2]) for each in (q, q[:, [1, 2, 3, 0]])]
-    if path.format != TrajectoryFormat.TUM or tilts[0] < _LEANING or tilts[1] > _UPRIGHT:
-        return []
-    return [
-        f"{path.name}: by these quaternions the body does not stand upright, but it would if they were in the order "
-        "qw qx qy qz; TUM's order is qx qy qz qw"
-    ]

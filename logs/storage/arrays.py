@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Collection
@@ -14,9 +13,8 @@ import numpy as np
 from mcap.records import AttachmentIndex
 from numpy.typing import NDArray
 
-from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
-from logs.storage.mcap_index import DAMAGE, HEADER, read_index
+from logs.storage.mcap_index import DAMAGE, HEADER, read_summary
 
 _CHECKSUM = struct.Struct("<I")
 _NO_HEADER = (TypeError, SyntaxError, TokenError)  # NumPy reads a header as an expression of Python
@@ -36,11 +34,10 @@ def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArr
     found = {}
     try:
         with path.open("rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            attachments = read_index(str(path), stream, size, ReadingLimits()).attachments
-            if attachments is None:
+            summary = read_summary(stream)
+            if summary is None:
                 raise UnreadableLogError(f"{path} is damaged: it ends early")
-            for place in attachments:
+            for place in summary[AttachmentIndex]:
                 if place.name in checked and not _is_intact(stream, place):
                     raise UnreadableLogError(f"{path} is damaged: array {place.name} has another checksum")
                 found[place.name] = _map_array(path, stream, place)

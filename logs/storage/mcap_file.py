@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import heapq
 import logging
-import os
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 from mcap import records as mcap_records
 from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
 
 from logs.container.limits import MEGABYTE, ReadingLimits
 from logs.errors import UnreadableLogError
@@ -18,7 +18,6 @@ from logs.storage.mcap_index import (
     DAMAGE,
     HEADER,
     MESSAGE_HEADER,
-    Block,
     OversizedChunkError,
     read_block,
     read_index,
@@ -59,7 +58,7 @@ class McapFile:
         except OSError as error:
             raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
         try:
-            self._index = read_index(name, self._stream, os.fstat(self._stream.fileno()).st_size, limits)
+            self._index = read_index(name, self._stream, limits)
         except UnreadableLogError:
             self._stream.close()
             raise
@@ -91,10 +90,15 @@ class McapFile:
 
     def _span(self, channel_id: int) -> tuple[int, int] | tuple[None, None]:
         """First and last log time of the blocks that may hold messages of a channel."""
-        blocks = [b for b in self._index.blocks if b.channel_ids is None or channel_id in b.channel_ids]
+        blocks = self._blocks_with({channel_id})
         if not blocks or not self._index.message_counts[channel_id]:
             return None, None
-        return min(b.start_ns for b in blocks), min(max(b.end_ns for b in blocks), LAST_NS)
+        return blocks[0].message_start_time, min(max(b.message_end_time for b in blocks), LAST_NS)
+
+    def _blocks_with(self, channel_ids: Collection[int]) -> list[ChunkIndex]:
+        """The blocks that may hold messages of any of these channels, by their first log time."""
+        blocks = self._index.blocks
+        return [b for b in blocks if not (there := b.message_index_offsets) or not there.keys().isdisjoint(channel_ids)]
 
     def messages(
         self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
@@ -107,18 +111,19 @@ class McapFile:
         self._reading_counters.clear()
         wanted = {c.id: c for c in self._index.channels.values() if topics is None or c.topic in topics}
         empty = {id for id, channel in wanted.items() if channel.topic in without_content}
-        waiting = [b for b in self._index.blocks if b.channel_ids is None or not b.channel_ids.isdisjoint(wanted)]
-        waiting.reverse()
+        waiting = self._blocks_with(wanted)[::-1]
         # (log time, offset of its block) is unique, so that messages are never compared; the next ones stand last.
         heap: list[tuple[int, int, list[RawMessage]]] = []
         held_bytes = Counter[int]()
         while waiting or heap:
-            while waiting and (not heap or waiting[-1].start_ns <= heap[0][0]):
+            while waiting and (not heap or waiting[-1].message_start_time <= heap[0][0]):
                 block = waiting.pop()
                 messages = self._read(block, wanted, empty)
                 if messages:
-                    held_bytes[block.offset] = sum(len(message.data) + _MESSAGE_BYTES for message in messages)
-                    heapq.heappush(heap, (messages[-1].log_time_ns, block.offset, messages))
+                    held_bytes[block.chunk_start_offset] = sum(
+                        len(message.data) + _MESSAGE_BYTES for message in messages
+                    )
+                    heapq.heappush(heap, (messages[-1].log_time_ns, block.chunk_start_offset, messages))
                     self._check_held(held_bytes.total() if len(heap) > 1 else 0)
             if not heap:
                 continue
@@ -150,7 +155,7 @@ class McapFile:
             found[record.name] = record.metadata
         return found
 
-    def _read(self, block: Block, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:
+    def _read(self, block: ChunkIndex, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:
         """The wanted messages of ``block``, the latest first; none, counted, if it is damaged."""
         try:
             content = read_block(self._stream, block, self._limits.chunk_bytes)
@@ -160,10 +165,10 @@ class McapFile:
                 f"cannot continue to read {self._name}: {error.strerror}; check the disk"
             ) from error
         except OversizedChunkError as error:
-            self._index.oversized[block.offset] = error.size
+            self._index.oversized[block.chunk_start_offset] = error.size
             self._report(f"a chunk of {error.size / MEGABYTE:.0f} MB", "chunk_mb")
         except DAMAGE:
-            self._index.lost_blocks[block.offset] = block.length
+            self._index.lost_blocks[block.chunk_start_offset] = block.chunk_length
         return []
 
     def _messages_in(self, content: bytes, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:

@@ -5,6 +5,7 @@ Damage anywhere costs no more than the block that it lies in: a chunk, or a run 
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections import Counter, defaultdict
@@ -19,6 +20,8 @@ from mcap import records as mcap_records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
+from mcap.stream_reader import StreamReader
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
@@ -30,22 +33,15 @@ MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel id, sequence, log time, publi
 DAMAGE = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, EOFError, zstandard.ZstdError)
 """What decompressing or parsing damaged bytes may raise."""
 
+Summary = dict[type, list[Any]]
+"""The records of a summary by their type."""
+
 _CHUNK_TIMES = struct.Struct("<QQ")  # first and last log time
 _FOOTER = struct.Struct("<QQI")  # summary start, summary offset start, checksum of all from the summary start to here
 _RUN_BYTES = 1 << 20  # records outside of chunks are read in runs of about this size
 _MAX_SUMMARY_BYTES = 16_000_000  # parsed it takes some ten times that
 _MAX_BLOCKS = 500_000
-_OUTSIDE_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_SUMMARY_RECORDS: dict[int, Any] = {
-    Opcode.SCHEMA: mcap_records.Schema,
-    Opcode.CHANNEL: mcap_records.Channel,
-    Opcode.STATISTICS: mcap_records.Statistics,
-    Opcode.CHUNK_INDEX: mcap_records.ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: mcap_records.AttachmentIndex,
-    Opcode.METADATA_INDEX: mcap_records.MetadataIndex,
-    Opcode.SUMMARY_OFFSET: mcap_records.SummaryOffset,
-    Opcode.FOOTER: mcap_records.Footer,
-}
+_DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: mcap_records.Schema, Opcode.CHANNEL: mcap_records.Channel}
 
 
 class OversizedChunkError(ValueError):
@@ -56,48 +52,68 @@ class OversizedChunkError(ValueError):
         self.size = size
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """Bytes [offset, offset + length) of the file, with messages of log times [start_ns, end_ns], both included.
-
-    ``channel_ids`` are those that may be in it, None where the file does not say.
-    """
-
-    offset: int
-    length: int
-    start_ns: int
-    end_ns: int
-    is_chunk: bool
-    channel_ids: frozenset[int] | None = None
-
-
 @dataclass(slots=True)
 class McapIndex:
-    """Channels, numbers of messages and places; ``blocks`` by their first log time.
+    """Channels, numbers of messages and places.
 
-    ``lost_blocks``: offset -> bytes; ``oversized``: offset -> bytes, decompressed; ``lost_tail_bytes``: at the end of
-    the file, that are no records. ``attachments``: None without a usable summary.
+    ``blocks``: chunks, or runs of records outside of chunks, by their first log time; the channels that may be in one
+    are those in its ``message_index_offsets``, all if that is empty. ``lost_blocks``: offset -> bytes; ``oversized``:
+    offset -> bytes, decompressed; ``lost_tail_bytes``: at the end of the file, that are no records.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     message_counts: Counter[int] = field(default_factory=Counter)
-    blocks: list[Block] = field(default_factory=list)
+    blocks: list[ChunkIndex] = field(default_factory=list)
     metadata_offsets: list[int] = field(default_factory=list)
-    attachments: list[mcap_records.AttachmentIndex] | None = None
     is_complete: bool = True
     lost_tail_bytes: int = 0
     lost_blocks: dict[int, int] = field(default_factory=dict)
     oversized: dict[int, int] = field(default_factory=dict)
 
 
-def read_index(name: str, stream: BinaryIO, size: int, limits: ReadingLimits) -> McapIndex:
-    """The index of an MCAP file of ``size`` bytes; ``name`` is what messages call it.
+def read_index(name: str, stream: BinaryIO, limits: ReadingLimits) -> McapIndex:
+    """The index of an MCAP file; ``name`` is what messages call it.
 
     Raises:
         UnreadableLogError: it holds more channels or blocks, or longer names, than the limits allow.
     """
-    return _Indexing(name, stream, size, limits).run()
+    return _Indexing(name, stream, limits).run()
+
+
+def read_summary(stream: BinaryIO) -> Summary | None:
+    """The summary of a file, if it is there, whole, and has all that reading by it needs."""
+    try:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(size - len(MAGIC) - _FOOTER.size, 0))
+        start, _, checksum = _FOOTER.unpack(stream.read(_FOOTER.size))
+        if not size - _MAX_SUMMARY_BYTES <= start < size or start < len(MAGIC):
+            return None
+        stream.seek(start)
+        content = stream.read()
+        if checksum not in (0, zlib.crc32(content[: -len(MAGIC) - 4])):
+            return None
+        summary: Summary = defaultdict(list)
+        for record in StreamReader(BytesIO(content), skip_magic=True).records:
+            summary[type(record)].append(record)
+    except (*DAMAGE, OSError):
+        return None
+    return summary if _is_enough(summary, size) else None
+
+
+def _is_enough(summary: Summary, size: int) -> bool:
+    chunks, channels = summary[ChunkIndex], summary[mcap_records.Channel]
+    counted = next(iter(summary[mcap_records.Statistics]), None)
+    return (
+        counted is not None
+        and (len(chunks) > 0 or counted.message_count == 0)
+        and {channel.id for channel in channels} >= counted.channel_message_counts.keys()
+        and {schema.id for schema in summary[mcap_records.Schema]} | {0} >= {channel.schema_id for channel in channels}
+        and all(c.chunk_start_offset + c.chunk_length <= size for c in chunks)
+        and len({c.chunk_start_offset for c in chunks}) == len(chunks)
+        and len(summary[mcap_records.MetadataIndex]) == counted.metadata_count
+        and len(summary[mcap_records.AttachmentIndex]) == counted.attachment_count
+    )
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -124,7 +140,7 @@ def stream_of(data: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(data))
 
 
-def read_block(stream: BinaryIO, block: Block, max_bytes: int) -> bytes:
+def read_block(stream: BinaryIO, block: ChunkIndex, max_bytes: int) -> bytes:
     """The records of ``block``, decompressed into no more memory than the chunk says, and its checksum compared.
 
     Raises:
@@ -132,19 +148,21 @@ def read_block(stream: BinaryIO, block: Block, max_bytes: int) -> bytes:
         OSError: the disk fails.
         DAMAGE: it is damaged, or holds another number of bytes than it says.
     """
-    stream.seek(block.offset)
-    if not block.is_chunk:
-        return stream.read(block.length)
-    if block.length > max_bytes:
-        raise OversizedChunkError(block.length)
-    if HEADER.unpack(stream.read(HEADER.size)) != (Opcode.CHUNK, block.length - HEADER.size):
-        raise ValueError(f"no chunk of {block.length} bytes at {block.offset}")
-    chunk = mcap_records.Chunk.read(stream_of(stream.read(block.length - HEADER.size)))
+    if block.chunk_length > max_bytes:
+        raise OversizedChunkError(block.chunk_length)
+    stream.seek(block.chunk_start_offset)
+    head = stream.read(HEADER.size)
+    opcode, length = HEADER.unpack(head)
+    if opcode in _DEFINITIONS or opcode == Opcode.MESSAGE:
+        return head + stream.read(max(block.chunk_length - HEADER.size, 0))
+    if (opcode, length) != (Opcode.CHUNK, block.chunk_length - HEADER.size):
+        raise ValueError(f"no chunk of {block.chunk_length} bytes at {block.chunk_start_offset}")
+    chunk = mcap_records.Chunk.read(stream_of(stream.read(length)))
     if chunk.uncompressed_size > max_bytes:
         raise OversizedChunkError(chunk.uncompressed_size)
     data = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
     if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError(f"size or checksum of the chunk at {block.offset}")
+        raise ValueError(f"size or checksum of the chunk at {block.chunk_start_offset}")
     return data
 
 
@@ -167,76 +185,34 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
 
 
 class _Indexing:
-    def __init__(self, name: str, stream: BinaryIO, size: int, limits: ReadingLimits) -> None:
+    def __init__(self, name: str, stream: BinaryIO, limits: ReadingLimits) -> None:
         self._name = name
         self._stream = stream
-        self._size = size
         self._limits = limits
         self._index = McapIndex()
 
     def run(self) -> McapIndex:
-        summary = self._read_summary()
+        summary = read_summary(self._stream)
         if summary is None:
             self._walk()
             self._index.blocks = [block for block in self._index.blocks if self._is_indexed(block)]
         else:
             self._take_summary(summary)
-        self._index.blocks.sort(key=lambda block: (block.start_ns, block.offset))
+        self._index.blocks.sort(key=lambda block: (block.message_start_time, block.chunk_start_offset))
         return self._index
 
-    def _read_summary(self) -> dict[int, list[Any]] | None:
-        """The records of the summary by opcode, if it is there, whole, and has all that reading by it needs."""
-        try:
-            self._stream.seek(max(self._size - len(MAGIC) - _FOOTER.size, 0))
-            start, _, checksum = _FOOTER.unpack(self._stream.read(_FOOTER.size))
-            length = self._size - len(MAGIC) - start
-            if not 0 < length <= _MAX_SUMMARY_BYTES or start < len(MAGIC):
-                return None
-            self._stream.seek(start)
-            content = self._stream.read(length)
-            if checksum not in (0, zlib.crc32(content[:-4])):
-                return None
-            opcodes = Counter(opcode for opcode, _, _ in records(content))
-            self._limits.check_channels(self._name, max(opcodes[Opcode.SCHEMA], opcodes[Opcode.CHANNEL]))
-            summary: dict[int, list[Any]] = defaultdict(list)
-            for opcode, begin, end in records(content):
-                summary[opcode].append(_SUMMARY_RECORDS[opcode].read(stream_of(content[begin:end])))
-        except (*DAMAGE, OSError, KeyError):
-            return None
-        return summary if self._is_enough(summary) else None
-
-    def _is_enough(self, summary: dict[int, list[Any]]) -> bool:
-        chunks, channels = summary[Opcode.CHUNK_INDEX], summary[Opcode.CHANNEL]
-        counted = next(iter(summary[Opcode.STATISTICS]), None)
-        return (
-            counted is not None
-            and (len(chunks) > 0 or counted.message_count == 0)
-            and {channel.id for channel in channels} >= counted.channel_message_counts.keys()
-            and {schema.id for schema in summary[Opcode.SCHEMA]} | {0} >= {channel.schema_id for channel in channels}
-            and all(c.chunk_start_offset + c.chunk_length <= self._size for c in chunks)
-            and len({c.chunk_start_offset for c in chunks}) == len(chunks)
-            and len(summary[Opcode.METADATA_INDEX]) == counted.metadata_count
-            and len(summary[Opcode.ATTACHMENT_INDEX]) == counted.attachment_count
-        )
-
-    def _take_summary(self, summary: dict[int, list[Any]]) -> None:
-        for definition in (*summary[Opcode.SCHEMA], *summary[Opcode.CHANNEL]):
+    def _take_summary(self, summary: Summary) -> None:
+        for definition in (*summary[mcap_records.Schema], *summary[mcap_records.Channel]):
             self._add(definition)
-        index = self._index
-        index.message_counts.update(summary[Opcode.STATISTICS][0].channel_message_counts)
-        index.metadata_offsets = [each.offset for each in summary[Opcode.METADATA_INDEX]]
-        index.attachments = summary[Opcode.ATTACHMENT_INDEX]
-        shared: dict[frozenset[int], frozenset[int]] = {}  # most chunks hold the same channels
-        for c in summary[Opcode.CHUNK_INDEX]:
-            ids = frozenset(c.message_index_offsets)
-            ids = shared.setdefault(ids, ids)
-            place = c.chunk_start_offset, c.chunk_length, c.message_start_time, c.message_end_time
-            index.blocks.append(Block(*place, is_chunk=True, channel_ids=ids or None))
+        self._index.message_counts.update(summary[mcap_records.Statistics][0].channel_message_counts)
+        self._index.metadata_offsets = [each.offset for each in summary[mcap_records.MetadataIndex]]
+        self._index.blocks = summary[ChunkIndex]
 
     def _walk(self) -> None:
         """Find the blocks up to the end of the data, or to where the records stop making sense."""
         index = self._index
         index.is_complete = False
+        size = self._stream.seek(0, os.SEEK_END)
         offset = run_start = len(MAGIC)
         run_times: list[int] = []
         while not index.is_complete:
@@ -246,41 +222,38 @@ class _Indexing:
                 break
             opcode, length = HEADER.unpack_from(head)
             end = offset + HEADER.size + length
-            if opcode == 0 or end > self._size:
+            if opcode == 0 or end > size:
                 break
-            is_in_run = opcode in _OUTSIDE_OF_CHUNKS and length <= self._limits.message_bytes
+            is_in_run = opcode in (*_DEFINITIONS, Opcode.MESSAGE) and length <= self._limits.message_bytes
             if is_in_run and opcode == Opcode.MESSAGE and length >= MESSAGE_HEADER.size:
                 run_times.append(MESSAGE_HEADER.unpack_from(head, HEADER.size)[2])
             if not is_in_run or end - run_start > _RUN_BYTES:
-                self._add_run(run_start, end if is_in_run else offset, run_times)
-                run_start = end
-            if not is_in_run:
-                self._add_place(opcode, offset, end, head)
+                self._add_block(run_start, end if is_in_run else offset, run_times)
+                run_start, run_times = end, []
+            if opcode == Opcode.CHUNK and len(head) >= HEADER.size + _CHUNK_TIMES.size:
+                self._add_block(offset, end, _CHUNK_TIMES.unpack_from(head, HEADER.size))
+            elif opcode == Opcode.METADATA:
+                index.metadata_offsets.append(offset)
+            elif not is_in_run and opcode in (*_DEFINITIONS, Opcode.MESSAGE):
+                index.oversized[offset] = end - offset
+            index.is_complete = opcode == Opcode.DATA_END
             offset = end
-        self._add_run(run_start, offset, run_times)
-        index.lost_tail_bytes = 0 if index.is_complete else self._size - offset
-        if len(index.blocks) > _MAX_BLOCKS:
+        self._add_block(run_start, offset, run_times)
+        index.lost_tail_bytes = 0 if index.is_complete else size - offset
+
+    def _add_block(self, start: int, end: int, times_ns: list[int] | tuple[int, ...]) -> None:
+        if end == start:
+            return
+        if len(self._index.blocks) == _MAX_BLOCKS:
             raise UnreadableLogError(
-                f"{self._name} has {len(index.blocks)} chunks and no index; write it again with larger chunks"
+                f"{self._name} has more than {_MAX_BLOCKS} chunks and no index; write it again with larger chunks"
             )
+        times = {"message_start_time": min(times_ns, default=0), "message_end_time": max(times_ns, default=0)}
+        unknown = {"compression": "", "compressed_size": 0, "uncompressed_size": 0, "message_index_length": 0}
+        place = {"chunk_start_offset": start, "chunk_length": end - start, "message_index_offsets": {}}
+        self._index.blocks.append(ChunkIndex(**times, **unknown, **place))  # type: ignore[arg-type]
 
-    def _add_run(self, start: int, end: int, times_ns: list[int]) -> None:
-        if end > start:
-            first_ns, last_ns = min(times_ns, default=0), max(times_ns, default=0)
-            self._index.blocks.append(Block(start, end - start, first_ns, last_ns, is_chunk=False))
-        times_ns.clear()
-
-    def _add_place(self, opcode: int, offset: int, end: int, head: bytes) -> None:
-        if opcode == Opcode.CHUNK and len(head) >= HEADER.size + _CHUNK_TIMES.size:
-            start_ns, end_ns = _CHUNK_TIMES.unpack_from(head, HEADER.size)
-            self._index.blocks.append(Block(offset, end - offset, start_ns, end_ns, is_chunk=True))
-        elif opcode == Opcode.METADATA:
-            self._index.metadata_offsets.append(offset)
-        elif opcode in _OUTSIDE_OF_CHUNKS:
-            self._index.oversized[offset] = end - offset
-        self._index.is_complete = opcode == Opcode.DATA_END
-
-    def _is_indexed(self, block: Block) -> bool:
+    def _is_indexed(self, block: ChunkIndex) -> bool:
         """Add the channels and the numbers of messages of ``block``, unless it is damaged or too large."""
         index = self._index
         try:
@@ -288,17 +261,17 @@ class _Indexing:
             for opcode, begin, end in records(content):
                 if opcode == Opcode.MESSAGE:
                     index.message_counts[MESSAGE_HEADER.unpack_from(content, begin)[0]] += 1
-                elif opcode in _OUTSIDE_OF_CHUNKS:
-                    self._add(_SUMMARY_RECORDS[opcode].read(stream_of(content[begin:end])))
+                elif opcode in _DEFINITIONS:
+                    self._add(_DEFINITIONS[opcode].read(stream_of(content[begin:end])))
             return True
         except OSError as error:
             raise UnreadableLogError(
                 f"cannot continue to read {self._name}: {error.strerror}; check the disk"
             ) from error
         except OversizedChunkError as error:
-            index.oversized[block.offset] = error.size
+            index.oversized[block.chunk_start_offset] = error.size
         except DAMAGE:
-            index.lost_blocks[block.offset] = block.length
+            index.lost_blocks[block.chunk_start_offset] = block.chunk_length
         return False
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:

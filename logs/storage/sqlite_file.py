@@ -21,6 +21,11 @@ _TABLES = (
     "AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(t.name) WHERE hidden > 1)"
 )
 
+_SPANS = (
+    "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages WHERE typeof(timestamp) = 'integer' "
+    "GROUP BY topic_id"
+)
+
 
 class SqliteFile:
     """The rosbag2 database at ``path``; see :class:`logs.storage.storage.Storage`.
@@ -36,8 +41,7 @@ class SqliteFile:
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
         self._name = name
         self._limits = limits
-        self._is_complete = True
-        self._reading_counters: Counter[str] = Counter()
+        self._counters: Counter[str] = Counter()
         try:
             self._database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
             self._channels = self._read_channels()
@@ -48,10 +52,10 @@ class SqliteFile:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """``truncated`` (1: it could not be read to its end); of the latest pass over messages ``messages_too_large``
-        and ``messages_without_time``.
+        """Of the latest pass: ``truncated`` (1: it could not be read to its end), ``messages_too_large`` and
+        ``messages_without_time``.
         """
-        return {**self._reading_counters, "truncated": int(not self._is_complete)}
+        return self._counters
 
     def channels(self) -> list[ChannelInfo]:
         """The channels, with their numbers of messages and their times."""
@@ -61,7 +65,7 @@ class SqliteFile:
         self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
     ) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content."""
-        self._reading_counters.clear()
+        self._counters.clear()
         wanted = {id: i.channel for id, i in self._channels.items() if topics is None or i.channel.topic in topics}
         empty = [id for id, channel in wanted.items() if channel.topic in without_content]
         query = (
@@ -73,15 +77,15 @@ class SqliteFile:
         try:
             for id, topic_id, log_time_ns, data in self._database.execute(query, parameters):
                 if not (isinstance(log_time_ns, int) and 0 <= log_time_ns <= LAST_NS):
-                    self._reading_counters["messages_without_time"] += 1
+                    self._counters["messages_without_time"] += 1
                 elif data is None:
-                    self._reading_counters["messages_too_large"] += 1
+                    self._counters["messages_too_large"] += 1
                 else:  # SQLite puts what it likes into any column
                     content = data if isinstance(data, bytes) else b""
                     sequence = id % 2**32 if isinstance(id, int) else 0
                     yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, sequence, content)
         except _DATABASE_ERRORS:
-            self._is_complete = False
+            self._counters["truncated"] = 1
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """None: such files hold only messages."""
@@ -96,6 +100,7 @@ class SqliteFile:
         if missing := {"messages", "topics"} - tables:
             raise sqlite3.DatabaseError(f"no table {' and '.join(sorted(missing))}")
         definitions = self._read_definitions() if "message_definitions" in tables else {}
+        spans = {id: span for id, *span in self._database.execute(_SPANS)}
         channels: dict[int, ChannelInfo] = {}
         for id, *texts in self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id"):
             if not isinstance(id, int) or not all(isinstance(text, str) for text in texts):
@@ -104,29 +109,19 @@ class SqliteFile:
             self._limits.check_name(self._name, "a topic", topic)
             self._limits.check_name(self._name, "a type", type_name)
             schema = Schema(id, type_name, *(definitions.get(type_name) or known_definition(type_name)))
-            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), 0, None, None)
+            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
             self._limits.check_channels(self._name, len(channels))
-        spans = self._database.execute(
-            "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
-            f"WHERE typeof(timestamp) = 'integer' AND topic_id IN ({_marks(channels)}) GROUP BY topic_id",
-            tuple(channels),
-        )
-        for id, count, first_ns, last_ns in spans:
-            channels[id] = ChannelInfo(channels[id].channel, count, first_ns, last_ns)
         return channels
 
     def _read_definitions(self) -> dict[str, tuple[str, bytes]]:
         """Type name -> (encoding, definition)."""
         rows = self._database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions "
-            "WHERE length(encoded_message_definition) <= ? ORDER BY id",
+            "WHERE typeof(encoding) = 'text' AND typeof(encoded_message_definition) = 'text' "
+            "AND length(encoded_message_definition) <= ? ORDER BY id",
             (self._limits.message_bytes,),
         )
-        return {
-            type_name: (encoding, text.encode())
-            for type_name, encoding, text in rows
-            if isinstance(encoding, str) and isinstance(text, str)
-        }
+        return {type_name: (encoding, text.encode()) for type_name, encoding, text in rows}
 
 
 def _marks(parameters: Collection[int]) -> str:

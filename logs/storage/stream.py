@@ -10,10 +10,10 @@ from google.protobuf.message import DecodeError
 from google.protobuf.proto import parse_length_prefixed, serialize_length_prefixed
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.decode import decode
+from logs.decoders.record_decoder import RecordDecoder
 from logs.decoders.registry import kinds_of
 from logs.encoders import encode
-from logs.errors import InvalidRecordError, UnreadableLogError
+from logs.errors import UnreadableLogError
 from logs.messages import Record
 from logs.reader import LogItem
 from logs.schemas.dslam_pb2 import StreamMessage
@@ -29,7 +29,7 @@ def read_stream(stream: Any, counters: Counter[str], limits: ReadingLimits | Non
     Raises:
         UnreadableLogError: bytes that are no stream of messages.
     """
-    limits = limits or ReadingLimits()
+    decoder = RecordDecoder(limits, counters)
     while True:
         try:
             message = parse_length_prefixed(StreamMessage, stream)
@@ -42,7 +42,8 @@ def read_stream(stream: Any, counters: Counter[str], limits: ReadingLimits | Non
         schema = Schema(0, message.schema, "protobuf", b"")
         channel = Channel(0, message.topic, "protobuf", schema)
         raw = RawMessage(channel, message.log_time_ns, message.log_time_ns, 0, message.data)
-        yield LogItem(raw, _records(raw, counters, limits))
+        kinds = [kind for kind in INPUT_KINDS if kind in kinds_of(channel)]
+        yield LogItem(raw, decoder.records(raw, kinds[:1]))
 
 
 def write_stream(stream: Any, topic: str, record: Record, log_time_ns: int) -> None:
@@ -55,15 +56,3 @@ def write_stream(stream: Any, topic: str, record: Record, log_time_ns: int) -> N
         data=encoded.SerializeToString(deterministic=True),
     )
     serialize_length_prefixed(message, stream)
-
-
-def _records(raw: RawMessage, counters: Counter[str], limits: ReadingLimits) -> tuple[Record, ...]:
-    kinds = [kind for kind in INPUT_KINDS if kind in kinds_of(raw.channel)]
-    if not kinds:
-        counters["undecodable"] += 1
-        return ()
-    try:
-        return decode(raw, kinds[0], counters, limits, None)
-    except InvalidRecordError:
-        counters["invalid_messages"] += 1
-        return ()

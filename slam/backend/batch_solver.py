@@ -18,14 +18,26 @@ ROUGH_MIN_DECREASE = 0.5
 """The same by one standard deviation: the steps that follow are short ones, on which no fusion of landmarks depends."""
 
 
+def levenberg_marquardt(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    max_iterations: int = MAX_ITERATIONS,
+    min_decrease: float = MIN_DECREASE,
+) -> gtsam.LevenbergMarquardtOptimizer:
+    """The optimiser of a graph from ``values``; it ends with a step that lowers the cost by less than the decrease."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(max_iterations)
+    parameters.setAbsoluteErrorTol(min_decrease)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+
+
 @dataclass(frozen=True, slots=True)
 class Optimization:
-    """How the batch optimisation ended."""
+    """How the batch optimisation ended; ``error``: the cost at its end, in nats."""
 
     converged: bool
     iterations: int
-    error_before: float
-    error_after: float
+    error: float
 
 
 class BatchSolver(Solver):
@@ -36,17 +48,7 @@ class BatchSolver(Solver):
         self._values = values
         for number, factor in factors.items():
             self.add(number, factor)
-        self._is_changed = False
-
-    def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
-        """Add a factor between variables that are held."""
-        super().add(number, factor)
-        self._is_changed = True
-
-    def remove(self, number: int) -> None:
-        """Remove a factor; a landmark leaves with its last one."""
-        super().remove(number)
-        self._is_changed = True
+        self._note_update()
 
     def holds(self, key: int) -> bool:
         """Whether a variable is there."""
@@ -56,16 +58,12 @@ class BatchSolver(Solver):
         """Add a variable with its initial value."""
         self._values.insert(key, value)
 
-    def update(self) -> None:
-        """Improve the values by one step, if anything changed."""
-        if self._is_changed:
-            with self._calls.doing("a step of the batch optimisation"):
-                self._optimize(1, MIN_DECREASE)
-
     def optimize(self, *, roughly: bool = False) -> Optimization:
         """Solve to the end, or ``roughly``, to a standard deviation."""
         with self._calls.doing("the batch optimisation"):
-            return self._optimize(MAX_ITERATIONS, ROUGH_MIN_DECREASE if roughly else MIN_DECREASE)
+            optimization = self._optimize(MAX_ITERATIONS, ROUGH_MIN_DECREASE if roughly else MIN_DECREASE)
+        self._note_update()
+        return optimization
 
     def log_determinant(self) -> float:
         """Of the information of all variables together."""
@@ -82,19 +80,18 @@ class BatchSolver(Solver):
         return graph_of(self._factors.values())
 
     def _optimize(self, max_iterations: int, min_decrease: float) -> Optimization:
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(max_iterations)
-        parameters.setAbsoluteErrorTol(min_decrease)
-        optimizer = gtsam.LevenbergMarquardtOptimizer(self.graph, self._values, parameters)
-        error_before = optimizer.error()
+        optimizer = levenberg_marquardt(self.graph, self._values, max_iterations, min_decrease)
         self._values = optimizer.optimize()
-        self._is_changed = False
         iterations = optimizer.iterations()
-        return Optimization(iterations < max_iterations, iterations, error_before, optimizer.error())
+        return Optimization(iterations < max_iterations, iterations, optimizer.error())
 
     def _start(self, values: gtsam.Values) -> None:
-        self._values, self._is_changed = gtsam.Values(values), True
-        self.update()
+        self._values = gtsam.Values(values)
+        self._improve()
+
+    def _improve(self) -> None:
+        with self._calls.doing("a step of the batch optimisation"):
+            self._optimize(1, MIN_DECREASE)
 
     def _release(self, key: int) -> None:
         self._values.erase(key)

@@ -1,4 +1,4 @@
-"""Kinds of edges between keyframes, without the solver: maps are looked into without it."""
+"""Kinds of edges between keyframes; reading a map needs them, but not the solver."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from enum import StrEnum
 
 
 class EdgeKind(StrEnum):
-    """Where an edge comes from; the values are those of logs.
+    """Origin of an edge; the values are those in logs.
 
     ``DISCONTINUITY``: the odometry jumped, paused or restarted, so the edge holds no information, but keeps the graph
-    connected until a closure does it. ``CONDENSED``: a keyframe at one end stands for another one of a later traversal.
+    connected until a closure does it. ``CONDENSED``: a keyframe at one end represents one of a later traversal.
     """
 
     ODOMETRY = "odometry"

@@ -58,7 +58,7 @@ class EditableGraph:
 
     @property
     def factors(self) -> Mapping[int, Factor]:
-        """The factors that are in force, by their numbers."""
+        """The active factors, by their numbers."""
         return self._factors
 
     @property
@@ -85,7 +85,7 @@ class EditableGraph:
         self._add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
 
     def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray, *, is_map_frame: bool = False) -> None:
-        """Add a keyframe that never moves; ``is_map_frame``: it stands for the frame of a map without keyframes."""
+        """Add a keyframe that never moves; ``is_map_frame``: it is the frame of a map without keyframes."""
         self.add_first_keyframe(keyframe, T_map_body)
         self._fixed_poses[keyframe] = T_map_body
         if is_map_frame:
@@ -94,7 +94,7 @@ class EditableGraph:
     def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge.
 
-        ``T_from_to`` (4, 4) is a better estimate to place it by, where there is one, until the next update.
+        ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
         factor = between_factor(edge)
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
@@ -115,12 +115,12 @@ class EditableGraph:
             self._fixed_landmarks.update(landmarks)
 
     def add_edge(self, edge: Edge) -> int:
-        """Tie two keyframes together; returns the factor's number."""
+        """Add a factor between two keyframes; returns its number."""
         self._check_ends(edge)
         return self._add(edge)
 
     def add_observations(self, observations: Sequence[Observation]) -> None:
-        """Tie landmarks to the keyframes that saw them.
+        """Add factors between landmarks and the keyframes that observed them.
 
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
         under-constrained.
@@ -130,7 +130,7 @@ class EditableGraph:
         self._insert([self._number(each) for each in seen], factors, positions)
 
     def remove_factor(self, number: int) -> None:
-        """Remove a factor; a landmark leaves the graph with its last observation."""
+        """Remove a factor, and landmarks without any other observation."""
         self._remove([number])
 
     def remove_landmarks(self, landmarks: Iterable[int]) -> None:
@@ -138,9 +138,9 @@ class EditableGraph:
         self._remove([number for each in landmarks for number in self._observations.get(each, ())])
 
     def alias_landmarks(self, aliases: Mapping[int, int]) -> None:
-        """Say which landmarks stand for others, by the ids of these; all others stand for themselves.
+        """Set the landmark that each merged landmark was merged into, by the id of the merged one.
 
-        Observations of a landmark, earlier and later ones, count as those of the one that stands for it.
+        Observations of a landmark, earlier and later ones, count as those of the one that it was merged into.
         """
         moved = [
             number
@@ -181,7 +181,7 @@ class EditableGraph:
         return keyframe in self._attached.anchors or self._solver.holds(X(keyframe))
 
     def _variable_of(self, landmark: int) -> int:
-        """The landmark that stands for this one."""
+        """The landmark that this one was merged into, or itself."""
         return self._aliases.get(landmark, landmark)
 
     def _variables(self) -> set[int]:
@@ -236,7 +236,7 @@ class EditableGraph:
             del self._factors[number]
 
     def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
-        """Where observations (N,) put their landmarks, (N, 3) m in the map."""
+        """Positions (N, 3) m, map frame, of the landmarks by their observations (N,)."""
         poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
         T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
         positions = np.array([each.position for each in observations]).reshape(-1, 3, 1)

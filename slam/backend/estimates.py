@@ -22,7 +22,7 @@ class Estimates:
     landmark_positions: FloatArray
 
     def with_keyframes(self, keyframes: IntArray, positions: FloatArray) -> Estimates:
-        """These, and positions (N, 3) of other keyframes (N,)."""
+        """The estimates with positions (N, 3) of other keyframes (N,)."""
         return replace(
             self,
             keyframes=np.concatenate([self.keyframes, keyframes]),
@@ -30,16 +30,11 @@ class Estimates:
         )
 
 
-def read_estimates(*values: gtsam.Values) -> Estimates:
-    """The positions of all keyframes and landmarks in ``values``, which share no variable."""
-    parts = [_read(each) for each in values]
-    return Estimates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _read(values: gtsam.Values) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
+def read_estimates(values: gtsam.Values) -> Estimates:
+    """The positions of all keyframes and landmarks in ``values``."""
     # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
     indices = (np.array(values.keys(), dtype=np.uint64) & _INDEX_BITS).astype(np.int64)
     landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
     keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
     count = len(landmark_positions)
-    return indices[count:], keyframe_positions, indices[:count], landmark_positions
+    return Estimates(indices[count:], keyframe_positions, indices[:count], landmark_positions)

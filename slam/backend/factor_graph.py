@@ -16,14 +16,14 @@ from slam.backend.condensing.condensed_factors import condensed_factors, relativ
 from slam.backend.covariance.marginals import Marginals, compute_marginals, matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
-from slam.backend.factors import Edge, Factor, Observation
+from slam.backend.factors import Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.incremental_solver import IncrementalSolver
-from slam.backend.segment_joining import moved_estimate, relaxed_breaks, shift_of_segment
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
+from slam.common.geometry import invert
 
 logger = logging.getLogger(__name__)
 
@@ -67,19 +67,42 @@ class FactorGraph(EditableGraph):
         self.update()
         away = set(moved.tolist())
         with self._calls.doing("the joining of two segments"):
-            T_shift = shift_of_segment(edge, self.pose(edge.from_keyframe), self.pose(edge.to_keyframe), away)
-            landmarks = [each for each in sorted(self._variables()) if self._solver.holds(L(each))]
-            others = [o for o in self._factors.values() if isinstance(o, Observation) and o.keyframe not in away]
-            staying = self._known.keys() | {self._variable_of(each.landmark) for each in others}
-            along = set(landmarks) - staying
-            keyframes = self.keyframe_variables.tolist()
-            values = moved_estimate(self._solver.values(), keyframes, landmarks, away, along, T_shift)
+            values = self._moved_estimate(edge, away)
             number = self._number(self._attached.edge(edge))
-            breaks = relaxed_breaks(self._factors, away, values)
+            breaks = self._relaxed_breaks(away, values)
             self._factors |= breaks
             changed = {each: self._solver_factor(self._factors[each]) for each in (*breaks, number)}
             self._solver.restart(values, {**self._solver.factors, **changed})
         return number
+
+    def _moved_estimate(self, edge: Edge, away: set[int]) -> gtsam.Values:
+        """The estimate, in which the edge puts keyframes ``away`` and the landmarks that only they saw."""
+        T_from, T_to = self.pose(edge.from_keyframe), self.pose(edge.to_keyframe)
+        if edge.to_keyframe in away:
+            shift = gtsam.Pose3(T_from @ edge.T_from_to @ invert(T_to))
+        else:
+            shift = gtsam.Pose3(T_to @ invert(edge.T_from_to) @ invert(T_from))
+        values = gtsam.Values(self._solver.values())
+        for keyframe in away.intersection(self.keyframe_variables.tolist()):
+            values.update(X(keyframe), shift.compose(values.atPose3(X(keyframe))))
+        for landmark, keyframes in self.observers().items():
+            if landmark not in self._known and keyframes <= away:
+                values.update(L(landmark), shift.transformFrom(values.atPoint3(L(landmark))))
+        return values
+
+    def _relaxed_breaks(self, away: set[int], values: gtsam.Values) -> dict[int, Edge]:
+        """Breaks of the odometry between keyframes ``away`` and the others, by number, as the estimate has them.
+
+        They hold no information, and would pull at a segment that was moved far.
+        """
+        relaxed = dict[int, Edge]()
+        for number, factor in self._factors.items():
+            if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
+                start, end = factor.from_keyframe, factor.to_keyframe
+                if (start in away) != (end in away):
+                    T_from_to = values.atPose3(X(start)).between(values.atPose3(X(end))).matrix()
+                    relaxed[number] = replace(factor, T_from_to=T_from_to)
+        return relaxed
 
     def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
         """Restore an optimised graph in an empty one: keyframes 0 to K - 1 at (K, 4, 4), the first one held.
@@ -135,9 +158,9 @@ class FactorGraph(EditableGraph):
         return self.settle().log_determinant()
 
     def condense(self, anchors: Mapping[int, int]) -> None:
-        """Attach keyframes to others, as they are at the optimum; the incremental estimate goes on from there.
+        """Attach keyframes to others, as they are at the optimum; the incremental estimate continues from there.
 
-        An attached keyframe is no variable any more and moves rigidly with its anchor, which takes over what was
+        An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it.
         """
         solver = self.settle()
@@ -178,10 +201,12 @@ class FactorGraph(EditableGraph):
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def estimates(self) -> Estimates:
-        """Where everything is as far as it is known now; nothing is solved for it."""
+        """The current estimates of all variables, without solving."""
         attached = np.array(list(self._attached.anchors), dtype=np.int64)
-        new = [self._solver.new_values] if isinstance(self._solver, IncrementalSolver) else []
-        return read_estimates(self._solver.values(), *new).with_keyframes(attached, self.poses(attached)[:, :3, 3])
+        values = gtsam.Values(self._solver.values())
+        if isinstance(self._solver, IncrementalSolver):
+            values.insert(self._solver.new_values)
+        return read_estimates(values).with_keyframes(attached, self.poses(attached)[:, :3, 3])
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
@@ -202,7 +227,7 @@ class FactorGraph(EditableGraph):
         return self._attached.covariances(self._keyframes, of_anchors)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
-        """The whole graph at its current estimate, as it goes into a log."""
+        """The whole graph at its current estimate, as a record of a log."""
         try:
             covariances = self.pose_covariances()
         except FactorGraphError as error:

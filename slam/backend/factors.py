@@ -93,15 +93,15 @@ def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
     return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
 
 
-def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
+def between_factor(edge: Edge) -> gtsam.NoiseModelFactor:
     """The GTSAM factor of an edge; closures are robust, the others are not."""
     pose, noise = _measurement(edge)
     return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
 
 
 def map_frame_factor(edge: Edge) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge from the map frame, which is no variable: far from its origin a rotation by less than
-    a solver can tell would move the other keyframe.
+    """The GTSAM factor of an edge from the map frame, which is not a variable: a rotation below the resolution of a
+    solver would move a keyframe that is far from its origin.
     """
     pose, noise = _measurement(edge)
     return gtsam.PriorFactorPose3(X(edge.to_keyframe), pose, noise)

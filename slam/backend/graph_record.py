@@ -1,4 +1,4 @@
-"""The factor graph as it goes into a log, and as it comes out of one."""
+"""Conversion of the factor graph to a record of a log and back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def make_graph_record(
     name_of: Callable[[int], int | str],
     pose_covariances: FloatArray,
 ) -> FactorGraphRecord:
-    """The record of a graph; priors are left out of it.
+    """The record of a graph, without its priors.
 
     Args:
         stamp_ns: of the record.
@@ -28,7 +28,7 @@ def make_graph_record(
         keyframe_stamps_ns: (K,).
         T_map_body: (K, 4, 4), their estimates.
         factors: all that are in force.
-        name_of: the id of a landmark in the record: that of the landmark that stands for it.
+        name_of: the id of a landmark in the record: that of the landmark that it was merged into.
         pose_covariances: (K, 6, 6), or (0, 6, 6) where they are not known.
     """
     factors = tuple(factors)
@@ -87,6 +87,6 @@ def observations_of(
 
 
 def _covariance_inflations(observations: Sequence[Observation]) -> FloatArray:
-    """Those of observations (O,), none where all are 1."""
+    """The kernel weights of observations (O,); empty if all are 1."""
     inflations = np.array([observation.covariance_inflation for observation in observations], dtype=np.float64)
     return inflations if (inflations != 1.0).any() else np.zeros(0)

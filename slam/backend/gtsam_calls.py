@@ -44,7 +44,7 @@ def _variable_in(message: str) -> str:
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
-    """A graph of some factors, in their order."""
+    """A graph of factors, in their order."""
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
         graph.add(factor)

@@ -30,21 +30,8 @@ class IncrementalSolver(Solver):
         self._values: gtsam.Values | None = None
         self._poses: dict[int, gtsam.Pose3] = {}  # those queried since the last update
         self._slots: dict[int, int] = {}  # places of the factors in iSAM2
-        self._new_factors: dict[int, gtsam.NonlinearFactor] = {}
         self._new_values = gtsam.Values()
-        self._removed_slots: list[int] = []
         self._leaving: set[int] = set()
-
-    def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
-        """Add a factor between variables that are held."""
-        super().add(number, factor)
-        self._new_factors[number] = factor
-
-    def remove(self, number: int) -> None:
-        """Remove a factor; a landmark leaves with its last one."""
-        super().remove(number)
-        if self._new_factors.pop(number, None) is None:
-            self._removed_slots.append(self._slots.pop(number))
 
     def holds(self, key: int) -> bool:
         """Whether a variable is there."""
@@ -58,21 +45,6 @@ class IncrementalSolver(Solver):
         else:
             self._new_values.insert(key, value)
 
-    def update(self) -> None:
-        """Bring the estimate up to date with all that was added and removed."""
-        if not self._new_factors and not self._removed_slots:
-            return
-        with self._calls.doing("the incremental update"):
-            try:
-                new = graph_of(self._new_factors.values())
-                result = self._isam.update(new, self._new_values, self._removed_slots)
-                numbers = list(self._new_factors)
-            except RuntimeError as error:
-                logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
-                # The failed update has the new variables already.
-                numbers, result = self._solve_afresh(self._isam.getLinearizationPoint(), "QR")
-        self._note_update(numbers, result)
-
     def values(self) -> gtsam.Values:
         """The estimate of all variables; iSAM2 computes those that were not queried before only here."""
         if self._values is None:
@@ -85,16 +57,26 @@ class IncrementalSolver(Solver):
         """Initial values of the variables that the next update adds."""
         return self._new_values
 
+    def _improve(self) -> None:
+        with self._calls.doing("the incremental update"):
+            try:
+                removed_slots = [self._slots.pop(number) for number in self._removed]
+                result = self._isam.update(graph_of(self._added.values()), self._new_values, removed_slots)
+                self._take_result(list(self._added), result)
+            except RuntimeError as error:
+                logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
+                # The failed update has the new variables already.
+                self._solve_afresh(self._isam.getLinearizationPoint(), "QR")
+
     def _start(self, values: gtsam.Values) -> None:
         try:
-            numbers, result = self._solve_afresh(values, "CHOLESKY")
+            self._solve_afresh(values, "CHOLESKY")
         except RuntimeError as error:
             logger.info("the solution by Cholesky failed (%s); solving again with QR", first_line(error))
-            numbers, result = self._solve_afresh(values, "QR")
-        self._note_update(numbers, result)
+            self._solve_afresh(values, "QR")
 
-    def _solve_afresh(self, values: gtsam.Values, factorization: str) -> tuple[list[int], gtsam.ISAM2Result]:
-        """Put all factors into a new iSAM2; returns their numbers in the order of its slots, and its result.
+    def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
+        """Put all factors into a new iSAM2.
 
         Elimination by QR is slower than by Cholesky, but bears the poor conditioning of, say, a very exact odometry
         beside landmarks that the robust kernel has all but switched off.
@@ -105,14 +87,12 @@ class IncrementalSolver(Solver):
             is_pose = gtsam.symbolChr(key) == ord("x")
             kept.insert(key, values.atPose3(key) if is_pose else values.atPoint3(key))
         self._isam, self._slots = self._new_isam(factorization), {}
-        return numbers, self._isam.update(graph, kept)
+        self._take_result(numbers, self._isam.update(graph, kept))
 
-    def _note_update(self, numbers: Sequence[int], result: gtsam.ISAM2Result) -> None:
-        self._values = None
-        self._poses = {}
+    def _take_result(self, numbers: Sequence[int], result: gtsam.ISAM2Result) -> None:
         self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
-        self._new_factors, self._new_values = {}, gtsam.Values()
-        self._removed_slots = []
+        self._values, self._poses = None, {}
+        self._new_values = gtsam.Values()
         self._leaving.clear()
 
     def _release(self, key: int) -> None:

@@ -1,8 +1,8 @@
-"""The final solution, with the noise of the odometry and of closures that the whole graph shows.
+"""The final solution, with the noise of the odometry and of closures that is estimated from the whole graph.
 
-Over single steps the detections tell the tilt of the odometry no better than they tell heights. Over a whole drive they
-tell it: gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. If gravity holds it, the
-tilts of its E steps are no free parameters, and what freeing them takes off the squared residuals is chi-squared with
+Over single steps the detections determine the tilt of the odometry no better than heights; over a whole drive they do.
+Gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. If gravity holds it, the tilts of
+its E steps are not free parameters, and the decrease of the squared residuals when they are freed is chi-squared with
 their effective number of degrees of freedom (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5):
 
     nu = 2 E + 1/2 d log det H / d log f,
@@ -59,7 +59,7 @@ def hold_tilt(graph: FactorGraph) -> None:
         return
     graph.replace_covariances(_scaled(graph, steps, HELD))
     held = graph.optimize()
-    if chdtrc(freedom, 2.0 * max(held.error_after - free.error_after, 0.0)) > CHANCE:
+    if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > CHANCE:
         return
     graph.replace_covariances(configured)
     graph.optimize()

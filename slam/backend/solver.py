@@ -1,4 +1,4 @@
-"""What the incremental and the batch solver have in common: factors by their numbers, and the variables in use."""
+"""The common part of incremental and batch solver: factors by their numbers, and the variables in use."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ class Solver(ABC):
         self._calls = calls
         self._factors: dict[int, gtsam.NonlinearFactor] = {}
         self._uses: Counter[int] = Counter()
+        self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
+        self._removed: list[int] = []  # of those that were there at the last update
 
     @property
     def factors(self) -> Mapping[int, gtsam.NonlinearFactor]:
@@ -36,21 +38,35 @@ class Solver(ABC):
 
     def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
         """Add a factor between variables that are held."""
-        self._factors[number] = factor
+        self._factors[number] = self._added[number] = factor
         self._uses.update(factor.keys())
 
     def remove(self, number: int) -> None:
         """Remove a factor; a landmark leaves with its last one."""
-        for key in self._factors.pop(number).keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
+        factor = self._factors.pop(number)
+        if self._added.pop(number, None) is None:
+            self._removed.append(number)
+        for key in factor.keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
             if not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
                 self._release(key)
 
     def restart(self, values: gtsam.Values, factors: Mapping[int, gtsam.NonlinearFactor]) -> None:
         """Solve these factors, and no others, from ``values``."""
-        self._factors = dict(factors)
-        self._uses = Counter(key for factor in factors.values() for key in factor.keys())  # noqa: SIM118
+        self._factors, self._added, self._removed, self._uses = {}, {}, [], Counter()
+        for number, factor in factors.items():
+            self.add(number, factor)
         self._start(values)
+        self._note_update()
+
+    def update(self) -> None:
+        """Bring the estimate up to date with all that was added and removed."""
+        if self._added or self._removed:
+            self._improve()
+            self._note_update()
+
+    def _note_update(self) -> None:
+        self._added, self._removed = {}, []
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
@@ -60,22 +76,23 @@ class Solver(ABC):
 
     @abstractmethod
     def holds(self, key: int) -> bool:
-        """Whether a variable is there."""
+        """Whether the solver holds a variable."""
 
     @abstractmethod
     def insert(self, key: int, value: Value) -> None:
         """Add a variable with its initial value."""
 
     @abstractmethod
-    def update(self) -> None:
-        """Bring the estimate up to date with all that was added and removed."""
-
-    @abstractmethod
     def values(self) -> gtsam.Values:
         """The estimate of all variables, as of the last update."""
 
     @abstractmethod
-    def _start(self, values: gtsam.Values) -> None: ...
+    def _start(self, values: gtsam.Values) -> None:
+        """Solve all factors, from ``values``."""
+
+    @abstractmethod
+    def _improve(self) -> None:
+        """Improve the estimate by what was added and removed."""
 
     @abstractmethod
     def _release(self, key: int) -> None: ...

@@ -18,6 +18,7 @@ class FactorGraphConfig:
 
 
 GROUP_KEYFRAMES = 4
-"""Keyframes in a row that observe a landmark once, where the odometry between them is far better than a detection."""
+"""Consecutive keyframes that observe a landmark once, where the odometry between them is far better than a detection.
+"""
 UPDATE_KEYFRAMES = 5
 """Keyframes between two updates of iSAM2; in between only the local map follows."""

@@ -1,1 +1,1 @@
-"""What every stage uses: configuration, errors, arrays, rigid transforms."""
+"""Parts that every stage uses: configuration, errors, arrays, rigid transforms."""

@@ -1,4 +1,4 @@
-"""What is known of a robot's sensors: noise, scales and faults, estimated from its logs or given by hand.
+"""Calibration of a robot's sensors: noise, scales and faults, estimated from its logs or given by hand.
 
 Lengths of the program that are not here are fractions of ``detection.sensor_range_m``. The defaults are priors:
 those of a car with a sensor range of 30 m.
@@ -18,8 +18,6 @@ MAX_TURN = 1000.0
 """Radians of noise after which nothing is known of a heading; covariances with more cannot be inverted."""
 MAX_RANGES = 8.0 / 3.0
 """Detections farther away than so many sensor ranges are left out, unless a distance is given."""
-UNIQUE_SPACINGS = 100.0
-"""Objects of a class that are farther apart than so many sensor ranges never share a scan: they are unique."""
 
 
 class OdometryCalibration(Branch):
@@ -180,7 +178,7 @@ class ObjectCalibration(Branch):
 
 
 class Calibration(Branch):
-    """All that a log tells of a robot's sensors."""
+    """Everything that is estimated about the sensors of a robot."""
 
     odometry: OdometryCalibration = OdometryCalibration()
     detection: DetectionCalibration = DetectionCalibration()
@@ -189,11 +187,6 @@ class Calibration(Branch):
     evidence: dict[str, float] = Field(
         default={}, description="amount of data: scans, detections, travel and tracked pairs of detections"
     )
-
-    @property
-    def has_unique_objects(self) -> bool:
-        """Whether no two objects of a class share a scan."""
-        return self.objects.spacing_m > UNIQUE_SPACINGS * self.detection.sensor_range_m
 
     def with_values(self, values: Mapping[str, float]) -> Calibration:
         """The same with other values of some dotted keys, like "odometry.yaw_sigma"; they are not checked."""

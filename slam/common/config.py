@@ -1,7 +1,7 @@
 """The settings: one frozen tree, defaults in code, unknown keys refused at every level.
 
-What a robot's sensors are like is no setting: it is the calibration, which a replay estimates from the log as far as it
-is not given. The effective tree is written into every output log.
+The properties of a robot's sensors are not settings but the calibration, which a replay estimates from the log as far
+as it is not given. The effective tree is written into every output log.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class Config(Branch):
 
     @property
     def reading_limits(self) -> ReadingLimits:
-        """How much of a log is taken into memory."""
+        """Limits of the memory that a log may take."""
         return _LIMITS.scaled(self.memory_mb / _LIMITS.chunk_mb)
 
 

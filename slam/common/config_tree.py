@@ -108,7 +108,7 @@ CHANGED_SETTINGS = "changed_settings"
 
 
 def changed_settings(tree: BaseModel) -> str:
-    """What is not the default, for people: "keyframe.distance_m=1.5, ..."."""
+    """Settings that differ from the defaults: "keyframe.distance_m=1.5, ..."."""
     return ", ".join(changes(type(tree)(), tree.model_dump_json()))
 
 

@@ -1,4 +1,4 @@
-"""What can go wrong in the estimator. One root; logs have their own, because they know nothing of SLAM."""
+"""Errors of the estimator. One root; logs have their own, because they know nothing of SLAM."""
 
 from __future__ import annotations
 
@@ -40,4 +40,4 @@ class ViewerError(SlamError):
 
 
 class FleetError(SlamError):
-    """A fleet that cannot be mapped: no logs, or nobody who computes."""
+    """A fleet that cannot be mapped: no logs, or no worker."""

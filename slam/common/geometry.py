@@ -1,6 +1,7 @@
 """Rigid transforms as ``(..., 4, 4)`` float64 arrays, metres; every function takes one or a batch.
 
-``T_a_b`` maps points of frame b into frame a: ``p_a = T_a_b @ p_b``. Chains read with equal inner names.
+``T_a_b`` maps points of frame b into frame a: ``p_a = T_a_b @ p_b``. In a chain of transforms the inner names are
+equal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where on earth a map lies: its frame against the local tangent plane of WGS 84.
+"""Georeference of a map: its frame against the local tangent plane of WGS 84.
 
 x and y are those of the tangent plane (east and north, turned by the heading of the map) of the point at height 0 of
 the ellipsoid; z is the height above that of the origin. So a map of 100 km is distorted by less than 1e-4.
@@ -56,7 +56,7 @@ class Georeference:
         return np.column_stack([latitude, longitude, positions[:, 2] + self.altitude_m])
 
     def to_json(self) -> str:
-        """As it stands in the metadata of maps and logs."""
+        """JSON for the metadata of maps and logs."""
         return json.dumps({name: getattr(self, name) for name in self.__dataclass_fields__})
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Disjoint sets: which items have become one, and which of them stands for all."""
+"""Disjoint sets: the items of each set, and the one that represents it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class UnionFind:
 
     @property
     def dropped(self) -> list[int]:
-        """The items that another one stands for, in the order of the merges."""
+        """The items that another one represents, in the order of the merges."""
         return list(self._parent)
 
     def find(self, item: int) -> int:
@@ -40,7 +40,7 @@ class UnionFind:
         return True
 
     def absorbed(self, item: int) -> list[int]:
-        """The items that were merged into this one while it stood for itself, and into those, ascending."""
+        """The items that were merged into this one while it represented itself, and into those, ascending."""
         found, waiting = list[int](), [item]
         while waiting:
             below = self._absorbed.get(waiting.pop(), [])

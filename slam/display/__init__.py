@@ -1,1 +1,1 @@
-"""What viewers show of a drive while it is mapped."""
+"""Messages and pictures for viewers of a drive."""

@@ -1,4 +1,4 @@
-"""Estimates for Foxglove over a WebSocket, while the robot drives."""
+"""Publishes estimates for Foxglove over a WebSocket during the drive."""
 
 from __future__ import annotations
 

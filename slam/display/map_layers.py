@@ -1,4 +1,4 @@
-"""What a picture of a map consists of: lines and marks with their names and colours, in the order of drawing."""
+"""Lines and marks of a picture of a map, with names and colours, in the order of drawing."""
 
 from __future__ import annotations
 
@@ -32,12 +32,11 @@ def _no_lines() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
-    """What to draw, all in metres and in one frame (the map, into which the caller has aligned the others).
+    """The content of a picture, in metres and in one frame (the map, into which the caller has aligned the others).
 
     estimate, odometry, truth (N, 3) positions along the path, N may be 0, a row of NaN where no line is to be drawn;
     landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
-    closures of which it is unknown whether they are right, that are, that are not; missed_revisits (M, 3) where a
-    closure was possible and not made; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
+    closures that are undecided, true, false; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
     landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
     """
 
@@ -49,7 +48,6 @@ class MapPicture:
     closures: FloatArray = field(default_factory=_no_lines)
     true_closures: FloatArray = field(default_factory=_no_lines)
     false_closures: FloatArray = field(default_factory=_no_lines)
-    missed_revisits: FloatArray = field(default_factory=_no_points)
     lost: FloatArray = field(default_factory=_no_points)
     found: FloatArray = field(default_factory=_no_points)
     known: FloatArray = field(default_factory=_no_points)
@@ -59,7 +57,7 @@ class MapPicture:
 
     @property
     def points(self) -> FloatArray:
-        """Everything that has to be in sight (N, 3), metres."""
+        """Points (N, 3) m that the picture has to contain."""
         every = np.concatenate([self.estimate, self.odometry, self.truth, self.landmarks, self.known])
         return np.asarray(every[~np.isnan(every).all(axis=1)])
 
@@ -83,9 +81,8 @@ class Layer:
 
 
 def layers_of(picture: MapPicture) -> list[Layer]:
-    """What is not empty, in the order of drawing: false closures last."""
+    """The layers that are not empty, in the order of drawing: false closures last."""
     path = next((each for each in (picture.estimate, picture.truth, picture.odometry) if len(each)), _no_points())
-    missed, lost, found = picture.missed_revisits, picture.lost, picture.found
     every = [
         Layer("landmarks of the map", picture.known, OTHER_COLOR, size=7.0, count=len(picture.known)),
         _closures("loop closures", picture.closures, UNDECIDED_CLOSURE, 1.2),
@@ -94,11 +91,10 @@ def layers_of(picture: MapPicture) -> list[Layer]:
         _closures("true loop closures", picture.true_closures, TRUE_CLOSURE, 1.6),
         Layer("estimate", picture.estimate, ESTIMATE, width=2.8),
         Layer("ground truth", picture.truth, TRUTH, width=1.2, is_dashed=True),
-        Layer("missed revisits", missed, "#7c3aed", size=5.0, marker="D", count=len(missed)),
         Layer("start", path[:1], "#16a34a", size=13.0),
         Layer("end", path[-1:], "#dc2626", size=13.0, marker="s"),
-        Layer("lost", lost, "#b91c1c", size=13.0, marker="v", count=len(lost)),
-        Layer("found", found, "#15803d", size=13.0, marker="^", count=len(found)),
+        Layer("lost", picture.lost, "#b91c1c", size=13.0, marker="v", count=len(picture.lost)),
+        Layer("found", picture.found, "#15803d", size=13.0, marker="^", count=len(picture.found)),
         _closures("false loop closures", picture.false_closures, FALSE_CLOSURE, 4.0),
     ]
     return [layer for layer in every if len(layer.positions)]

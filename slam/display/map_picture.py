@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.font_manager import findSystemFonts, fontManager
 
 from logs.container.names import visible
 from logs.storage.placement import replacing
@@ -23,25 +22,29 @@ from slam.display.map_layers import Layer, MapPicture, layers_of
 _INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
 _MAX_NAME_LENGTH, _MAX_TITLE_LENGTH = 40, 60
 """Letters that have room in the key and above the map."""
-_FONTS = ("DejaVu Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Droid Sans Fallback", "Unifont")
+_FONTS = ["DejaVu Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Droid Sans Fallback", "Unifont"]
 """The first that has a letter draws it; those after the first, where they are installed, have Chinese ones."""
 
 
-# That a fallback font has no bold face is nothing to tell anybody.
+# Most of these are installed nowhere, and a fallback has no bold face: matplotlib warns of both.
 logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 
-def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600) -> None:
-    """Draw a map from above (x to the right, y up, equal scales) into a PNG file.
+def draw_map(path_png: str | Path, picture: MapPicture) -> None:
+    """Draw a map from above into a PNG file, by way of ``NAME.part``.
 
-    Args:
-        path_png: file to write, by way of ``NAME.part``.
-        picture: what to draw.
-        width_px: width of the picture; its height follows from the map, at most one width.
+    Raises:
+        EvaluationError: as :func:`compose_map`.
+        UnwritableLogError: the file cannot be written.
+    """
+    save_figure(compose_map(picture), Path(path_png))
+
+
+def compose_map(picture: MapPicture) -> Figure:
+    """A map from above: x to the right, y up, equal scales.
 
     Raises:
         EvaluationError: there is nothing to draw, a position is not finite, or labels and landmarks differ in number.
-        UnwritableLogError: the file cannot be written.
     """
     if len(picture.landmarks) != len(picture.labels):
         raise EvaluationError(f"{len(picture.landmarks)} landmarks have {len(picture.labels)} labels")
@@ -50,9 +53,9 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         raise EvaluationError("no position to draw" if len(points) == 0 else "a position to be drawn is not finite")
     low, high = _limits(points)
     # A dollar sign in a name is one.
-    with rc_context({"text.parse_math": False, "font.family": _fonts() or ["sans-serif"]}):
+    with rc_context({"text.parse_math": False, "font.family": _FONTS}):
         height_in = float(min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
-        figure = Figure(figsize=(16.0, height_in), dpi=width_px / 16.0, facecolor="white")
+        figure = Figure(figsize=(16.0, height_in), dpi=100.0, facecolor="white")
         figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
         axes = figure.add_subplot()
         _prepare(axes, low, high)
@@ -64,16 +67,7 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         )
         place: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (0.0, 6.0), "textcoords": "offset points"}
         axes.annotate(_subtitle(picture), (0.0, 1.0), **place, fontsize=13, color=_MUTED)
-        save_figure(figure, Path(path_png))
-
-
-def _fonts() -> list[str]:
-    """Those of ``_FONTS`` that are installed, also since matplotlib first listed the fonts of this machine."""
-    for path in sorted(set(findSystemFonts()) - {entry.fname for entry in fontManager.ttflist}):
-        with suppress(OSError, RuntimeError):  # no font that matplotlib can read
-            fontManager.addfont(path)
-    installed = set(fontManager.get_font_names())
-    return [name for name in _FONTS if name in installed]
+    return figure
 
 
 def save_figure(figure: Figure, target: Path) -> None:
@@ -82,10 +76,17 @@ def save_figure(figure: Figure, target: Path) -> None:
     Raises:
         UnwritableLogError: it cannot be written.
     """
-    with replacing(target) as part, warnings.catch_warnings():
+    with replacing(target) as part:
+        part.write_bytes(to_png(figure))
+
+
+def to_png(figure: Figure) -> bytes:
+    """The figure as the bytes of a PNG; the same figure gives the same bytes."""
+    png = BytesIO()
+    with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # of a name; a box stands for it
-        # Without the library's version the same map gives the same bytes.
-        figure.savefig(part, format="png", dpi=figure.dpi, metadata={"Software": None})
+        figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
+    return png.getvalue()
 
 
 def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:

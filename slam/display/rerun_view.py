@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,24 +55,22 @@ def import_rerun() -> None:
         raise ViewerError(f"Rerun is not installed; {_REMEDY}") from error
 
 
-def _make_blueprint(extent: FloatArray | None, images: Collection[str]) -> rrb.Blueprint:
-    """The layout: the map from above, beside it the texts and the images.
-
-    Args:
-        extent: (2, 3) m, corners of what is to be in sight; without it the robot is followed.
-        images: topics.
-    """
+def blueprint_of(log: Path) -> rrb.Blueprint:
+    """The layout for a log: its whole path or map from above, beside it the texts and a view for each image topic."""
     import rerun.blueprint as rrb
 
-    eye = rrb.EyeControls3D(tracking_entity=ROBOT)
-    if extent is not None:
-        centre, size_m = extent.mean(axis=0), float(np.linalg.norm(extent[1] - extent[0]))
-        position = centre + size_m * np.array([0.0, -0.35, 0.75])
-        eye = rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))
+    with LogReader(log, RESULT_LIMITS) as reader:
+        images = [info.topic for info in reader.topics() if info.schema_name in _IMAGES]
+        paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]
+        clouds = [decode_points(raw.data) for raw in reader.messages([POINTS_TOPIC])]
+    points = np.concatenate([np.zeros((1, 3)), *(paths[-1] if paths else ()), *clouds])
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = 0.5 * (low + high)
+    position = centre + float(np.linalg.norm(high - low)) * np.array([0.0, -0.35, 0.75])
     the_map = rrb.Spatial3DView(
         name="map",
         spatial_information=rrb.SpatialInformation(target_frame=MAP_FRAME),
-        eye_controls=eye,
+        eye_controls=rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0)),
     )
     beside = [rrb.TextLogView(origin=LOG, name="log")]
     beside += [rrb.Spatial2DView(origin=topic, name=topic) for topic in images]
@@ -84,16 +81,6 @@ def _make_blueprint(extent: FloatArray | None, images: Collection[str]) -> rrb.B
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
     )
-
-
-def blueprint_of(log: Path) -> rrb.Blueprint:
-    """The layout for a log: all of its path or map is in sight, and each of its images has a view."""
-    with LogReader(log, RESULT_LIMITS) as reader:
-        images = [info.topic for info in reader.topics() if info.schema_name in _IMAGES]
-        paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]
-        clouds = [decode_points(raw.data) for raw in reader.messages([POINTS_TOPIC])]
-    corners = np.concatenate([*(paths[-1] if paths else ()), *clouds, np.zeros((0, 3))])
-    return _make_blueprint(np.stack([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None, images)
 
 
 def send_log(log: Path, recording: rr.RecordingStream) -> None:

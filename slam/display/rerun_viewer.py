@@ -1,4 +1,4 @@
-"""Rerun's viewer as a process of its own, that only this machine can talk to."""
+"""Rerun's viewer as a separate process that listens on the loopback interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The map as it is known at one time."""
+"""The map at one time of the drive."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NEW_SHARE = 0.01
 
 
 class SnapshotSchedule:
-    """When snapshots are due: each holds the whole map, so the larger that is, the fewer are taken.
+    """Schedule of the snapshots: each holds the whole map, so that a larger map has fewer.
 
     ``first_keyframe``: the number of keyframes before the drive; ``update_keyframes``: every so many bring the estimate
     up to date.
@@ -41,7 +41,7 @@ class SnapshotSchedule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapSnapshot:
-    """What is placed in the map; all positions in metres, map frame.
+    """Everything with a position in the map; positions in metres, map frame.
 
     A stretch of odometry that nothing connects with the map has no place in it: neither its keyframes nor the
     landmarks that only it observed are here.

@@ -1,1 +1,1 @@
-"""How good an estimate is: pure metrics first, then what gathers them from a log, then the report."""
+"""Evaluation of an estimate: metrics, the evaluation of a log, and its report."""

@@ -1,20 +1,16 @@
-"""Runs side by side: what differs between configurations by more than between repetitions of one."""
+"""Comparison of runs: differences between configurations that exceed those between repetitions."""
 
 from __future__ import annotations
 
-import json
-import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
-from pathlib import Path
+from hashlib import sha256
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from logs.container.json_text import parse_json
 from slam.common.config import Config
 from slam.common.config_tree import changes
 from slam.common.errors import EvaluationError
@@ -23,9 +19,10 @@ from slam.evaluation.report.figures import HEADLINE_FIGURES, Figure
 
 SPREAD_FACTOR = 2.0
 RULE = (
-    "Runs of one version with the same effective configuration are one group. A difference of the means of two groups "
-    f"is marked where it exceeds {SPREAD_FACTOR:g} pooled standard deviations of the runs within all groups, and the "
-    f"{100.0 * (1.0 - CONFIDENCE):.0f} % significance limit of one comparison (Student's t)."
+    "Runs of one version with the same effective configuration are one group. A group is marked where its mean differs "
+    f"from that of the first group by more than {SPREAD_FACTOR:g} pooled standard deviations of the runs within all "
+    f"groups, and by more than the {100.0 * (1.0 - CONFIDENCE):.0f} % significance limit of one comparison (Student's "
+    "t)."
 )
 NO_SPREAD = "No group has two runs, so the spread of the seeds is unknown and no difference is marked."
 
@@ -37,7 +34,7 @@ class Run:
     """The evaluation of one log: its JSON in ``results``.
 
     ``configuration``: the effective one, JSON as the log recorded it; "" where it did not. ``given_map``: the map that
-    the drive was given, and whether it went on from it; "" without one.
+    the drive was given, and whether the drive extended it; "" without one.
     """
 
     name: str
@@ -48,194 +45,106 @@ class Run:
     given_map: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Runs of one configuration; ``changes`` is what it has otherwise than the defaults, "key=value" each.
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Runs by the label of their group, in the order of the first runs, and marks.
 
-    ``spreads``: by the key of the figure.
+    ``marks``: "* better" or "* worse" by group and key of the figure, where the group differs from the first one by
+    more than the spread.
     """
 
-    label: str
-    runs: tuple[Run, ...]
-    changes: tuple[str, ...]
-    spreads: Mapping[str, Spread]
+    groups: Mapping[str, Sequence[Run]]
+    marks: Mapping[tuple[str, str], str]
 
     @property
-    def descriptor(self) -> str:
-        """That of the configuration; "" where the log does not tell."""
-        try:
-            return str(parse_json(self.runs[0].configuration)["loop_closure"]["descriptor"])
-        except (ValueError, KeyError, TypeError):
-            return ""
-
-    @property
-    def closure_means(self) -> dict[str, float]:
-        """Means of the figures of closures that are defined."""
-        return {key: each.mean for key, each in self.spreads.items() if "closures." in key and each.mean is not None}
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """The mean of ``second`` less that of ``first`` (numbers of groups) exceeds ``threshold``."""
-
-    key: str
-    first: int
-    second: int
-    difference: float
-    threshold: float
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """Groups in the order of their first runs, and the differences that exceed the spread within them."""
-
-    groups: tuple[Group, ...]
-    marked: tuple[Difference, ...]
-
-    @property
-    def has_spread(self) -> bool:
-        """Whether any group has the two runs without which nothing can be marked."""
-        return any(len(group.runs) > 1 for group in self.groups)
+    def note(self) -> str:
+        """How differences are marked, or why none is."""
+        return RULE if any(len(runs) > 1 for runs in self.groups.values()) else NO_SPREAD
 
     def to_table(self) -> pd.DataFrame:
-        """A row for each figure that is defined, a column for each group, or for each run where there is one group.
-
-        A mark says whether a group is better or worse than the first by more than the spread.
-        """
-        defined = [f for f in HEADLINE_FIGURES if any(group.spreads[f.key].mean is not None for group in self.groups)]
-        is_one_group = len(self.groups) == 1
-        runs = self.groups[0].runs if is_one_group else ()
-        is_stem_unique = len({Path(run.name).stem for run in runs}) == len(runs)
+        """A row for each figure that is defined, a column for each group: mean, deviation and mark."""
+        every = [run for runs in self.groups.values() for run in runs]
+        defined = [figure for figure in HEADLINE_FIGURES if spread_of(figure, every).count]
         columns = {
-            Path(run.name).stem if is_stem_unique else run.name: [
-                Spread.over([figure.of(run.results)]).text(figure.digits) for figure in defined
+            f"{label} ({len(runs)} runs)": [
+                f"{spread_of(figure, runs).text(figure.digits)} {self.marks.get((label, figure.key), '')}".strip()
+                for figure in defined
             ]
-            for run in runs
+            for label, runs in self.groups.items()
         }
-        for number, group in enumerate(self.groups):
-            name = "mean ± deviation" if is_one_group else f"{group.label} ({len(group.runs)} runs)"
-            columns[name] = [group.spreads[f.key].text(f.digits) + self._mark(f, number) for f in defined]
         return pd.DataFrame(columns, index=[figure.heading for figure in defined])
 
-    @property
-    def descriptor_verdict(self) -> str:
-        """Which groups have the closures of the first with another descriptor; "" where none has."""
-        first, *others = self.groups
-        means = first.closure_means
-        alike = [
-            group.label
-            for group in others
-            if group.descriptor != first.descriptor and means.items() <= group.closure_means.items()
-        ]
-        if not alike or not means:
-            return ""
-        return f"The descriptor decided nothing: {first.label} and {', '.join(alike)} have the same closures."
-
-    def _mark(self, figure: Figure, number: int) -> str:
-        """How the group differs from the first in that figure; "" where it does not."""
-        found = [each for each in self.marked if (each.key, each.first, each.second) == (figure.key, 0, number)]
-        if not found:
-            return ""
-        return " * better" if (found[0].difference < 0.0) == figure.is_error else " * worse"
-
     def to_json_dict(self) -> dict[str, Any]:
-        """Plain dicts, lists, strings and finite numbers; groups are numbered as in the list."""
+        """Plain dicts, lists, strings and finite numbers."""
         return {
             "runs": [
                 {
                     "log": run.name,
-                    "group": number,
+                    "group": label,
                     "version": run.version,
                     "input_sha256": run.input_sha256,
                     "evaluation": dict(run.results),
                 }
-                for number, group in enumerate(self.groups)
-                for run in group.runs
+                for label, runs in self.groups.items()
+                for run in runs
             ],
-            "groups": [
-                {
-                    "label": group.label,
-                    "changes": list(group.changes),
-                    "runs": [run.name for run in group.runs],
-                    "figures": {key: asdict(spread) for key, spread in group.spreads.items()},
-                }
-                for group in self.groups
-            ],
-            "marked_differences": [asdict(difference) for difference in self.marked],
-            "rule": RULE,
-            "note": "" if self.has_spread else NO_SPREAD,
+            "groups": {
+                label: {figure.key: asdict(spread_of(figure, runs)) for figure in HEADLINE_FIGURES}
+                for label, runs in self.groups.items()
+            },
+            "marks": [{"group": label, "figure": key, "mark": mark} for (label, key), mark in self.marks.items()],
+            "note": self.note,
         }
 
 
+def spread_of(figure: Figure, runs: Sequence[Run]) -> Spread:
+    """Mean and deviation of a figure over runs."""
+    return Spread.over(figure.of(run.results) for run in runs)
+
+
 def compare_runs(runs: Sequence[Run], figures: Sequence[Figure] = HEADLINE_FIGURES) -> Comparison:
-    """Group the runs by their configurations and mark what differs between the groups by more than ``RULE`` says.
+    """Group the runs by their configurations and mark what differs from the first group by more than ``RULE`` says.
 
     Raises:
         EvaluationError: fewer than two runs.
     """
     if len(runs) < 2:
         raise EvaluationError(f"{len(runs)} run cannot be compared; give two or more")
-    members: dict[str, list[Run]] = {}
-    for run in runs:
-        members.setdefault(_identity(run), []).append(run)
-    described = [_changes(group[0]) for group in members.values()]
-    groups = tuple(
-        Group(
-            label=label,
-            runs=tuple(group),
-            changes=tuple(own),
-            spreads={figure.key: Spread.over(figure.of(run.results) for run in group) for figure in figures},
-        )
-        for group, own, label in zip(members.values(), described, _labels(described), strict=True)
-    )
-    return Comparison(groups, tuple(d for figure in figures for d in _differences(groups, figure.key)))
+    groups: dict[str, list[Run]] = {}
+    for run, label in zip(runs, _labels(runs), strict=True):
+        groups.setdefault(label, []).append(run)
+    marks = {}
+    for figure in figures:
+        for label in _find_different(groups, figure):
+            first, own = (spread_of(figure, each).mean or 0.0 for each in (next(iter(groups.values())), groups[label]))
+            marks[label, figure.key] = "* better" if (own < first) == figure.is_error else "* worse"
+    return Comparison(groups, marks)
 
 
-def _differences(groups: Sequence[Group], key: str) -> list[Difference]:
-    """The marked differences of one figure."""
-    spreads = [group.spreads[key] for group in groups]
-    freedom = sum(spread.count - 1 for spread in spreads if spread.count > 1)
-    if freedom == 0:
-        return []
-    squares = math.fsum((s.count - 1) * s.standard_deviation**2 for s in spreads if s.standard_deviation is not None)
-    pooled = math.sqrt(squares / freedom)
-    student = float(stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE))
-    found = []
-    for (i, first), (j, second) in combinations(enumerate(spreads), 2):
-        if first.mean is None or second.mean is None:
-            continue
-        threshold = pooled * max(SPREAD_FACTOR, student * math.sqrt(1.0 / first.count + 1.0 / second.count))
-        difference = second.mean - first.mean
-        if abs(difference) > threshold + _ROUNDING * max(abs(first.mean), abs(second.mean)):
-            found.append(Difference(key, i, j, difference, threshold))
-    return found
+def _find_different(groups: Mapping[str, Sequence[Run]], figure: Figure) -> list[str]:
+    """Labels of the groups whose mean differs from that of the first group by more than chance makes."""
+    labels = [label for label, runs in groups.items() for _ in runs]
+    values = [figure.of(run.results) for runs in groups.values() for run in runs]
+    by_group = pd.Series(values, index=labels, dtype=float).groupby(level=0, sort=False)
+    mean, count = by_group.mean(), by_group.count()
+    freedom = (count - 1).clip(lower=0).sum()
+    pooled = np.sqrt((by_group.var() * (count - 1)).sum() / freedom) if freedom else np.inf
+    student = stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE) * np.sqrt(1.0 / count + (1.0 / count).iloc[0])
+    rounding = _ROUNDING * np.maximum(mean.abs(), abs(mean.iloc[0]))
+    is_different = (mean - mean.iloc[0]).abs() > pooled * np.maximum(SPREAD_FACTOR, student) + rounding
+    return list(mean.index[is_different])
 
 
-def _identity(run: Run) -> str:
-    """Equal for runs that are repetitions of one another; a run without provenance equals no other."""
-    try:
-        configuration = json.dumps(parse_json(run.configuration), sort_keys=True)
-    except ValueError:
-        return f"unknown {run.name}"
-    return f"{run.version} {run.given_map} {configuration}"
+def _labels(runs: Sequence[Run]) -> list[str]:
+    """The settings of each run that differ from those of the other runs, else from the defaults."""
+    described = [_changes(run) for run in runs]
+    shared = set(described[0]).intersection(*described)
+    return [", ".join([change for change in own if change not in shared] or own[1:]) or "defaults" for own in described]
 
 
 def _changes(run: Run) -> list[str]:
+    """The version, and the settings that differ from the defaults, "key=value" each."""
     if not run.configuration:
-        return [f"unknown configuration of {run.name}"]
-    return (
-        [change.replace('"', "") for change in changes(Config(), run.configuration)]
-        + ([f"version={run.version}"] if run.version else [])
-        + (["given map"] if run.given_map else [])
-    )
-
-
-def _labels(described: Sequence[Sequence[str]]) -> list[str]:
-    """For each group what it has otherwise than the others, else than the defaults."""
-    counts = Counter(change for own in described for change in own)
-    labels: list[str] = []
-    for own in described:
-        changed = [change for change in own if not change.startswith("version=")]
-        label = ", ".join([change for change in own if counts[change] < len(described)] or changed) or "defaults"
-        labels.append(label if label not in labels else f"{label} ({len(labels) + 1})")
-    return labels
+        return [f"version={run.version}", f"unknown configuration of {run.name}"]
+    given = [f"given map {sha256(run.given_map.encode()).hexdigest()[:8]}"] if run.given_map else []
+    return [f"version={run.version}", *(each.replace('"', "") for each in changes(Config(), run.configuration)), *given]

@@ -1,4 +1,4 @@
-"""Bars that an evaluation has to clear: "trajectory.ate_m<=4.0"."""
+"""Requirements on an evaluation: "trajectory.ate_m<=4.0"."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slam.common.errors import EvaluationError
-from slam.evaluation.report.figures import leaves
+from slam.evaluation.report.figures import leaves, value_at
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
@@ -31,22 +31,18 @@ class Requirement:
     sign: str
     bar: float
 
-    def shortfall(self, results: Mapping[str, Any]) -> str:
-        """What is wrong with ``results``; "" where they meet the bar. An unknown or undefined value is wrong."""
-        numbers = _numbers(results)
-        if self.key not in numbers:
-            near = difflib.get_close_matches(self.key, numbers, n=1)
-            return f"{self.key}: there is no such value" + (f", did you mean {near[0]}?" if near else "")
-        value = numbers[self.key]
-        if value is None:
-            return f"{self.key} is undefined, where {self.sign} {self.bar:g} was required"
-        if not _COMPARISONS[self.sign](value, self.bar):
-            return f"{self.key} is {value:g}, where {self.sign} {self.bar:g} was required"
-        return ""
-
-    def describe(self, results: Mapping[str, Any]) -> str:
-        """The value and the bar that it meets."""
-        return f"{self.key} is {_numbers(results)[self.key]:g} {self.sign} {self.bar:g}"
+    def check(self, results: Mapping[str, Any]) -> tuple[bool, str]:
+        """Whether the value meets the bar, and a description; an unknown or undefined value does not."""
+        value = value_at(results, self.key)
+        if isinstance(value, int | float):
+            is_met = _COMPARISONS[self.sign](value, self.bar)
+            required = f"{self.sign} {self.bar:g}" if is_met else f"where {self.sign} {self.bar:g} was required"
+            return is_met, f"{self.key} is {value:g}{' ' if is_met else ', '}{required}"
+        known = dict(leaves(results))
+        near = difflib.get_close_matches(self.key, known, n=1)
+        reason = value_at(results, f"unavailable.{self.key.partition('.')[0]}")
+        why = f" ({reason})" if reason else f"; did you mean {near[0]}?" if near and self.key not in known else ""
+        return False, f"{self.key} is undefined{why}, where {self.sign} {self.bar:g} was required"
 
 
 def parse_requirement(text: str) -> Requirement:
@@ -63,12 +59,3 @@ def parse_requirement(text: str) -> Requirement:
     if match is None or not math.isfinite(bar):
         raise EvaluationError(f"requirement {text!r}: expected for example 'trajectory.ate_m<=4.0'")
     return Requirement(match["key"], match["sign"], bar)
-
-
-def _numbers(results: Mapping[str, Any]) -> dict[str, float | None]:
-    """All numbers of an evaluation by their dotted keys; None where one is undefined."""
-    return {
-        key: value
-        for key, value in leaves(results)
-        if value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-    }

@@ -1,29 +1,26 @@
-"""The result of an evaluation: figures as JSON has them, and what pictures of them need besides."""
+"""The result of an evaluation: figures for JSON, and data for pictures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.metrics.calibration import Consistency
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """What could be measured of one output log; ``unavailable`` has the reason of each part that could not.
+    """The evaluation of one output log; a part that could not be measured is empty, its reason is in ``unavailable``.
 
     ``results``: all figures, as :meth:`to_json_dict` returns them. ``estimate`` is the final trajectory, ``odometry``
     the input alone, ``online`` the poses as they were at their time; None where they could not be measured.
-    ``closures``: the candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them;
-    ``missed_ns``: stamps of the revisits without an accepted true closure; ``consistency``: errors in units of their
-    covariances.
+    ``closures``: the candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
     """
 
     protocol: Protocol
@@ -33,26 +30,19 @@ class Evaluation:
     odometry: TrajectoryErrors | None = None
     online: TrajectoryErrors | None = None
     closures: pd.DataFrame | None = None
-    missed_ns: tuple[int, ...] = ()
-    consistency: Mapping[str, Consistency] = field(default_factory=dict)
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Plain dicts, lists, strings and finite numbers. Every key is always there; what is undefined is None."""
+        """Plain dicts, lists, strings and finite numbers; what is undefined, such as a precision of none, is None."""
         return dict(self.results)
 
 
 def describe_trajectories(trajectories: Mapping[str, TrajectoryErrors | None]) -> dict[str, Any]:
     """The main figures of each trajectory after its name (none for the estimate), and all figures by its name."""
-    head: dict[str, Any] = {}
-    for name, errors in trajectories.items():
-        prefix = "" if name == "estimate" else f"{name}_"
-        yaw = errors.absolute_yaw if errors else None
-        head |= {
-            f"{prefix}ate_m": errors.absolute.rmse_m if errors else None,
-            f"{prefix}ate_yaw_m": yaw.rmse_m if yaw else None,
-            f"{prefix}rpe_translation_percent": errors.relative.translation_percent if errors else None,
-            f"{prefix}rpe_rotation_deg_per_100m": errors.relative.rotation_deg_per_100m if errors else None,
-        }
+    head = {
+        f"{'' if name == 'estimate' else f'{name}_'}{figure}": getattr(errors, figure, None)
+        for name, errors in trajectories.items()
+        for figure in ("ate_m", "rpe_translation_percent", "rpe_rotation_deg_per_100m")
+    }
     return {**head, **trajectories}
 
 
@@ -67,10 +57,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [plain(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def undefined(figures: Any) -> Any:
-    """The same keys where nothing could be measured: no number, no list."""
-    if isinstance(figures, Mapping):
-        return {name: undefined(each) for name, each in figures.items()}
-    return [] if isinstance(figures, list) else None

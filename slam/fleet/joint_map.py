@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 
 from logs.messages import ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, EdgeKind
+from slam.backend.factors import PRIOR_SIGMA_RANGES, Edge, EdgeKind, PosePrior
 from slam.backend.graph_record import edges_of, observations_of
-from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -28,7 +27,7 @@ from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
 
-TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
+TIE_SIGMA = 10.0
 """Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
 FUSIONS = 3
 """Rounds of fusing landmarks and optimising: better positions show more duplicates."""
@@ -50,13 +49,12 @@ class _Group:
         ids = self.parts[number].saved.graph.keyframe_ids
         return dict(zip(ids.tolist(), self.rows(number).tolist(), strict=True))
 
-    def edges(self, joins: Iterable[Join]) -> list[Edge]:
-        """Edges within the parts, then those of joins between them."""
+    def edges(self) -> list[Edge]:
+        """Edges within the parts."""
         graphs = {number: part.saved.graph for number, part in self.parts.items()}
-        within = [edge for number, graph in graphs.items() for edge in edges_of(graph, self.places(number))]
-        return [*within, *map(self._edge, joins)]
+        return [edge for number, graph in graphs.items() for edge in edges_of(graph, self.places(number))]
 
-    def _edge(self, join: Join) -> Edge:
+    def closure(self, join: Join) -> Edge:
         """From the nearest place of the reference map to the recognised place."""
         T_reference = self.parts[join.reference_map].saved.graph.T_map_body
         offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
@@ -80,7 +78,7 @@ def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) 
     accepted = [pair for pair in pairs if pair.accepted]
     joins = [join for pair in accepted for join in pair.joins]
     everything = _Group(dict(enumerate(parts)))
-    T_map_place, is_kept = _placed(everything, accepted, joins)
+    T_map_place, is_kept = _placed(everything, accepted, joins, config.sensor_range_m)
     ends = np.array([(join.reference_map, join.query_map) for join in joins], dtype=np.int64).reshape(-1, 2)
     component = find_components(len(parts), ends[is_kept])
     joined = []
@@ -98,25 +96,22 @@ def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) 
     return sorted(joined, key=lambda part: (-len(part.visits), part.sessions))
 
 
-def _placed(group: _Group, pairs: Sequence[MapPair], joins: Sequence[Join]) -> tuple[FloatArray, BoolArray]:
+def _placed(
+    group: _Group, pairs: Sequence[MapPair], joins: Sequence[Join], sensor_range_m: float
+) -> tuple[FloatArray, BoolArray]:
     """Poses (K, 4, 4) of all places, those of maps that joins connect in one frame, and which joins (J,) agree."""
     T_joint_map = _chained(len(group.parts), pairs)
     poses = np.concatenate([T_joint_map[number] @ part.saved.graph.T_map_body for number, part in group.parts.items()])
     if not joins:
         return poses, np.zeros(0, dtype=np.bool_)
     extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
-    loose = np.diag(np.repeat([TIE_SIGMA_RAD, TIE_SIGMA_PITCHES * extent_m], 3) ** 2.0)
+    loose = np.diag(np.repeat([TIE_SIGMA, TIE_SIGMA * extent_m], 3) ** 2.0)
     starts = np.flatnonzero(np.diff(group.numbers)) + 1
-    ties = [Edge(0, end, invert(poses[0]) @ poses[end], loose, EdgeKind.LOOP_CLOSURE) for end in starts.tolist()]
-    edges = [*ties, *group.edges(joins)]
-    pose_graph = PoseGraph(
-        T_world_vertex=poses,
-        edges=np.array([(edge.from_keyframe, edge.to_keyframe) for edge in edges], dtype=np.int64),
-        T_from_to=np.array([edge.T_from_to for edge in edges]),
-        covariances=np.array([edge.covariance for edge in edges]),
-    )
-    solved = optimize_pose_graph(pose_graph, np.arange(len(edges)) >= len(edges) - len(joins))
-    return solved.graph.T_world_vertex, solved.solution.kept
+    ties = [Edge(0, end, invert(poses[0]) @ poses[end], loose, EdgeKind.DISCONTINUITY) for end in starts.tolist()]
+    held = PosePrior(0, poses[0], PRIOR_SIGMA_RANGES * sensor_range_m)
+    closures = [group.closure(join) for join in joins]
+    solution = optimize_pose_graph(dict(enumerate(poses)), [held, *ties, *group.edges()], closures)
+    return solution.T_map_body, solution.kept
 
 
 def _chained(count: int, pairs: Sequence[MapPair]) -> FloatArray:
@@ -144,7 +139,7 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
         rows_of[number] = object_map.restore(_carried(part.saved, T_map_place[group.rows(number)]), travel_m=0.0)
         landmark_of = dict(zip(part.objects.ids, rows_of[number].tolist(), strict=True))
         observations += observations_of(part.saved.graph, group.places(number), landmark_of)
-    graph.restore(T_map_place, group.edges(joins), observations)
+    graph.restore(T_map_place, [*group.edges(), *map(group.closure, joins)], observations)
     _merge_matched(object_map, joins, rows_of)
     graph.alias_landmarks(object_map.aliases)
     _optimize(graph, object_map, group, radius_m=2.0 * config.calibration.objects.landmark_sigma_m)

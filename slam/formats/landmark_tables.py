@@ -13,8 +13,6 @@ from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.common.georeference import Georeference
 
-_DEGREES = 9  # a tenth of a millimetre
-
 
 def landmark_table(objects: ObjectMapRecord) -> dict[str, NDArray[np.generic]]:
     """Landmarks as named columns of equal length (M,), for example for ``pandas.DataFrame``.
@@ -61,7 +59,8 @@ def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeferen
             "id": properties.pop("id"),
             "geometry": {
                 "type": "Point",
-                "coordinates": [round(longitude, _DEGREES), round(latitude, _DEGREES), round(altitude_m, 3)],
+                # To a tenth of a millimetre.
+                "coordinates": [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)],
             },
             "properties": properties,
         }

@@ -12,10 +12,10 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, relative, rigid, view_change
-from slam.frontend.data_association import Objects, squared_distances
-from slam.frontend.input.scan import MIN_SIGMA_RANGES, Scan
+from slam.frontend.data_association import squared_distances
+from slam.frontend.input.scan import Scan
 from slam.frontend.local_map import GATE, LocalMap
-from slam.frontend.pose_posterior import KnownLandmarks, ModeSearch, PriorComponent, common_error, fit_of, probabilities
+from slam.frontend.pose_posterior import KnownLandmarks, fit_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
 from slam.odometry.noise_scale import NoiseScale
@@ -27,25 +27,15 @@ ACTIVE_RADII = 2.0
 """Landmarks farther from the robot than so many ranges of the farthest detection share no view with what is seen."""
 MOVING_ACCELERATION_RANGES = 0.1
 """How much a moving object may change its speed, in sensor ranges per square second: a car brakes harder at times."""
-UNIQUE_INFLATION = 5.0
-"""Factor on the noise of the odometry where objects are unique: a wide gate then confuses nothing."""
 FIXING_LANDMARKS = 3
 """Landmarks that fix a pose in space."""
-DOUBTED_FACTOR = 4.0
-"""The odometry is doubted where its variances are so many times as large as slips make them: no window of scans finds
-that by chance.
-"""
-SAME_PROBABILITY = 0.99
-"""Probability from which two landmarks are one object."""
-RECENT_SCANS = 20
-"""Landmarks seen in so many of the latest scans are compared with those seen before."""
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
+    """Predicted positions (A, 3) m of landmarks, and covariances (A, 3, 3) m^2, relative to the robot."""
 
     positions: FloatArray
     covariances: FloatArray
@@ -59,9 +49,7 @@ class ActiveLandmarks:
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
-        inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else SLIP_INFLATION
-        self._least_noise = inflation**2
-        self._noise = NoiseScale(self._least_noise)
+        self._noise = NoiseScale(SLIP_INFLATION**2)
         self.detections_innovation_ratio = 0.0
         """The last median squared distance of detections from their landmarks, by its variance and the gate."""
         self.pose_covariance: FloatArray | None = None
@@ -89,7 +77,7 @@ class ActiveLandmarks:
         return np.asarray(self.T_local_body @ invert(self.T_odom_body))
 
     def restart(self, pose: OdometryPose) -> None:
-        """Begin anew at a pose, without landmarks."""
+        """Restart at a pose, without landmarks."""
         self._local.start(pose.T_odom_body)
         self._pose = pose
 
@@ -143,7 +131,7 @@ class ActiveLandmarks:
         self._local.move(slots, shifts, np.repeat(variances[:, None], 3, axis=1))
 
     def predict(self) -> Prediction:
-        """Where the active landmarks should be seen from the pose that was advanced to."""
+        """The predicted positions of the active landmarks from the propagated pose."""
         return Prediction(*self._local.predict(np.arange(len(self.rows))))
 
     def known_landmarks(self, slots: IntArray | None = None) -> KnownLandmarks:
@@ -204,32 +192,10 @@ class ActiveLandmarks:
         self.pose_covariance = covariance_in_axes(fit @ corrected @ fit.T, R)
         self._noise.add(fit @ (after - before).ravel(), reduction)
 
-    def correct_odometry(self, T_local_odom: FloatArray) -> FloatArray:
-        """Let the odometry have the pose of the body by the landmarks, if it was in the local frame by (4, 4); returns
-        the correction (4, 4) of its poses, in its frame.
-        """
-        assert self._pose is not None
-        T_odom_body = invert(T_local_odom) @ self.T_local_body
-        T_odom_correction = rigid(T_odom_body @ invert(self._pose.T_odom_body))
-        self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
-        return T_odom_correction
-
     @property
     def odometry_innovation_ratio(self) -> float:
         """The last squared correction of the odometry by its variance and the gate."""
         return self._noise.innovation_ratio
-
-    @property
-    def is_odometry_doubtful(self) -> bool:
-        """Whether the odometry errs more than data association allows for slips anyway."""
-        return bool((self._noise.factors > DOUBTED_FACTOR * self._least_noise).any())
-
-    def excess_variances(self, pose: OdometryPose) -> FloatArray:
-        """(3,) by which errors of the step to a pose exceed what data association allows for slips anyway."""
-        excess = self._noise.factors - DOUBTED_FACTOR * self._least_noise
-        if self._pose is None or pose.segment != self._pose.segment or not (excess > 0.0).any():
-            return np.zeros(3)
-        return np.maximum(excess, 0.0) * model_variances(self._pose, pose, self._config.calibration.odometry)
 
     def add(self, rows: IntArray) -> None:
         """Make landmarks active; they are tentative until they are confirmed."""
@@ -253,53 +219,10 @@ class ActiveLandmarks:
                 gone[members[oldest]] = True
         return np.asarray(gone)
 
-    def merge_duplicates(self, scan: int) -> list[tuple[int, int]]:
-        """Merge landmarks that were seen lately with confirmed ones that they are; returns rows (kept, dropped).
-
-        It is the question of a scan, asked of all that was seen in the latest scans: where is the body among the
-        landmarks that were not? ``scan``: number of the latest.
-        """
-        landmarks = self._map.rows[self.rows]
-        confirmed = landmarks["state"] == LandmarkState.CONFIRMED
-        recent = confirmed & (landmarks["last_scan"] > scan - RECENT_SCANS)
-        if not recent.any():
-            return []
-        recent &= landmarks["first_scan"] > landmarks["last_scan"][~recent & confirmed].max(initial=0) - RECENT_SCANS
-        first_scan = landmarks["first_scan"][recent].min(initial=np.iinfo(np.int64).max)
-        earlier = np.flatnonzero(confirmed & ~recent & (landmarks["last_scan"] < first_scan))
-        latest = np.flatnonzero(recent)
-        if not len(earlier) or not len(latest):
-            return []
-        origin = self.T_local_body[:3, 3]
-        own = self._own_covariances(latest, origin) + self._view_variance * np.eye(3)
-        seen = Objects(self._local.positions[latest], own, self._map.classes(self.rows[latest]))
-        search = ModeSearch(seen, self.known_landmarks(earlier), origin, self._config.calibration.objects)
-        modes = search.modes([PriorComponent(1.0, np.zeros((6, 6)))])
-        pairs = np.array([mode.assignment.landmark_rows for mode in modes])
-        share = ((pairs == pairs[0]) * probabilities(modes)[:, None]).sum(axis=0)
-        sure = np.flatnonzero((share >= SAME_PROBABILITY) & (pairs[0] >= 0))
-        alike = self._map.classes(self.rows[earlier[pairs[0][sure]]]) == self._map.classes(self.rows[latest[sure]])
-        merged = [(int(self.rows[earlier[pairs[0][k]]]), int(self.rows[latest[k]])) for k in sure[alike]]
-        for kept, dropped in merged:
-            self._local.merge(kept, dropped, self._view_variance)
-        if merged:
-            self._store()
-        return merged
-
-    def _own_covariances(self, slots: IntArray, origin: FloatArray) -> FloatArray:
-        """What the errors of landmarks do not share with one another, (K, 3, 3) m^2."""
-        return common_error(self._local.positions[slots] - origin, self._local.relative_covariance(slots))[1]
-
     def _store(self) -> None:
         """Write the positions and covariances of the active landmarks to the object map."""
         predicted = self.predict()
         self._map.assign(self.rows, position_local=predicted.positions, covariance_local=predicted.covariances)
-
-    @property
-    def _view_variance(self) -> float:
-        """By how much [m^2] two views of an object differ in where they put it."""
-        least_m = MIN_SIGMA_RANGES * self._config.sensor_range_m
-        return 2.0 * max(self._config.calibration.detection.common_sigma_m, least_m) ** 2
 
 
 def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:

@@ -1,15 +1,15 @@
-"""Which detection is which landmark: gated optimal assignment on the relative covariance.
+"""Assignment of detections to landmarks: gated and optimal, by the relative covariance.
 
 Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
 detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
-maximises the product over the scan takes all pairs that nothing else competes for; the others are found by shortest
-augmenting paths (Jonker and Volgenant 1987), where they are many on their sparse matrix, so that a scan of thousands of
-detections costs no more than its neighbourhoods.
+maximises the product over the scan takes all pairs without competitors; the others are found by shortest augmenting
+paths (Jonker and Volgenant 1987), on a sparse matrix if they are many, so that a scan of thousands of detections costs
+no more than its neighbourhoods.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -33,7 +33,7 @@ EXCLUDED_RATIO = 0.01
 INCONSISTENT_SIGMAS = 6.0
 """Standard deviations above the mean of a sum of squared distances, which is chi-squared."""
 FEW_DISTANCES = 2**14
-"""So many distances are computed sooner than trees are built."""
+"""Up to so many distances, computing all is faster than building trees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,12 +47,13 @@ class Objects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
-    """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none,
-    ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that.
-    ``log_likelihood_ratios`` (D,): of each match, against a detection of no landmark; 0 for the others.
-    ``is_contested``: a detection is near several landmarks, or several detections are near one.
-    ``is_uncertain``: what landmarks should be seen at has twice the variance of what they are seen at, in the median.
-    ``is_inconsistent``: the matches are farther apart, all together, than their covariances explain."""
+    """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none, ``AMBIGUOUS``
+    where it has none although one is near: it may be a bad measurement of that. ``log_likelihood_ratios`` (D,): of each
+    match, against a detection of no landmark; 0 for the others. ``is_contested``: a detection is near several
+    landmarks, or several detections are near one. ``is_uncertain``: the predicted positions of landmarks have twice the
+    variance of their detections, in the median. ``is_inconsistent``: the matches are farther apart, all together, than
+    their covariances explain.
+    """
 
     landmark_rows: IntArray
     log_likelihood_ratios: FloatArray
@@ -69,12 +70,6 @@ class Assignment:
     def new(self) -> NDArray[np.bool_]:
         """(D,) whether the detection is of no landmark; the others are too near to one to say."""
         return np.equal(self.landmark_rows, NEW)
-
-    def of(self, count: int) -> Assignment:
-        """That of the first detections."""
-        return replace(
-            self, landmark_rows=self.landmark_rows[:count], log_likelihood_ratios=self.log_likelihood_ratios[:count]
-        )
 
     @property
     def log_likelihood_ratio(self) -> float:
@@ -166,7 +161,7 @@ def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[Flo
 def density(positions: FloatArray, covariances: FloatArray) -> float:
     """Objects per m^3 among N at ``positions`` (N, 3) m, known by covariances (M, 3, 3) m^2.
 
-    The volume is that of the cylinder that holds them. What stands at one place is spread by the noise alone: by
+    The volume is that of the cylinder that holds them. Detections of one object are spread by the noise alone: by
     sqrt(2 pi e) standard deviations, the entropy of a Gaussian.
     """
     spread = np.sqrt(2.0 * np.pi * np.e * np.median(np.diagonal(covariances, axis1=1, axis2=2), axis=0))
@@ -214,7 +209,7 @@ def _partners(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[in
 
 
 def _partners_of_many(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:
-    """The same; the matrix is sparse, and an edge to a column of its own stands for none."""
+    """The same; the matrix is sparse, and an edge to a column of its own means no landmark."""
     none = np.arange(shape[0])
     cost = np.concatenate([-gain, np.zeros(shape[0])])
     # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".

@@ -4,7 +4,7 @@ The log-odds that a landmark exists are
 
     log(prior odds) + log B(k + 1, n - k + 1) + sum over its k matches of log(p(z | landmark) / p(z | something else))
 
-after n scans since its first detection: each match is scored against the density of what is none of the landmarks, as
+after n scans since its first detection: each match is scored against the density of detections of no landmark, as
 in data association, and in how many of the scans it was found by the evidence of a detection probability that may be
 anything, with B the beta function. The prior is the share of the landmarks so far that were confirmed. (Integrated
 tracking: Musicki, Evans and Stankovic, IEEE Trans. Automatic Control, 1994; score of a track: Blackman and Popoli,
@@ -26,7 +26,7 @@ EXISTENCE_PROBABILITY = 0.99
 
 def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolArray:
     """Which of the rows ``seen`` (N,) of the landmarks (L,) exist, by what was seen of them up to a scan; a single
-    detection says nothing against it.
+    detection is no evidence against it.
     """
     confirmed = int(np.count_nonzero(landmarks["state"] == LandmarkState.CONFIRMED.value))
     prior = np.log((confirmed + 1.0) / (len(landmarks) - confirmed + 1.0))

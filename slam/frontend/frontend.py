@@ -23,11 +23,11 @@ from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
 
 REJOINING_SCANS = 20
-"""Scans that may show that a step that no body can have made is none."""
+"""Scans that may show that an implausible step is an error of the odometry."""
 
 
 class Frontend:
-    """Follows the odometry and places the scans of one drive; ``counters`` is where it counts what it used."""
+    """Tracks the odometry and places the scans of one drive; ``counters`` counts the records."""
 
     def __init__(
         self,
@@ -44,7 +44,6 @@ class Frontend:
         self._mapper = mapper
         self._counters = counters
         self._waiting: deque[int] = deque()
-        self._placed_ns = 0
         self._untold: list[tuple[Scan, int]] = []
         self._is_broken = False
         self.placed: tuple[Tracked, OdometryPose] | None = None
@@ -69,12 +68,12 @@ class Frontend:
         return self._track.at(stamp_ns)
 
     def break_off(self) -> None:
-        """Begin a new segment at the next pose: the robot was carried off."""
+        """Begin a new segment at the next pose: the robot was kidnapped."""
         self._track.break_off()
         self._is_broken = True
 
     def advance(self) -> Iterator[OdometryPose | DetectionAssociations]:
-        """Place the scans that the odometry has caught up with.
+        """Place the waiting scans up to the newest odometry.
 
         Yields the poses before each scan, which the caller makes keyframes of, and then its associations.
         """
@@ -89,7 +88,7 @@ class Frontend:
         yield from self._poses_until(overdue_ns)
 
     def finish(self) -> Iterator[OdometryPose | DetectionAssociations]:
-        """The same at the end of the drive, when no scan can come any more.
+        """The same at the end of the drive, without further scans.
 
         Raises:
             InputDataError: no detection could be placed, for want of a transform.
@@ -145,7 +144,6 @@ class Frontend:
         """Place a scan where the odometry has it, or near there."""
         if pose.segment != self._mapper.segment:
             yield from self._poses_until(pose.stamp_ns)
-        pose = self._loosened(pose)
         yield from self._corrected(self._mapper.locate(scan, pose), pose, pose.segment)
 
     def _corrected(
@@ -154,19 +152,10 @@ class Frontend:
         """Map a placed scan, with the odometry corrected by it, which is right up to a ``segment``."""
         self.placed = tracked, pose
         if tracked.correction is not None:
-            self._track.correct(self._placed_ns, pose.stamp_ns, tracked.correction, segment=segment)
+            self._track.correct(pose.stamp_ns, tracked.correction, segment=segment)
             pose = self._mapper.tracked_pose(pose)
-        self._placed_ns = pose.stamp_ns
         yield from self._poses_until(pose.stamp_ns)
         yield self._mapper.add_scan(tracked, pose)
-
-    def _loosened(self, pose: OdometryPose) -> OdometryPose:
-        """The pose with the variance by which the odometry errs more than its noise explains."""
-        excess = self._mapper.excess_variances(pose)
-        if not excess.any():
-            return pose
-        self._track.loosen(self._placed_ns, excess)
-        return self._track.at(pose.stamp_ns) or pose
 
     def _poses_until(self, stamp_ns: int) -> Iterator[OdometryPose]:
         while self._waiting and self._waiting[0] <= stamp_ns:

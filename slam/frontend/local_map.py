@@ -38,7 +38,7 @@ class LocalMap:
         self.start(np.eye(4))
 
     def start(self, T_odom_body: FloatArray) -> None:
-        """Begin anew at a pose, without landmarks, as after a discontinuity of the odometry."""
+        """Restart at a pose, without landmarks, as after a discontinuity of the odometry."""
         # Positions inside are relative to the start, so that lever arms stay short wherever the odometry begins.
         self._origin = T_odom_body[:3, 3].copy()
         self._T = make_transform(T_odom_body[:3, :3], np.zeros(3))
@@ -102,7 +102,7 @@ class LocalMap:
         return np.asarray(self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T)
 
     def update(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
-        """Correct the state by landmarks seen at once.
+        """Correct the state by landmarks of one scan.
 
         Args:
             slots: (K,) of the landmarks, none twice.
@@ -134,7 +134,7 @@ class LocalMap:
         self._apply(innovation @ gain)
 
     def update_landmarks(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
-        """Correct landmarks seen at once, and nothing but them: the body does not rely on them.
+        """Correct landmarks by one scan, but not the pose of the body.
 
         The gains of all else are zero (Schmidt, Advances in Control Systems 3, 1966). Arguments as of ``update``.
         """
@@ -191,26 +191,6 @@ class LocalMap:
         self._P = self._P[np.ix_(columns, columns)]
         self._positions = self._positions[kept]
         self._set_ids(self._ids[kept])
-
-    def difference(self, first: IntArray, second: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Positions (K, 3) m of landmarks from others, slots (K,) each, and the covariances (K, 3, 3) m^2 of that."""
-        a, b = (POSE + 3 * slots[:, None] + np.arange(3) for slots in (first, second))
-        P_ab = self._P[a[:, :, None], b[:, None, :]]
-        P = self._P[a[:, :, None], a[:, None, :]] + self._P[b[:, :, None], b[:, None, :]]
-        return self._positions[first] - self._positions[second], P - P_ab - P_ab.transpose(0, 2, 1)
-
-    def merge(self, kept: int, dropped: int, variance: float) -> None:
-        """Make one of two landmarks (ids) that are in one place, up to ``variance`` [m^2]."""
-        first, second = self.slots(np.array([kept])), self.slots(np.array([dropped]))
-        offset, covariance = self.difference(first, second)
-        a, b = (int(POSE + 3 * slots[0]) for slots in (first, second))
-        PH = self._P[:, a : a + 3] - self._P[:, b : b + 3]
-        S = covariance[0] + variance * np.eye(3)
-        gain = np.linalg.solve(S, PH.T).T
-        P = self._P - gain @ S @ gain.T
-        self._P = 0.5 * (P + P.T)
-        self._apply(-gain @ offset[0])
-        self.remove(np.array([dropped]))
 
     def _apply(self, change: FloatArray) -> None:
         R, V = rotation_of(change[:3]), left_jacobian(change[:3])

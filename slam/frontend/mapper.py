@@ -31,7 +31,6 @@ from slam.object_map.velocities import velocities
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.pose import OdometryPose
-from slam.odometry.track import Correction
 
 CONFIRM_OBSERVATIONS = 4
 """Observations that confirm a landmark."""
@@ -44,7 +43,7 @@ CONFIRM_AGE_S = 1.0
 MISSED_RANGES, MISSED_SCANS = 0.5, 20
 """A tentative landmark unseen for that travel in sensor ranges, or for more scans, retires."""
 MOVING_RANGES_PER_S, MOVING_RANGES, MOVING_OBSERVATIONS = 1.0 / 30.0, 1.0 / 12.0, 5
-"""What is faster than that, went so far, both in sensor ranges, and was seen so often, moves."""
+"""An object moves if it is faster than that and has moved so far, both in sensor ranges, in so many observations."""
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 
@@ -81,7 +80,9 @@ class Mapper:
 
     @property
     def innovation_ratios(self) -> dict[str, float]:
-        """By source, the last squared innovation by its variance and the gate: above 1 the source is contradicted."""
+        """By source, the ratio of the last squared innovation to its variance and the gate: above 1 the others
+        contradict the source.
+        """
         return {
             "odometry": self._active.odometry_innovation_ratio,
             "detections": self._active.detections_innovation_ratio,
@@ -125,24 +126,16 @@ class Mapper:
         return keyframe
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
-        """Find where a scan, taken at ``pose``, was made among the landmarks around, and which of them it has."""
+        """Estimate the pose of a scan, predicted by ``pose``, among the landmarks, and associate its detections."""
         self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
-        T_local_odom = self._active.T_local_odom
         labels = self._map.label_indices(scan.labels)
         tracked = self._tracker.track(scan, labels, pose)
         tracked = _with_expected_noise(tracked, self._active, self._config.calibration.detection)
         self._update(tracked)
-        if tracked.correction is None and self._active.is_odometry_doubtful:
-            T_odom = self._active.correct_odometry(T_local_odom)
-            tracked = replace(tracked, correction=Correction(T_odom, np.zeros(3)))
         if not tracked.is_lost:
             self._tracker.follow(pose.stamp_ns)
         return tracked
-
-    def excess_variances(self, pose: OdometryPose) -> FloatArray:
-        """(3,) by which the step from the last scan to a pose errs more than the noise of the odometry explains."""
-        return self._active.excess_variances(pose)
 
     def rejoin(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
         """The same for a ``pose`` after a step that no body can have made; None where the detections do not tell."""
@@ -214,11 +207,6 @@ class Mapper:
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
-        duplicates = self._active.merge_duplicates(self._scan_count)
-        for kept, dropped in duplicates:
-            self._map.merge(kept, dropped)
-        if duplicates:
-            self._graph.alias_landmarks(self._map.aliases)
         keyframe = self.keyframes[-1]
         T_local_body = self._active.T_local_odom @ keyframe.odometry.T_odom_body
         self._graph.add_observations(self._pending.close(keyframe, T_local_body, ends_group=ends_group))

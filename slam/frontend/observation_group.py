@@ -1,8 +1,8 @@
-"""Observations of several keyframes in a row, summed up into one observation a landmark.
+"""Observations of several consecutive keyframes, combined into one observation a landmark.
 
 The graph and its solvers take time and memory by the observation. While the odometry is far better than a detection,
-observations are carried into the frame of a later keyframe at no loss: by the landmarks around, since an error of the
-odometry would be common to all objects in view and not average out over them.
+observations are transformed to the frame of a later keyframe without loss, by the landmarks around, because an error of
+the odometry would be common to all objects in view and not average out over them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class ObservationGroup:
         self._variances = np.zeros(2)  # of the motion since the first keyframe: m^2 along an axis, rad^2 of the heading
 
     def add(self, keyframe: Keyframe, T_local_body: FloatArray, observations: Sequence[Observation]) -> None:
-        """Take in what was observed from the next keyframe; ``T_local_body`` (4, 4): where the landmarks have it now
-        that it was observed, see :mod:`slam.frontend.local_map`.
+        """Add the observations from the next keyframe; ``T_local_body`` (4, 4): its pose by the landmarks after the
+        observations, see :mod:`slam.frontend.local_map`.
         """
         if self._keyframes:
             self._variances += self._step(keyframe)
@@ -60,7 +60,7 @@ class ObservationGroup:
         return bool(added.mean() > MAX_ADDED_VARIANCE)
 
     def take(self) -> list[Observation]:
-        """One observation a landmark, in the frame of the last keyframe; a next group begins."""
+        """The observations of the group, one a landmark, in the frame of the last keyframe; the next group begins."""
         keyframes, observations, frames = self._keyframes, self._observations, self._frames
         T_local_body = self._T_local_body
         self._keyframes, self._T_local_body, self._observations, self._frames = [], [], [], []

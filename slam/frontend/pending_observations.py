@@ -2,39 +2,48 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+from dataclasses import replace
+
+import numpy as np
 
 from slam.backend.factors import Observation
+from slam.backend.observation_sums import sum_observations
 from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.frontend.input.scan import Scan
-from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.observation_group import ObservationGroup
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
+MAX_MEASUREMENTS = 20
+"""More measurements of a landmark from one keyframe, as of a robot that waits, share their errors and are left out."""
+
 
 class PendingObservations:
-    """What was seen since the last keyframe, from the keyframes since the last group, and of tentative landmarks."""
+    """Observations since the last keyframe, from the keyframes since the last group, and of tentative landmarks."""
 
     def __init__(self, config: Config, object_map: ObjectMap) -> None:
         self._detection = config.calibration.detection
         self._map = object_map
-        self._since_keyframe = KeyframeObservations()
+        self._scans: list[tuple[IntArray, Scan]] = []  # since the last keyframe, with the rows of their landmarks
+        self._counts = Counter[int]()
         self._group = ObservationGroup(config.calibration.odometry)
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
 
     def add(self, rows: IntArray, scan: Scan) -> None:
         """Add what a scan, given in the frame of the last keyframe, saw of the landmarks ``rows`` (N,), none twice."""
-        self._since_keyframe.add(rows, scan)
+        is_used = np.array([self._counts[row] < MAX_MEASUREMENTS for row in rows.tolist()], dtype=np.bool_)
+        self._counts.update(rows[is_used].tolist())
+        self._scans.append((rows[is_used], scan.of(is_used)))
 
     def drop(self, row: int) -> None:
         """Forget what is held back of a landmark."""
         self._held_back.pop(row, None)
 
     def close(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
-        """What goes into the graph once a keyframe has all its observations; those of tentative landmarks wait.
+        """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait.
 
         ``T_local_body`` (4, 4): where the landmarks have the keyframe by then.
         """
@@ -51,10 +60,37 @@ class PendingObservations:
 
     def _grouped(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
         """The observations of the groups of keyframes that end with a keyframe or before it."""
-        observations = self._since_keyframe.observations(keyframe.id, self._detection)
-        self._since_keyframe = KeyframeObservations()
+        observations = self._of_keyframe(keyframe.id)
         ended = self._group.take() if self._group.ends_before(keyframe) else []
         self._group.add(keyframe, T_local_body, observations)
         if ends_group or keyframe.id % GROUP_KEYFRAMES == 0:
             ended += self._group.take()
         return ended
+
+    def _of_keyframe(self, keyframe: int) -> list[Observation]:
+        """One observation a landmark, by the information of its measurements since the last keyframe.
+
+        Where messages have no covariance, the correlation of their errors is unknown: then the error that all share is
+        added, which no average reduces, and the inflation applies.
+        """
+        scans, self._scans, self._counts = self._scans, [], Counter()
+        if not scans:
+            return []
+        rows = np.concatenate([each for each, _ in scans])
+        own = np.concatenate([scan.has_own_covariance for _, scan in scans])
+        found = sum_observations(
+            np.full(len(rows), keyframe),
+            rows,
+            np.concatenate([scan.positions for _, scan in scans]),
+            np.concatenate([scan.covariances for _, scan in scans]),
+            np.ones(len(rows)),
+        )
+        guessed = set(rows[~own].tolist())
+        return [self._with_shared_error(each, is_guessed=each.landmark in guessed) for each in found]
+
+    def _with_shared_error(self, summed: Observation, *, is_guessed: bool) -> Observation:
+        covariance = summed.covariance_inflation * summed.covariance
+        if not is_guessed:
+            return replace(summed, covariance=covariance, covariance_inflation=1.0)
+        covariance = covariance + self._detection.common_sigma_m**2 * np.eye(3)
+        return replace(summed, covariance=covariance, covariance_inflation=self._detection.covariance_inflation)

@@ -1,4 +1,4 @@
-"""Where the body is by one scan: a posterior over poses among the landmarks around, with a mixture prior.
+"""The pose of the body from one scan: a posterior over poses among the landmarks around, with a mixture prior.
 
 The pose is off from the predicted one by xi = (phi, tau): a small rotation about the body and a shift. Its prior is a
 mixture of Gaussians: the odometry with its noise, and an odometry that errs by as much as the body moves. The scan has
@@ -37,7 +37,6 @@ from slam.common.geometry import (
     skew,
     transform_from_xyz_yaw,
 )
-from slam.common.somewhere_new import log_somewhere_new
 from slam.frontend.data_association import (
     EXCLUDED_RATIO,
     GATE_PROBABILITY,
@@ -125,7 +124,7 @@ class ModeSearch:
 
     @property
     def is_pose_uncertain(self) -> bool:
-        """Whether the error that all landmarks share is larger than what each has of its own, with its detection's."""
+        """Whether the common error of all landmarks is larger than the own error of each with that of its detection."""
         A = _jacobians(self._seen.positions - self._origin)
         common = np.einsum("kij,jl,kil->k", A, self._common, A)
         own = np.trace(self._seen.covariances, axis1=1, axis2=2) + np.median(np.trace(self._own, axis1=1, axis2=2))
@@ -135,7 +134,7 @@ class ModeSearch:
         """All modes, the likeliest first; of several with the same assignment the best is kept.
 
         One of them is a place where nothing is known, by any component; where a wide one finds places that look alike,
-        that may look like them (:func:`slam.common.somewhere_new.log_somewhere_new`).
+        that may look like them.
         """
         best = dict[bytes, Mode]()
         count = len(self._seen.positions)
@@ -290,12 +289,17 @@ def probabilities(modes: Sequence[Mode]) -> FloatArray:
 def _log_elsewhere(modes: Sequence[Mode]) -> float:
     """Log-likelihood ratio to clutter of a place outside the area of the landmarks around, against the likeliest of
     ``modes`` in it.
+
+    It looks like clutter, or as another of those poses that fits better than clutter: a robot keeps to its way along a
+    pattern, so that it is aligned with it there, too.
     """
     best = max(modes, key=lambda mode: mode.log_weight, default=None)
-    others = [mode for mode in modes if best is not None and not is_same_pose(best, mode)]
-    ratios = np.array([mode.log_likelihood_ratio for mode in others])
-    log_odds = np.array([mode.log_weight - np.log(mode.component.weight) for mode in others])
-    return log_somewhere_new(ratios, log_odds - ratios)
+    ratios = [0.0]
+    for mode in modes:
+        is_better_than_clutter = mode.log_weight > np.log(mode.component.weight)
+        if best is not None and is_better_than_clutter and not is_same_pose(best, mode):
+            ratios.append(mode.log_likelihood_ratio)
+    return float(logsumexp(ratios) - np.log(len(ratios)))
 
 
 def is_same_pose(a: Mode, b: Mode) -> bool:

@@ -1,1 +1,1 @@
-"""Where the robot is, in its own map or a prior map."""
+"""Localization of the robot in its own map or a prior map."""

@@ -1,8 +1,8 @@
 """Detection of a kidnapping that the odometry does not show, from the landmarks around the robot.
 
-If the robot was carried off at a time t, the landmarks from before are missed after it, and those seen after it were
-not seen before, although the odometry had them around the robot. Each landmark contributes, for either side of t, one
-log-likelihood ratio of "carried off at t" against "not carried off":
+If the robot was kidnapped at a time t, the landmarks from before are missed after it, and those seen after it were not
+seen before, although the odometry had them around the robot. Each landmark contributes, for either side of t, one
+log-likelihood ratio of "kidnapped at t" against "not kidnapped":
 
     log (1 - P_F u) / (1 - P_D u) if it was missed on that side,    log P_F / P_D if it was seen.
 
@@ -165,7 +165,7 @@ class ContinuityMonitor:
         return np.asarray(np.where(sides.seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
 
     def _learn(self, landmarks: RecentLandmarks, sides: _Sides) -> None:
-        """Where landmarks are seen that are there for certain, and how many of those that are in view are seen."""
+        """Region in which existing landmarks are observed, and the share of those in view that are observed."""
         middle = len(self._steps) // 2
         step = self._steps[middle]
         there = (landmarks.first_seen_m <= step.travel_m) & (landmarks.last_seen_m >= step.travel_m)

@@ -17,7 +17,7 @@ LEAST_FIXES = 5
 HYPOTHESES = 300
 ITERATIONS = 20
 LEAST_EXTENT = 3.0
-"""Extent of the path, in errors of a fix, from which on it tells the heading of the map."""
+"""Least extent of a path that determines the heading of the map, in errors of a fix."""
 
 
 class GnssPrior:
@@ -31,7 +31,7 @@ class GnssPrior:
         self._fixes: list[InitialPose] = []
 
     def add(self, fix: GeodeticFix, travel_m: float) -> InitialPose | None:
-        """Take in a fix after ``travel_m`` of the drive; the latest that most others agree with, None for none."""
+        """Add a fix after ``travel_m`` of the drive; returns the latest that agrees with most others, or None."""
         if fix.covariance is None:
             return None
         geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m]])
@@ -50,7 +50,7 @@ def _agree(a: InitialPose, b: InitialPose) -> bool:
 
 
 def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) -> Georeference | None:
-    """Where on earth the frame of a trajectory lies: heading and place by which it fits the fixes best.
+    """Georeference of a trajectory: the heading and position that fit the fixes best.
 
     Pairs of fixes propose poses; that with the least sum of absolute residuals, which up to half of the fixes may be
     outliers of, is refined by weighted least squares with Cauchy's weights (Holland and Welsch, 1977). Fixes weigh by
@@ -58,7 +58,7 @@ def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) ->
 
     Returns:
         The georeference, its origin that of the map; None for fewer than five fixes during the drive, or a path too
-        short against their errors to tell the heading.
+        too short against their errors to determine the heading.
     """
     first, last = (trajectory.stamps_ns[0], trajectory.stamps_ns[-1]) if len(trajectory.stamps_ns) else (0, -1)
     used = [fix for fix in fixes if first <= fix.stamp_ns <= last]

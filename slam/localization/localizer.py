@@ -1,17 +1,24 @@
-"""Where the robot is: a posterior over poses in earlier traversals, and "somewhere new".
+"""Localization: a posterior over poses in earlier traversals, and "somewhere new".
 
 Each hypothesis is a pose with the log-likelihood ratios of the landmarks around the robot (same place against somewhere
 new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior (:mod:`slam.localization.pose_prior`). From keyframe to
-keyframe its pose is carried along by the odometry, and it is measured again there. The posterior odds of hypothesis k
+keyframe its pose is propagated by the odometry, and it is measured again there. The posterior odds of hypothesis k
 against "somewhere new" are
 
     log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (n_k + sum_k o_k),
 
-where n_k is the likelihood ratio of "somewhere new" to clutter, above 1 where places look alike
-(:func:`slam.common.somewhere_new.log_somewhere_new`), i are the landmarks of the submap, which all count at one pose,
-and j those that the robot has left behind, as they were last measured at that hypothesis. They can only speak against
-it: each keyframe is registered anew, so what fitted somewhat different poses before is no evidence for the pose of
-today.
+where i are the landmarks of the submap, which all count at one pose, and j those that the robot has left behind, as
+they were last measured at that hypothesis. They can only speak against it: each keyframe is registered anew, so what
+fitted somewhat different poses before is no evidence for the pose of today.
+
+n_k is the likelihood ratio of "somewhere new" to clutter. A new place looks like clutter, where it is 1, or as the map
+does from an arbitrary pose in its area A, whichever is likelier. The mean of exp(LLR) over those poses is the sum over
+the hypotheses r that cannot be true together with k,
+
+    n_k = max(1, sum_r v_r exp(LLR_r)),
+
+where v_r is the share, of all poses in A, of those that the registration r does not tell apart. By chance the mean is 1
+at most, as it is over clutter. On a pattern that repeats it is more, the more often it repeats and the better it fits.
 
 All decisions are reads of the posterior; this class changes nothing but itself.
 """
@@ -27,23 +34,20 @@ from scipy.special import expit
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
-from slam.common.somewhere_new import log_somewhere_new
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvidence:
-    """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
+    """The evidence of one keyframe about one pose.
 
-    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``log_aligned``: the same where
-    it is anywhere within one place; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of
-    each.
+    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``rows`` (N,): landmarks of the
+    query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
     """
 
     T_local_query: FloatArray
     segment: int
     log_prior: float
     log_uniform: float
-    log_aligned: float
     rows: IntArray
     log_likelihood_ratios: FloatArray
 
@@ -60,7 +64,6 @@ class Hypothesis:
     segment: int
     log_prior: float
     log_uniform: float
-    log_aligned: float
     evidence: Mapping[int, float]
     left_behind: Mapping[int, float]
     measured_m: float
@@ -72,7 +75,7 @@ class Hypothesis:
 
     @property
     def log_likelihood_ratio(self) -> float:
-        """What the landmarks say of it, in nats."""
+        """The evidence of the landmarks, in nats."""
         return sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
 
 
@@ -107,7 +110,7 @@ class Localizer:
         memory_m: float,
     ) -> None:
         """``which_agree``: which estimates (..., 4, 4) of poses agree, pair by pair; ``memory_m``: travel after which a
-        hypothesis that is no longer measured is forgotten.
+        hypothesis that is not measured any more is dropped.
         """
         self._config = config
         self._which_agree = which_agree
@@ -134,7 +137,7 @@ class Localizer:
         measured: Sequence[PoseEvidence],
         are_consistent: Callable[[int, int], bool],
     ) -> Posterior:
-        """Take in what a keyframe says of the poses, one at least, and return their posterior.
+        """Update the poses, at least one, with the evidence of a keyframe, and return their posterior.
 
         Args:
             T_odom_query: (4, 4), gravity frame of the keyframe in the frame of the odometry.
@@ -157,7 +160,9 @@ class Localizer:
                 same[i, j] = same[j, i] = are_consistent(i, j)
         together = np.logaddexp.reduce(np.where(same, log_odds, -np.inf), axis=1)
         others = np.logaddexp.reduce(np.where(same, -np.inf, log_odds), axis=1)
-        return Posterior(log_odds, together - np.logaddexp(others, _log_somewhere_new(joined, same)))
+        log_fits = np.array([each.log_uniform + each.log_likelihood_ratio for each in joined])
+        log_new = np.maximum(np.logaddexp.reduce(np.where(same, -np.inf, log_fits), axis=1), 0.0)
+        return Posterior(log_odds, together - np.logaddexp(others, log_new))
 
     def _agreements(
         self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray
@@ -172,20 +177,10 @@ class Localizer:
         )
 
 
-def _log_somewhere_new(poses: Sequence[Hypothesis], same: BoolArray) -> FloatArray:
-    """Log-likelihood ratio (K,) of "somewhere new" to clutter, against each of the poses (K,).
-
-    ``same`` (K, K): poses that can be true together.
-    """
-    ratios = np.array([each.log_likelihood_ratio for each in poses])
-    uniform, aligned = np.array([(each.log_uniform, each.log_aligned) for each in poses]).T
-    return np.array([log_somewhere_new(ratios[~row], uniform[~row], aligned[~row]) for row in same])
-
-
 def _joined(
     measured: PoseEvidence, before: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
 ) -> Hypothesis:
-    """The hypothesis at a measured pose, with what those from ``before`` that lead there have left behind."""
+    """The hypothesis at a measured pose, with the evidence behind the robot of its predecessors in ``before``."""
     evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
     earlier: dict[int, float] = {}
     for each in before:
@@ -195,7 +190,6 @@ def _joined(
         measured.segment,
         measured.log_prior,
         measured.log_uniform,
-        measured.log_aligned,
         evidence,
         {row: llr for row, llr in earlier.items() if row not in evidence},
         travel_m,

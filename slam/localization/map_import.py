@@ -1,4 +1,4 @@
-"""From the objects of a source to an imported map: where they are in a plane, and where that lies on earth."""
+"""From the objects of a source to an imported map: positions in a plane, and its georeference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The poses that leave the estimator, while the drive goes on."""
+"""The poses that the estimator publishes during the drive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAP_FRAME = "map"
 
 
 class PoseOutput:
-    """Messages of the robot's pose. What they say of the odometry refers to it as its messages have it."""
+    """Messages of the robot's pose. Their odometry is that of the messages, before corrections."""
 
     def __init__(self) -> None:
         self._T_map_odom = np.eye(4)

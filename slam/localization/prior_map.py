@@ -32,7 +32,7 @@ def load_prior_map(path: str | os.PathLike[str]) -> PriorMap:
 
     Raises:
         LogError: no MCAP file.
-        SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
+        SavedMapError: a log that is no map, of another format version, damaged, empty, or inconsistent.
     """
     with LogReader(path) as reader:
         is_imported = reader.metadata().get(METADATA, {}).get("kind") == KIND

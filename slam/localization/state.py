@@ -9,7 +9,7 @@ from logs.messages import DetectionAssociations, LoopClosureRecord, Relocalizati
 from slam.odometry.keyframe import Keyframe
 
 CALIBRATIONS = "calibrations"
-"""Counter of a status: how often the map was built anew by another calibration. What was made known of an earlier map
+"""Counter of a status: how often the map was built again with another calibration. Records of an earlier map
 is replaced by what follows.
 """
 OF_ONE_MAP = (DetectionAssociations, LoopClosureRecord, RelocalizationRecord)

@@ -21,7 +21,7 @@ from slam.place_recognition.place_search import VOTE_SIGMAS as TOLERANCE_SIGMAS
 
 MOST_LANDMARKS = 60
 FEWEST_LANDMARKS = 4
-"""With fewer no place is told from others."""
+"""Fewer do not distinguish places."""
 FEWEST_MET = 8
 PLACES = 5
 FAR_M = 1000.0
@@ -68,7 +68,7 @@ def why_not_recognised(
 
 
 def why_doubtful(known: PriorMap, objects: ObjectMapRecord, trajectory: TrajectoryRecord, sigma_m: float) -> str:
-    """Why a drive that was found in a map is probably found at a wrong place; "" if nothing says so.
+    """Why a drive was probably relocalized at a wrong place of a map; "" without evidence of it.
 
     Crossings that look alike are found in a mirrored map, too. What matched nothing there then fits the mirror image.
     """
@@ -126,7 +126,7 @@ def _confirmed_labels(objects: ObjectMapRecord) -> set[str]:
 
 
 def _distance_of_fixes(known: PriorMap, fixes: Sequence[GeodeticFix]) -> float:
-    """How far [m] the median of the fixes is from the nearest object of the map; 0 where that is unknown."""
+    """Distance [m] of the median of the fixes from the nearest object of the map; 0 if it is unknown."""
     if not isinstance(known, ImportedMap) or known.georeference is None or not fixes:
         return 0.0
     geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in fixes])
@@ -139,7 +139,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _met(imported: ImportedMap, positions: FloatArray, labels: IntArray, sigma_m: float) -> int:
-    """How many of the landmarks meet an object of their class, at the best of their likeliest poses."""
+    """Number of landmarks that match an object of their class, at the best of their likeliest poses."""
     poses = imported.search().find_poses(positions, labels, sigma_m=sigma_m, count=PLACES)
     tolerance_m = TOLERANCE_SIGMAS * sigma_m
     best = 0

@@ -1,4 +1,4 @@
-"""Where a sensor sees landmarks: the probability of a sighting by range and bearing, learned on the drive."""
+"""Visibility of landmarks: the probability of an observation by range and bearing, learned on the drive."""
 
 from __future__ import annotations
 

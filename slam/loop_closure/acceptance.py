@@ -26,7 +26,7 @@ TRACKED = "its landmarks are still associated: there is no loop to close"
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
     """``accepted``: the closure of a query, None if there is none. ``rejected``: records of the other candidates.
-    ``tracked``: the candidate that is accepted without a closure, by landmarks that were never let go.
+    ``tracked``: the candidate that is accepted without a closure, by landmarks that are still associated.
     ``contradicts_odometry``: whether a candidate would be accepted if the odometry predicted nothing.
     """
 
@@ -44,7 +44,7 @@ class Acceptance:
 
     def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
         self.min_objects = registration_config(config).min_inliers
-        """Objects without which there is no pose."""
+        """Fewest objects that determine a pose."""
         self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -log_odds_of(config.localization.error_probability)
         self._sensor_range_m = config.sensor_range_m
@@ -61,7 +61,7 @@ class Acceptance:
         self._localizer.reset()
 
     def expected_places(self, query: Query) -> list[Place]:
-        """Where the hypotheses are by the odometry."""
+        """The hypotheses, propagated by the odometry."""
         places = (
             self._verifier.place_at(query, T_local_query, segment)
             for segment, T_local_query in self._localizer.predictions(query.T_local_gravity)
@@ -85,7 +85,7 @@ class Acceptance:
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
 
-        If it is the pose by landmarks that were never let go, the place is recognised and there is nothing to accept.
+        If it is the pose of landmarks that are still associated, the place is recognised and needs no closure.
 
         Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern
         of objects fits as well.
@@ -136,7 +136,6 @@ class Acceptance:
             self._keyframes[candidate.reference].odometry.segment,
             -candidate.odometry_penalty,
             -candidate.unpredicted_penalty,
-            -candidate.alignment_penalty,
             candidate.rows,
             candidate.log_likelihood_ratios,
         )

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge
 from slam.backend.pose_graph.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import IntArray
 from slam.common.config import Config
@@ -90,7 +91,7 @@ class AcceptedClosures:
 
         If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
         and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
-        revoked closures, and whether it was kidnapped.
+        revoked closures, and whether the robot was kidnapped.
         """
         segment = keyframe.odometry.segment
         connecting = [
@@ -115,27 +116,28 @@ class AcceptedClosures:
         Closures across a discontinuity of the odometry are kept: without them nothing relates the two segments.
         Returns the records of the removed closures and a warning, empty if there is none.
         """
-        loops = {loop.factor: loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)}
+        loops = [loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)]
         if not loops:
             return [], ""
-        graph, keyframes = self._graph, self._graph.keyframe_variables
-        rejection = reject_outlier_closures(
-            graph.factors,
-            list(loops),
-            keyframes,
-            graph.poses(keyframes),
-            np.array([self._keyframes[keyframe].T_local_body for keyframe in keyframes.tolist()]),
+        factors, keyframes = self._graph.factors, self._graph.keyframe_variables
+        variables = keyframes.tolist()
+        tested = [edge for loop in loops if isinstance(edge := factors[loop.factor], Edge)]
+        solution = reject_outlier_closures(
+            factors.values(),
+            tested,
+            dict(zip(variables, self._graph.poses(keyframes), strict=True)),
+            {keyframe: self._keyframes[keyframe].T_local_body for keyframe in variables},
             odometry_inflation=SLIP_INFLATION,
         )
         reasons = {
-            loop.candidate.query: f"removed as an outlier: kernel weight {rejection.weights[factor]:.2g}"
-            for factor, loop in loops.items()
-            if not rejection.kept[factor]
+            loop.candidate.query: f"removed as an outlier: kernel weight {weight:.2g}"
+            for loop, weight, is_kept in zip(loops, solution.weights.tolist(), solution.kept, strict=True)
+            if not is_kept
         }
-        self._loops.remove([loop for loop in loops.values() if loop.candidate.query in reasons])
+        self._loops.remove([loop for loop in loops if loop.candidate.query in reasons])
         removed = self._revoke(lambda each: each.represented_by in reasons)
         records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
-        return records, rejection.message
+        return records, solution.message
 
     def settled_before_m(self, travel_m: float) -> float:
         """Closures before the returned travel are not revoked any more, now that the robot has come to ``travel_m``."""

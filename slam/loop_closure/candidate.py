@@ -36,8 +36,8 @@ class Candidate:
     ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i, of which
     ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the
     reference.
-    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing,
-    ``alignment_penalty`` if it told the place but not where in it; see :mod:`slam.localization.pose_prior`.
+    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
+    see :mod:`slam.localization.pose_prior`.
     ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank`` and
     ``proposer``: as in :class:`slam.place_recognition.place.Place`.
     ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
@@ -58,7 +58,6 @@ class Candidate:
     matched_fraction: float
     odometry_penalty: float
     unpredicted_penalty: float
-    alignment_penalty: float
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0
@@ -84,7 +83,7 @@ class Candidate:
     def record(
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
     ) -> LoopClosureRecord:
-        """The candidate with the decision about it, as it goes into a log."""
+        """The candidate with its decision, as a record of a log."""
         return LoopClosureRecord(
             stamp_ns=self.query_stamp_ns,
             query_keyframe_id=self.query,
@@ -113,7 +112,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor stands for it in the
+    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
     graph, its own or one nearby.
     """
 

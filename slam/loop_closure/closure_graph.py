@@ -107,7 +107,7 @@ class ClosedLoops:
                 self._map.merge(reference, query, closure=loop.factor)
 
     def _may_merge(self, query: int, reference: int) -> bool:
-        """Whether the query landmark stands for itself, and neither landmark is of both traversals."""
+        """Whether the query landmark is not merged, and neither landmark is of both traversals."""
         kept = self._map.canonical_id(reference)
         if self._map.canonical_id(query) != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
             return False

@@ -30,11 +30,6 @@ def which_agree(T_a: FloatArray, T_b: FloatArray, *, sensor_range_m: float) -> B
     return np.asarray((apart_m < AGREE_RANGES * sensor_range_m) & (np.abs(yaw_rad(T_between)) < AGREE_RAD))
 
 
-def log_volume_of_agreement(sensor_range_m: float) -> float:
-    """Logarithm of the volume of the poses that agree with one [log m^2 rad]."""
-    return float(np.log(np.pi * (AGREE_RANGES * sensor_range_m) ** 2 * 2.0 * AGREE_RAD))
-
-
 def poses_agree(T_a: FloatArray, T_b: FloatArray, *, sensor_range_m: float) -> bool:
     """Whether two estimates (4, 4) of one pose agree; see :func:`which_agree`."""
     return bool(which_agree(T_a, T_b, sensor_range_m=sensor_range_m))

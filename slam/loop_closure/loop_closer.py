@@ -79,12 +79,12 @@ class LoopCloser:
 
     @property
     def rejected_by_odometry_count(self) -> int:
-        """Keyframes with a candidate that would have been accepted if the odometry had predicted nothing."""
+        """Keyframes with a candidate that would have been accepted with a uniform prior."""
         return sum(not self.closures.is_closed(each) for each in self._rejected_by_odometry)
 
     @property
     def kidnapping_probability(self) -> float:
-        """Probability that the robot was carried off lately, by the landmarks around."""
+        """Probability of a recent kidnapping, by the landmarks around."""
         return self._continuity.kidnapping_probability
 
     def missing_landmarks(self) -> IntArray:

@@ -64,7 +64,7 @@ class Propagation:
         return (query for query in reversed(self._recent) if query.keyframe.id < keyframe)
 
     def predict(self, query: Query) -> Predicted | None:
-        """What is at the place that the seed predicts; None without a seed near enough to predict any."""
+        """The landmarks at the place that the seed predicts; None without a seed that is near enough."""
         seed = self._seed_for(query)
         return None if seed is None else self.predict_from(seed, query)
 

@@ -1,4 +1,4 @@
-"""What is known of the pose of a query before it is registered."""
+"""Prior of the pose of a query before registration."""
 
 from __future__ import annotations
 

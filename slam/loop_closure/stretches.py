@@ -1,4 +1,4 @@
-"""What a robot passed while it is looked for in an imported map."""
+"""Sliding window of submaps for relocalization in an imported map."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from slam.loop_closure.candidate import Query
 from slam.odometry.keyframe import Keyframe
 
 STRETCHES = 6
-"""How many are remembered."""
+"""Length of the window."""
 
 
 class Stretches:

@@ -13,9 +13,8 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
-from slam.localization.pose_prior import log_volume
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import log_volume_of_agreement, odometry_penalty, poses_agree, shared_covariance
+from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
 from slam.loop_closure.query_priors import QueryPriors
 from slam.loop_closure.shifted_poses import shifted_along_track
@@ -87,9 +86,9 @@ class Verifier:
         return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf, "hypothesis")
 
     def tracked_place(self, query: Query) -> Place | None:
-        """Where the query is by the landmarks of an earlier traversal that data association still follows.
+        """Pose of the query by the landmarks of an earlier traversal that are still associated.
 
-        They make one map with those of the query, in which the pose is known; None where there are too few of them.
+        They are in one map with those of the query, so that the pose is known; None if there are too few of them.
         """
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
         if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:
@@ -221,7 +220,6 @@ class Verifier:
             matched_fraction=ratio.matched_fraction,
             odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
-            alignment_penalty=max(log_volume_of_agreement(self._sensor_range_m) - log_volume(covariance), 0.0),
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,

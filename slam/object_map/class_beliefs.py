@@ -12,7 +12,7 @@ OTHER_CLASS = "other"
 
 
 class ClassBeliefs:
-    """How often each landmark was given each label, one row a landmark, and the vocabulary of the labels.
+    """Counts of the labels of each landmark, one row a landmark, and the vocabulary of the labels.
 
     ``unlisted_labels``: how many labels were of a class beyond the limit; of one class all labels are, on purpose.
     """
@@ -44,7 +44,7 @@ class ClassBeliefs:
         return indices
 
     def _add_class(self, label: str) -> None:
-        """The last class that fits stands for all that come after it."""
+        """The last class that fits represents all later ones."""
         if len(self._label_index) < self._config.max_classes - 1:
             self._label_index[label] = len(self._label_index)
         else:
@@ -71,7 +71,7 @@ class ClassBeliefs:
         np.add.at(self._label_counts, np.ix_(rows, labels), counts)
 
     def label_counts(self, rows: IntArray | int | slice) -> FloatArray:
-        """How often landmarks were given each label; columns beyond the vocabulary are zero."""
+        """Counts of the labels of landmarks; columns beyond the vocabulary are zero."""
         return np.asarray(self._label_counts[rows])
 
     def classes(self, rows: IntArray) -> IntArray:

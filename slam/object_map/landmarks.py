@@ -72,7 +72,9 @@ LANDMARK = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class LandmarkMerge:
-    """Two rows that were made one landmark; ``closure``: the factor of the closure that did it, None for others."""
+    """Two rows that were merged into one landmark; ``closure``: the factor of the closure of the merge, None for other
+    merges.
+    """
 
     kept: int
     dropped: int
@@ -122,7 +124,7 @@ class ObjectMap:
 
     @property
     def unlisted_labels(self) -> int:
-        """How many labels were of a class beyond the limit."""
+        """Number of labels of classes beyond the limit."""
         return self._beliefs.unlisted_labels
 
     def label_indices(self, labels: tuple[str, ...]) -> IntArray:
@@ -250,8 +252,8 @@ class ObjectMap:
     def merge(self, kept: int, dropped: int, *, closure: int | None = None) -> bool:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
-        Returns whether they were two. Data association still uses both rows, because in the odometry frame the two
-        traversals differ by the drift; their observations are added up in the record of the map.
+        Returns whether they were different rows. Data association still uses both rows, because in the odometry frame
+        the two traversals differ by the drift; the record of the map has the sum of their observations.
 
         Args:
             kept: the row itself, not what it was merged into: other merges may be undone, and this one made again.
@@ -270,7 +272,7 @@ class ObjectMap:
 
     @property
     def aliases(self) -> dict[int, int]:
-        """The rows that were merged into another one, with the row that stands for each."""
+        """The rows that were merged into another one, with the row that each was merged into."""
         return {row: self.canonical_id(row) for row in self._aliases.dropped}
 
     def canonical_id(self, row: int) -> int:

@@ -1,4 +1,4 @@
-"""Maps that last: landmarks, keyframes and the factors between them, saved to a log and loaded from it."""
+"""Saved maps: landmarks, keyframes and the factors between them, written to a log and read from it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedMap:
-    """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
+    """The map of a drive for the next one: confirmed landmarks, and the graph that connects them.
 
     Descriptors are not kept: computing them takes less time than reading them, and a map serves any configured
     descriptor. ``metadata``: format of the file and provenance of the last drive; ``drives``:
@@ -57,7 +57,7 @@ class SavedMap:
 
     @property
     def georeference(self) -> Georeference | None:
-        """Where on earth the map lies, if that is known.
+        """Georeference of the map, if it is known.
 
         Raises:
             GeometryError: the metadata have an invalid one.
@@ -74,7 +74,6 @@ def save_map(
     path: Path,
     objects: ObjectMapRecord,
     graph: FactorGraphRecord,
-    markers: SceneMarkers,
     provenance: Mapping[str, str],
     *,
     earlier_drives: Sequence[Mapping[str, str]] | None = None,
@@ -86,9 +85,8 @@ def save_map(
         objects: all landmarks; only confirmed ones are kept.
         graph: the optimised graph. Condensed keyframes are left out, and a stretch that only a break of the odometry
             ties to the rest, which lies anywhere, with what only it saw.
-        markers: the landmarks for viewers.
         provenance: version, configuration and input of the drive.
-        earlier_drives: those of the map that the drive went on from.
+        earlier_drives: those of the map that the drive extended.
 
     Returns:
         How many keyframes were left out.
@@ -118,12 +116,10 @@ def save_map(
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
-        shown = _of_ids(markers, set(kept.ids))
-        colors = np.array([class_color(label) for label in shown.labels]).reshape(-1, 4)
-        writer.write(MARKERS_TOPIC, shown, objects.stamp_ns)
-        writer.write(
-            POINTS_TOPIC, ScenePoints(shown.stamp_ns, shown.frame_id, shown.positions, colors), objects.stamp_ns
-        )
+        stamp_ns, frame_id, positions, labels = kept.stamp_ns, kept.frame_id, kept.positions, kept.labels
+        colors = np.array([class_color(label) for label in labels]).reshape(-1, 4)
+        writer.write(MARKERS_TOPIC, SceneMarkers(stamp_ns, frame_id, positions, labels, kept.ids), stamp_ns)
+        writer.write(POINTS_TOPIC, ScenePoints(stamp_ns, frame_id, positions, colors), stamp_ns)
     return int(np.count_nonzero(~is_tied))
 
 
@@ -134,10 +130,8 @@ def write_map(path: Path, saved: SavedMap) -> None:
         LogError: it cannot be written.
         SavedMapError: it would be refused when it is loaded.
     """
-    objects = saved.objects
-    markers = SceneMarkers(objects.stamp_ns, objects.frame_id, objects.positions, objects.labels, objects.ids)
     provenance = {key: text for key, text in saved.metadata.items() if key not in _OF_THE_FILE}
-    save_map(path, objects, saved.graph, markers, provenance, earlier_drives=saved.drives[:-1])
+    save_map(path, saved.objects, saved.graph, provenance, earlier_drives=saved.drives[:-1])
 
 
 def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
@@ -151,7 +145,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
 
     Raises:
         LogError: no MCAP file.
-        SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
+        SavedMapError: a log that is no map, of another format version, damaged, empty, or inconsistent.
     """
     with LogReader(path, RESULT_LIMITS) as reader:
         metadata = reader.metadata().get(METADATA)
@@ -188,7 +182,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
 
 
 def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> NDArray[np.bool_]:
-    """Which edges (E,) are of that kind."""
+    """Whether each edge (E,) is of that kind."""
     return np.array([each == kind for each in graph.edge_kinds], dtype=np.bool_)
 
 
@@ -199,7 +193,7 @@ def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
 
 def of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
     """Of the landmarks those that are ``kept`` (N,)."""
-    # What others stand for is retired, and not in a map.
+    # Merged landmarks are retired, and not in a map.
     return replace(take_rows(objects, N=np.flatnonzero(kept)), merged_into=())
 
 
@@ -220,7 +214,7 @@ def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[
 
 
 def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:
-    """Which keyframes (K,) only condensed edges tie to the rest: others stand for them, and observed what they did."""
+    """Which keyframes (K,) only condensed edges connect to the rest: other keyframes represent them."""
     is_condensed = are_of_kind(graph, EdgeKind.CONDENSED)
     tied, otherwise = graph.edge_keyframe_ids[is_condensed], graph.edge_keyframe_ids[~is_condensed]
     needed = np.concatenate([otherwise.ravel(), graph.observation_keyframe_ids])
@@ -231,16 +225,6 @@ def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:
     """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
     part = parts(graph, ~are_of_kind(graph, EdgeKind.DISCONTINUITY))
     return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))
-
-
-def _of_ids(markers: SceneMarkers, ids: set[str]) -> SceneMarkers:
-    rows = [row for row, name in enumerate(markers.ids) if name in ids]
-    return replace(
-        markers,
-        positions=markers.positions[rows],
-        labels=tuple(markers.labels[row] for row in rows),
-        ids=tuple(markers.ids[row] for row in rows),
-    )
 
 
 def _drives(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:

@@ -1,4 +1,4 @@
-"""What a saved map holds, in numbers."""
+"""Figures of a saved map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Landmarks of a prior map that are no longer there: the robot passed them and never saw them."""
+"""Landmarks of a prior map that disappeared: the robot passed them and never observed them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PASSED_RANGES = 0.5
 
 
 class MissingLandmarks:
-    """How often each landmark of a prior map was passed, and which were matched at all."""
+    """Counts of the passes of each landmark of a prior map, and the landmarks that were matched."""
 
     def __init__(self, object_map: ObjectMap, keyframes: Sequence[Keyframe], sensor_range_m: float) -> None:
         self._map = object_map

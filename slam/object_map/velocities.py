@@ -1,4 +1,4 @@
-"""How fast landmarks seem to move."""
+"""Apparent velocities of landmarks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The odometry with the faults corrected that a calibration names."""
+"""The odometry after the corrections of a calibration."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class KeyframeTrack:
         self._latest: OdometryPose | None = None
 
     def add(self, keyframe: Keyframe) -> None:
-        """Take in the next keyframe."""
+        """Add the next keyframe."""
         if self._size == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
         pose, position = keyframe.odometry, keyframe.T_local_body[:3, 3]

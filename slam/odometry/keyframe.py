@@ -25,7 +25,7 @@ class Keyframe:
     :mod:`slam.frontend.local_map`.
 
     ``is_prior``: a keyframe of a prior map. Its ``odometry`` holds its pose in that map, and no travel, time or speed.
-    ``is_map_frame``: it stands for the frame of a map without keyframes, the reference wherever in it.
+    ``is_map_frame``: it is the frame of a map without keyframes, the reference anywhere in it.
     """
 
     id: int

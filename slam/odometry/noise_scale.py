@@ -1,4 +1,4 @@
-"""How much larger the errors of the odometry are than its noise model says, by the corrections that landmarks make.
+"""Scale of the noise of the odometry, from the corrections that landmarks make.
 
 If the model is right, the corrections of the pose have the covariance by which they reduce that of its error
 (covariance matching: Mehra, IEEE T-AC 1970). So the noise of translation, tilt and heading is scaled by the ratio of
@@ -8,12 +8,12 @@ the two over a window of scans, by its median: detections that err by far, and s
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import bdtrc, chdtri
+from scipy.special import chdtri
 
 from slam.common.arrays import FloatArray
 
 WINDOW = 20
-"""Corrections after which the scale is estimated anew."""
+"""Corrections after which the scale is estimated again."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: larger corrections contradict the odometry."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
@@ -21,10 +21,6 @@ AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
 DIMENSIONS = np.array([3, 2, 1])
 MEDIAN = chdtri(DIMENSIONS, 0.5) / DIMENSIONS
 """Of the squares of normal errors by their variances."""
-FAR_PROBABILITY, CHANCE = 0.05, 1e-6
-FAR = chdtri(DIMENSIONS, FAR_PROBABILITY) / DIMENSIONS
-FAR_COUNTS = np.argmax(bdtrc(np.arange(WINDOW)[:, None], np.arange(WINDOW), FAR_PROBABILITY) <= CHANCE, axis=0)
-"""If more of so many corrections are far, the scale changes before the window ends: chance does that to one in 1e6."""
 
 
 class NoiseScale:
@@ -47,17 +43,10 @@ class NoiseScale:
         ratios = squares / np.maximum(expected, 1e-300)
         self.innovation_ratio = float(np.max(ratios)) / GATE
         self._ratios.append(ratios)
-        count = len(self._ratios)
-        is_excessive = (np.array(self._ratios) > FAR).sum(axis=0) > FAR_COUNTS[count % WINDOW]
-        is_excessive[1] = False
+        if len(self._ratios) < WINDOW:
+            return
         ratios = np.median(self._ratios, axis=0) / MEDIAN
         ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
-        gains = np.clip(ratios, 1.0 / WINDOW, WINDOW)
-        if count == WINDOW:
-            gains = np.sqrt(gains)
-        elif not is_excessive.any():
-            return
-        else:
-            gains = np.where(is_excessive, gains, 1.0)
+        gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
         self.factors = np.maximum(self.factors * gains, self._least)
         self._ratios = []

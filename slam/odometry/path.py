@@ -20,7 +20,7 @@ class OdometryPath:
         self.latest: OdometryPose | None = None
 
     def add(self, pose: OdometryPose) -> None:
-        """Take in the next pose of the track."""
+        """Add the next pose of the track."""
         self._stamps_ns.append(pose.stamp_ns)
         self._segments.append(pose.segment)
         self._rows.frombytes(np.ascontiguousarray(pose.T_odom_body[:3], dtype=np.float64).tobytes())
@@ -28,7 +28,7 @@ class OdometryPath:
 
     @property
     def first_stamp_ns(self) -> int:
-        """When it began; 0 before it did."""
+        """Stamp of the first pose; 0 before it."""
         return self._stamps_ns[0] if self._stamps_ns else 0
 
     @property

@@ -14,10 +14,10 @@ from slam.common.geometry import blend
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryPose:
     """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it,
-    ``speed_mps`` is the speed of the step that led to it,
-    the greatest possible where that is not known. ``T_odom_reported`` leads from the frame that the messages are in to
-    that of the track, which goes on smoothly where a jump was corrected; ``corrected`` (3,) are the
-    variances that all corrections so far add, of each coordinate [m^2], of the tilt and of the heading [rad^2].
+    ``speed_mps`` is the speed of the step that led to it, the greatest possible where that is not known.
+    ``T_odom_reported`` transforms from the frame of the messages to that of the track, which is continuous where a jump
+    was corrected; ``corrected`` (3,) are the variances that all corrections so far add, of each coordinate [m^2], of
+    the tilt and of the heading [rad^2].
     """
 
     stamp_ns: int

@@ -38,6 +38,6 @@ class FollowedSource:
 
 
 def _predicted(path: list[tuple[int, FloatArray]], stamp_ns: int) -> FloatArray:
-    """Where a path (of two positions) leads at a time, at its velocity."""
+    """Extrapolation of a path of two positions to a time, at its velocity."""
     (first_ns, first_m), (last_ns, last_m) = path
     return np.asarray(last_m + (last_m - first_m) * ((stamp_ns - last_ns) / (last_ns - first_ns)))

@@ -11,7 +11,7 @@ import numpy as np
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import relative, rigid, rotation_vector
+from slam.common.geometry import rigid
 from slam.odometry.pose import OdometryPose, pose_at
 from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, StepLimits
 
@@ -25,8 +25,10 @@ JITTER_RANGES = 0.05 / 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What detections say of a pose of the track: ``T_odom`` (4, 4) moves it, in the odometry frame; ``variances``
-    (3,) of the corrected step: of each coordinate [m^2], of the tilt and of the heading [rad^2].
+    """The correction of a pose of the track by detections.
+
+    ``T_odom`` (4, 4) moves the pose, in the odometry frame; ``variances`` (3,) of the corrected step: of each
+    coordinate [m^2], of the tilt and of the heading [rad^2].
     """
 
     T_odom: FloatArray
@@ -37,7 +39,7 @@ class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
     A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
-    ``counters`` is where it counts the messages that it cannot use; ``sensor_range_m`` is that of the detections.
+    ``counters``: of unusable messages; ``sensor_range_m`` is that of the detections.
     """
 
     def __init__(
@@ -59,7 +61,6 @@ class OdometryTrack:
         self._doubtful: Odometry | None = None
         self._arrived_ns, self._descends = np.iinfo(np.int64).min, False
         self._counted_xyz_m = np.zeros(3)
-        self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
 
     @property
@@ -70,9 +71,9 @@ class OdometryTrack:
     def add(self, odometry: Odometry) -> list[OdometryPose]:
         """Add a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than that of the last pose adds none, nor does one in a row of descending
-        stamps. The first message, and one after a silence that is long beside the last interval, may have a wrong
-        stamp, and a message at a place that no body can have reached may be an outlier: the next one decides.
+        Messages whose stamp is not later than that of the last pose, or in a series of descending stamps, are left out.
+        The first message, and one after a silence that is long beside the last interval, may have a wrong stamp, and a
+        message at a place that no body can have reached may be an outlier: the next one decides.
         """
         if odometry.stamp_ns < 0:  # by the correction of its clock; no log can hold such a time
             self._counters["odometry_before_time_zero"] += 1
@@ -98,76 +99,47 @@ class OdometryTrack:
         return added
 
     def break_off(self) -> None:
-        """Let the next pose begin a new segment: something else than the odometry shows that it is broken."""
+        """Let the next pose begin a new segment: other evidence shows a discontinuity of the odometry."""
         self._breaks_next = True
 
     def finish(self) -> list[OdometryPose]:
-        """Add the message that waits for the next one, if there is any: nothing refutes it any more."""
+        """Add the message that waits for the next one, if there is any."""
         added = [] if self._doubtful is None else self._take(self._doubtful)
         added += [] if self._jump is None else [self._append(self._jump)]
         self._doubtful = self._jump = None
         return added
 
-    def correct(self, since_ns: int, stamp_ns: int, correction: Correction, *, segment: int) -> None:
-        """Correct the track from the least usual step between two times on; it stays in a segment, the step included.
+    def correct(self, stamp_ns: int, correction: Correction, *, segment: int) -> None:
+        """Correct the track from a time on, or from a break before it, which then is none.
 
         Args:
-            since_ns: up to that time the track is right.
             stamp_ns: of the pose that is corrected.
             correction: of that pose, and so of those around it.
             segment: of the last pose that is right.
         """
         self._counters["odometry_corrected"] += 1
-        first = self._least_usual(since_ns, stamp_ns)
+        first = len(self._poses) - 1
+        while first > 1 and self._poses[first - 1].stamp_ns >= stamp_ns:
+            first -= 1
+        ends = self._poses[first].segment - segment
+        while first > 1 and self._poses[first - 1].segment > segment:
+            first -= 1
         self._T_odom_reported = rigid(correction.T_odom @ self._T_odom_reported)
         self._corrected = self._corrected + correction.variances
-        before = self._poses[first - 1]
-        at = next((pose for pose in self._poses if pose.stamp_ns >= stamp_ns), self._poses[-1])
-        ends, extra_m = at.segment - segment, 0.0
+        before, after = self._poses[first - 1], self._poses[first]
+        step_m = np.linalg.norm((correction.T_odom @ after.T_odom_body - before.T_odom_body)[:3, 3])
+        extra_m = before.travel_m + float(step_m) - after.travel_m
         for index in range(first, len(self._poses)):
             pose = self._poses[index]
-            T_odom_body = correction.T_odom @ pose.T_odom_body
-            if index == first:
-                extra_m = before.travel_m - pose.travel_m
-                extra_m += float(np.linalg.norm(T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
             self._poses[index] = replace(
                 pose,
-                T_odom_body=T_odom_body,
+                T_odom_body=correction.T_odom @ pose.T_odom_body,
                 T_odom_reported=self._T_odom_reported,
                 travel_m=pose.travel_m + extra_m,
                 segment=max(pose.segment - ends, segment),
                 corrected=self._corrected,
             )
         self._counted_xyz_m = self._poses[-1].T_odom_body[:3, 3]
-
-    def loosen(self, since_ns: int, variances: FloatArray) -> None:
-        """Add variances (3,), as of a correction, to the step after a time."""
-        self._corrected = self._corrected + variances
-        for index in range(len(self._poses) - 1, -1, -1):
-            if self._poses[index].stamp_ns <= since_ns:
-                break
-            self._poses[index] = replace(self._poses[index], corrected=self._corrected)
-
-    def _least_usual(self, since_ns: int, stamp_ns: int) -> int:
-        """Index of the pose after the step that changes the velocity most, of those between two times."""
-        last = len(self._poses) - 1
-        while last > 1 and self._poses[last - 1].stamp_ns >= stamp_ns:
-            last -= 1
-        first = last
-        while first > 1 and self._poses[first - 1].stamp_ns > since_ns:
-            first -= 1
-        velocities = np.array([self._velocity(index) for index in range(max(first - 1, 1), last + 1)])
-        if first == last or len(velocities) < last - first + 2:
-            return last
-        changes = np.linalg.norm(np.diff(velocities, axis=0).reshape(-1, 2, 3), axis=2)
-        return first + int(np.argmax((changes / np.maximum(changes.max(axis=0), 1e-12)).max(axis=1)))
-
-    def _velocity(self, index: int) -> FloatArray:
-        """Velocity (6,), m/s and rad/s, of the step to a pose."""
-        before, after = self._poses[index - 1], self._poses[index]
-        T = relative(before.T_odom_body, after.T_odom_body)
-        seconds = (after.stamp_ns - before.stamp_ns) * 1e-9
-        return np.concatenate([T[:3, 3], rotation_vector(T[:3, :3])]) / seconds
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
@@ -206,18 +178,10 @@ class OdometryTrack:
         """Whether a body can have come from the pose of one message to that of another."""
         T_before, T_after = (self._T_odom_reported @ each.T_odom_body for each in (before, after))
         pose = replace(self._poses[-1], stamp_ns=before.stamp_ns, T_odom_body=T_before)
-        return not self._limits.is_beyond(
-            [pose], after.stamp_ns, T_after, T_reported=after.T_odom_body, T_first=self._T_odom_first
-        )
+        return not self._limits.is_beyond([pose], after.stamp_ns, T_after)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
-        return self._limits.is_beyond(
-            self._poses,
-            odometry.stamp_ns,
-            self._T_odom_reported @ odometry.T_odom_body,
-            T_reported=odometry.T_odom_body,
-            T_first=self._T_odom_first,
-        )
+        return self._limits.is_beyond(self._poses, odometry.stamp_ns, self._T_odom_reported @ odometry.T_odom_body)
 
     def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest
@@ -225,7 +189,6 @@ class OdometryTrack:
         xyz_m = T_odom_body[:3, 3]
         if last is None:
             self._counted_xyz_m = xyz_m
-            self._T_odom_first = odometry.T_odom_body
             pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
         else:
             breaks = self._breaks_next or self._is_beyond_limits(odometry)

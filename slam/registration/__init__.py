@@ -1,1 +1,1 @@
-"""Where one constellation of objects lies in another."""
+"""Registration of constellations of objects."""

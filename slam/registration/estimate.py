@@ -1,4 +1,4 @@
-"""What a registration answers: the pose, its covariance and its one-to-one inliers, or the reason why there is none."""
+"""The result of a registration: the pose, its covariance and one-to-one inliers, or the reason of the failure."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns, least_squares, squared_residuals
 
 MAX_HEADING_SIGMA_RAD = 0.2
-"""A heading known less well than this is not determined: the linearisation that says so no longer holds."""
+"""A heading with a larger deviation is undetermined: its linearisation no longer holds."""
 _TILT, _HEADING, _TRANSLATION = slice(0, 2), 2, slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Where the query constellation lies in the reference, or why that is not known (``reason``).
+    """Pose of the query constellation in the reference, or the ``reason`` of the failure.
 
     ``T_reference_query`` (4, 4) carries query points, times ``scale``, into the reference frame. ``covariance`` (6, 6)
     is that of its right perturbation ``T Exp([rotation rad, translation m])``. ``pairs`` (K, 2) are the inliers, one to
-    one, as (query, reference) indices by increasing query; ``inliers`` (K,) says where each stands in the
-    correspondences given, or in ``pairs`` where none were. ``score`` is the support: the sum over the inliers of
-    1 - (residual / gate)^2.
+    one, as (query, reference) indices by increasing query; ``inliers`` (K,) are their rows in the given
+    correspondences, or in ``pairs`` if there were none. ``score`` is the support: the sum over the inliers of 1 -
+    (residual / gate)^2.
     """
 
     T_reference_query: FloatArray | None

@@ -1,10 +1,9 @@
-"""Poses that most matches of a few objects agree on: a generalised Hough transform (Ballard, PR 1981).
+"""Poses with most votes by matches of a few objects: a generalised Hough transform (Ballard, PR 1981).
 
-Two objects of a query that are two of a map determine yaw and translation. Where each object of the query has a list of
-candidates, all pairs of candidates whose lengths agree are such matches: RANSAC (Fischler and Bolles, CACM 1981) that
-draws every pair. Quads that are found in an index of a large map are matches of four. The poses of wrong matches spread
-over the whole map and all headings. Those of right ones meet in a cell, as large as a match determines the pose
-exactly.
+Two matched objects determine yaw and translation. Where each object of the query has a list of candidates, all pairs of
+candidates whose lengths agree are such matches: RANSAC (Fischler and Bolles, CACM 1981) that draws every pair. Quads
+that are found in an index of a large map are matches of four. The poses of wrong matches are spread over the whole map
+and all headings. Those of right matches are in one cell, whose size is the accuracy of the pose of a match.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Where a constellation of objects lies in another one: from correspondences, or from an approximate pose.
+"""Registration of two constellations of objects: from correspondences, or from an approximate pose.
 
-Knows neither map nor graph: positions, their noise, and which objects may be the same.
+The input is positions, their noise, and which objects may be the same; neither map nor graph.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ VOTED_PER_RESULT = 16
 REFINED_PER_RESULT = 8
 """Distinct poses that are refined for each result."""
 REACH_RADII = 2.0
-"""Objects that many search radii, or gates, from one another are no pair of a refinement."""
+"""Objects that are so many search radii, or gates, apart are not matched in a refinement."""
 VOTED_RADIUS_SIGMAS = 2.0
 """How far a voted pose looks for partners at first, in gates."""
 

@@ -1,1 +1,1 @@
-"""What a log tells of its sensors: noise, scales and faults of the input."""
+"""Estimation of the sensors from a log: noise, scales and faults of the input."""

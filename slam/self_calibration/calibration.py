@@ -1,7 +1,7 @@
 """The calibration of a robot from the survey of its logs.
 
-A value that was given by hand stays as it is. Where the logs tell too little, the noise is taken to be large: a prior
-in units of the sensor range, not that of a good sensor.
+Values that were given by hand are kept. Where the logs tell too little, the noise is taken to be large: a prior in
+units of the sensor range, not that of a good sensor.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by
 """
 MIN_DRIFT, MIN_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
-and by so many radians. An estimate of zero only says that the noise is below what detections show.
+and by so many radians. An estimate of zero means that the noise is too small to be observed.
 """
 CERTAIN = 2.0
 """Standard errors by which a noise is larger, with a probability of 98 %."""
@@ -58,10 +58,6 @@ STAMPING_SCANS = 2.0
 between odometry and detections is a matter of how the odometry is stamped (of a step, its begin or its end), and the
 odometry is moved; beyond that, detections were old when they were stamped.
 """
-MAX_FALSE = 0.5
-"""Share of the detections from which those that belong to no object are reported."""
-MIN_SCANS = 5.0
-"""While an object comes from the median range to the body it should be seen so often."""
 CLAIMED_FACTOR = 4.0
 """Variances that messages claim are right within that factor."""
 NO_DELAYS = LoggingDelays()
@@ -87,28 +83,17 @@ _MEANINGS = {
     "objects.max_classes": "labels of one object change at random, or all at once: they are ignored",
 }
 """What a correction says, for people."""
-_SUSPICIONS = {
-    "roll_rad": "a sensor that rolls by {:.3f} rad",
-    "pitch_rad": "a sensor that pitches by {:.3f} rad",
-    "yaw_rad": "a sensor that is turned by {:.3f} rad",
-    "length_share": "lengths of the odometry that are too short by a share of {:.3f}, or ranges of detections that "
-    "are too long,",
-    "turn_share": "turns of the odometry that are too small by a share of {:.3f}",
-}
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratedLog:
     """``config``: the effective configuration; ``estimated``: the values of the calibration, by their keys, that the
-    log decided; ``notes``: its corrections and faults, for people; ``suspicions``: corrections that were not made;
-    ``floors``: values that the log shows to be smaller than is believed of any robot.
+    log decided; ``notes``: its corrections and faults, for people.
     """
 
     config: Config
     estimated: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    suspicions: tuple[str, ...] = ()
-    floors: tuple[str, ...] = ()
 
 
 def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_DELAYS) -> CalibratedLog:
@@ -121,9 +106,8 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
             config, notes=("no detection is within the time of the odometry: nothing was estimated from the log",)
         )
     corrections = _corrections(survey, delays)
-    lengths, floors = _lengths(config, survey), _floors(survey)
-    noise = _noise(config, survey)
-    noise |= {key: max(noise[key], floor) for key, floor in floors.items()}
+    lengths, noise = _lengths(config, survey), _noise(config, survey)
+    noise |= {key: max(noise[key], floor) for key, floor in _floors(survey).items()}
     values = lengths | noise | _objects(survey) | corrections
     estimated = {key: value for key, value in values.items() if not config.calibration.is_given(key)}
     sigmas, evidence = _sigmas(survey, estimated), _evidence(survey)
@@ -132,8 +116,6 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
         config.model_copy(update={"calibration": calibration}),
         estimated,
         tuple(_notes(survey, {key: value for key, value in corrections.items() if key in estimated})),
-        tuple(_suspicions(survey)),
-        tuple(key for key, floor in floors.items() if estimated.get(key) == floor),
     )
 
 
@@ -164,7 +146,7 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
         raise InputDataError(f"objects are seen at {survey.range_m:.3g} m; give their positions in metres")
     # Too few tracks do not tell false detections from others.
-    false = survey.clutter.per_m3 if survey.components is not None else 0.0
+    false = survey.clutter_density if survey.components is not None else 0.0
     return {
         "detection.sensor_range_m": range_m,
         "detection.farthest_m": survey.max_range_m,
@@ -188,9 +170,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     found = _components(survey)
     drift, turn = _shares_not_of_bias(found, survey)
     objects = _objects_that_err_alike(survey, found.view)
-    repeated = 1 if survey.components is None else survey.components.repeated
-    white, by_range, ratio = _sight_noise(config, survey, found)
-    white, by_range = repeated * white, repeated * by_range
+    white, by_range, ratio = _sight_noise(survey, found)
     lengths = config.calibrated(_lengths(config, survey))
     between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
     scan_m = survey.travel_m / survey.scans
@@ -245,13 +225,10 @@ def _tilt_sigma(survey: Survey) -> float:
     return float(np.sqrt(max(certain, usual**2)))
 
 
-def _sight_noise(config: Config, survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:
+def _sight_noise(survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:
     """Variance across the line of sight, its growth with the squared range, and the standard deviation along it by that
-    across, at the median range. Where the noise is given by hand it is the same along and across.
+    across, at the median range.
     """
-    if any(config.calibration.is_given(f"detection.{name}") for name in ("base_sigma_m", "sigma_per_m")):
-        white, by_range = found.radial + found.tangential, found.radial_by_range + found.tangential_by_range
-        return 0.5 * white, 0.5 * by_range, 1.0
     square_m, least = survey.median_range_m**2, (MIN_SIGMA * survey.range_m) ** 2
     across = max(found.tangential + found.tangential_by_range * square_m, least)
     along = max(found.radial + found.radial_by_range * square_m, least)
@@ -334,7 +311,7 @@ def _evidence(survey: Survey) -> dict[str, float]:
 
 
 def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
-    """What a user should know of the log: its faults, whether corrected or not."""
+    """Notes for the user on the faults of the log, corrected or not."""
     for key, meaning in _MEANINGS.items():
         branch, _, name = key.partition(".")
         if corrections.get(key, usual := getattr(getattr(Calibration(), branch), name)) != usual:
@@ -349,26 +326,5 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
             f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
             "message; do two sources publish on its topic?"
         )
-    if survey.clutter.share > MAX_FALSE and survey.components is not None:
-        yield (
-            f"{survey.clutter.per_scan:.0f} of {survey.objects:.0f} detections a scan are never seen again and are "
-            "probably false; raise calibration.detection.min_score or check the detector"
-        )
-    scan_m = survey.travel_m / survey.scans
-    if scan_m * MIN_SCANS > survey.median_range_m:
-        yield (
-            f"only one scan in {scan_m:.1f} m of travel, where objects are {survey.median_range_m:.0f} m away: few "
-            "errors average out; record more scans a second"
-        )
-    if survey.components is not None and survey.components.repeated > 1:
-        yield f"detections repeat their errors over {survey.components.repeated} scans or more: their noise is larger"
     if survey.components is None:
         yield "too few objects could be tracked to estimate noise: a large noise is assumed"
-
-
-def _suspicions(survey: Survey) -> Iterator[str]:
-    for each in survey.suspected:
-        yield (
-            f"{_SUSPICIONS[each.term].format(each.value)} would fit the log, but no better than other explanations of "
-            "what is held out: nothing is changed"
-        )

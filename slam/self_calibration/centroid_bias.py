@@ -1,6 +1,6 @@
-"""By how much the centroid of what is seen of an object lies on the near side of it, class by class.
+"""Bias of observed centroids towards the sensor, class by class.
 
-Of an object seen from one side the near half is seen, so that its centroid is too near by some b: it stands at p and is
+Only the near half of an object is visible, so that its centroid is too near by some b: it is at p and is
 seen at p - b u, u the unit vector of the viewing ray. Between two scans with rays u1 and u2 it seems to move by
 -b (u2 - u1), which regression finds (robustly, by Cauchy's weights). All objects of a class share b, and so its error:
 it does not average out over the objects in view.
@@ -16,7 +16,7 @@ from slam.common.arrays import FloatArray
 from slam.self_calibration.object_tracks import ObjectTracks
 
 LEAST_VIEW_CHANGE = 0.1
-"""Rays that differ less say nothing of the bias."""
+"""Rays that differ less do not determine the bias."""
 LEAST_PAIRS = 200
 BLOCKS = 8
 SIGNIFICANT = 4.0

@@ -1,31 +1,20 @@
-"""How many detections are of no object that stands still, and how densely they lie."""
+"""How densely detections lie that are of no object that stands still."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
 
 
-@dataclass(frozen=True, slots=True)
-class Clutter:
-    """``share`` of the detections that belong to no track of an object, ``per_scan`` their mean number; ``per_m3``:
-    their density [1/m^3] as association sees it, which spreads detections of one height by their noise.
-    """
-
-    share: float = 0.0
-    per_scan: float = 0.0
-    per_m3: float = 0.0
-
-
-def measure_clutter(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -> Clutter:
-    """The clutter of scans (one at least) of whose detections so many are ``tracked``, with noise ``sigma_m``.
+def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -> float:
+    """Density [1/m^3], as association sees it, of the detections of scans (one at least) that are of no object: all but
+    so many that are ``tracked``, with noise ``sigma_m``.
 
     Where points lie at random with a density d, the nearest one is farther than r with the probability
-    exp(-pi d r^2), whatever the field of view; half of them are farther than the median.
+    exp(-pi d r^2), for any field of view; half of them are farther than the median.
     """
     heights = np.concatenate([scan.positions[:, 2] for scan in scans])
     nearest_m = [nearest_of_class_m(scan.positions[:, :2], np.zeros_like(scan.labels)) for scan in scans]
@@ -35,5 +24,4 @@ def measure_clutter(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -
     height_m = np.sqrt(2.0 * np.pi * np.e * (np.var(heights) + 2.0 * sigma_m**2))
     area_m2 = np.pi * median_m**2 / np.log(2.0)
     is_known = 0.0 < median_m < np.inf and height_m > 0.0
-    per_m3 = share / (area_m2 * height_m) if is_known else 0.0
-    return Clutter(share, share * len(heights) / len(scans), float(per_m3))
+    return float(share / (area_m2 * height_m)) if is_known else 0.0

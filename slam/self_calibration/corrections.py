@@ -1,11 +1,11 @@
 """Systematic errors of the input, from how tracked objects seem to move, and which of them predict what is held out.
 
-An object at the offset x from the body at P, in the axes of the odometry, seems to stand at W = P + x. Say that the
-detections are of a time later by tau than their stamps say, that the sensor is turned by the rotation vector phi and
-sits farther by e, both in the axes R of the body, that the odometry's lengths and turns are too short by the shares s
-and g, that it climbs too little by a share a of its way, which is L so far, that detections lie too near by b and too
-low by a share c of their range. Then it stands, with v and omega the
-velocity and rate of turn of the body, h the angle that it turned so far, u = x / |x| and J = [0 -1; 1 0], at
+An object at the offset x from the body at P, in the axes of the odometry, seems to stand at W = P + x. Assume that the
+detections are later by tau than their stamps, that the sensor is turned by the rotation vector phi and sits farther by
+e, both in the axes R of the body, that the odometry's lengths and turns are too short by the shares s and g, that it
+climbs too little by a share a of its way, which is L so far, that detections lie too near by b and too low by a share c
+of their range. Then it stands, with v and omega the velocity and rate of turn of the body, h the angle that it turned
+so far, u = x / |x| and J = [0 -1; 1 0], at
 
     W + tau (v + omega J x) + R phi x x + R e + s P + g (h J x + integral of h J v) + a L z + b u + c |x| z
 

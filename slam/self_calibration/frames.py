@@ -1,5 +1,5 @@
-"""In which frame detections are, if not in the one that their messages name: turned by quarter turns, as upside down or
-in optical axes, or that of the body, or that of the odometry, in which the objects of a tracker stand still already.
+"""The frame of the detections, if it is not the one that their messages name: turned by quarter turns, as upside down
+or in optical axes, or that of the body, or that of the odometry, in which the objects of a tracker stand still already.
 
 In the right frame the detections of two scans, put into the odometry frame, lie on each other; in a wrong one they are
 apart by as much as the body moved or turned in between. A frame is chosen by every other pair of scans, and it is taken
@@ -40,7 +40,7 @@ def agree(scans: Sequence[SurveyScan]) -> bool:
 
 
 def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequence[SurveyScan]]) -> str | None:
-    """The name of that among other frames in which the scans agree far better; None where there is none."""
+    """The name of another frame in which the scans agree far better, or None."""
     found = {name: scans for name, scans in others.items() if scans}
     if not found or not as_they_are:
         return None

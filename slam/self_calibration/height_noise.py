@@ -1,4 +1,4 @@
-"""How much the heights of detections vary, apart for each object and in common for all objects in view.
+"""Noise of the heights of detections, of each object and common to all objects in view.
 
 A tracked object that stands still seems to rise by dz between two scans. For two objects k, l of the same two scans
 E[dz_k dz_l] = 2 c, with c the variance of what they have in common, and E[dz_k^2] = 2 c + 2 v, with v that of the

@@ -1,4 +1,4 @@
-"""How far the labels of detections can be trusted, from objects that are followed by their positions alone.
+"""Accuracy of the labels of detections, from objects that are tracked by their positions alone.
 
 Say that a label is right with probability a, else drawn from all labels of the log. Then two sightings of one object
 agree with the probability a^2 + (1 - a^2) c, where c is the probability that two labels drawn at random agree: a^2 is
@@ -40,7 +40,7 @@ class LabelNoise:
 
     @property
     def is_useless(self) -> bool:
-        """Whether objects are better told apart without their labels."""
+        """Whether objects are better distinguished without their labels."""
         return self.renamed_ns is not None or self.accuracy**2 < SLIGHT
 
 

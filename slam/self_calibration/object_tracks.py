@@ -18,16 +18,16 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
-"""A track goes on with a detection nearer than this share of the distance to the next object of its class."""
+"""A track continues with a detection nearer than this share of the distance to the next object of its class."""
 RANGE_SHARE = 0.25
 """... and of the range, for an object that is alone of its class."""
 SMOOTHED = 4
 """Detections of a track before and after one that, together with it, say where its object is."""
 MISSED_SCANS = 2
-"""Scans in a row in which an object may be missed before its track ends, ..."""
+"""Consecutive scans in which an object may be missed before its track ends, ..."""
 LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
 """... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
-Then a neighbour would be taken for the object. The first scans tell how many.
+Then a neighbour would be taken for the object. Their number is estimated from the first scans.
 """
 RATIO_ROUNDS, LEAST_STEPS, MAX_RATIO = 2, 100, 1e3
 """Rounds in which the ratio of the noise along the ray and across it is found, the least steps of tracks that tell it,
@@ -113,7 +113,7 @@ def _noise_ratio(tracks: ObjectTracks) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Detectability:
-    """How often an object in view is detected: in every ``period``-th scan, as several sensors take turns, with a
+    """Rate of detection of an object in view: in every ``period``-th scan, as several sensors take turns, with a
     ``probability``; NaN where none was tracked.
     """
 
@@ -127,7 +127,7 @@ class Detectability:
 
 
 def objects_among(tracks: ObjectTracks) -> ObjectTracks:
-    """The tracks that are of objects rather than of false detections that lie near each other by chance."""
+    """The tracks of objects, without those of false detections that are near each other by chance."""
     return tracks.of(_existence(tracks) > 0.5)
 
 
@@ -164,7 +164,7 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
 
 
 def _missed_scans(found: Detectability) -> int:
-    """In how many scans in a row an object may be missed."""
+    """Number of consecutive scans in which an object may be missed."""
     if not np.isfinite(found.probability):
         return MISSED_SCANS
     detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)

@@ -1,4 +1,4 @@
-"""The survey of a robot's logs: what corrects their input, and what the corrected scans tell of noise and sizes."""
+"""The survey of a robot's logs: corrections of the input, and noise and lengths of the corrected scans."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
-from slam.self_calibration.clutter import Clutter, measure_clutter
+from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.corrections import Correction, estimate_corrections
 from slam.self_calibration.frames import agree, better_frame, find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
@@ -29,10 +29,6 @@ from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_o
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95
-SAME_VIEW_RAD = 0.05
-"""Change of the view [rad] within which scans may repeat the errors of one another: what errs by the view is a
-variance component of its own.
-"""
 MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 1.0 / 3.0
 """A sensor that is turned by more, and turns of the odometry that are wrong by such a share, are corrected: less may be
 the road's, more is no matter of calibration.
@@ -41,7 +37,6 @@ MIN_REST = 0.005
 """... and what is then left of turns, as long as it is more than that. So is a climb of the odometry, which explains
 little of how objects seem to move but adds up along the way.
 """
-MAX_REPEATED = 16
 FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
 ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"}
@@ -56,7 +51,7 @@ ROUNDS = 10
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What the beginning of a log tells.
+    """The survey of the beginning of a log.
 
     ``range_m``, ``median_range_m``, ``max_range_m``: the 95th percentile, the median and the maximum of the horizontal
     ranges of detections; ``spacing_m``: the median distance of a detection from the nearest other one of its class in
@@ -64,17 +59,17 @@ class Survey:
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
-    ``detectability``: how often an object in view is detected; ``clutter``: what belongs to no track of an object.
+    ``detectability``: how often an object in view is detected; ``clutter_density``: of what
+    belongs to no track of an object [1/m^3].
 
     ``corrected``: values of the calibration, by their keys, that corrected the scans; ``delay_s``: by how much
-    detections are of a later time than their stamps say, against the odometry; ``suspected``: terms that fit the log
-    and did not earn a correction; ``lacks_heading``: whether the heading of the odometry never changes, and objects do
-    not stand still by it; ``detour``: the length of the odometry's path by that of its every second message.
+    detections are of a later time than their stamps say, against the odometry; ``lacks_heading``: whether the heading
+    of the odometry never changes, and objects do not stand still by it; ``detour``: the length of the odometry's path
+    by that of its every second message.
     """
 
     scans: int
     detections: int
-    classes: int
     range_m: float
     median_range_m: float
     max_range_m: float
@@ -89,11 +84,10 @@ class Survey:
     components: ComponentEstimate | None
     heights: HeightNoise = field(default_factory=HeightNoise)
     detectability: Detectability = field(default_factory=Detectability)
-    clutter: Clutter = field(default_factory=Clutter)
+    clutter_density: float = 0.0
     labels: LabelNoise = field(default_factory=LabelNoise)
     corrected: Mapping[str, float] = field(default_factory=dict)
     delay_s: float = 0.0
-    suspected: tuple[Correction, ...] = ()
     lacks_heading: bool = False
     detour: float = 1.0
 
@@ -113,7 +107,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         known = known.with_values({"objects.max_classes": 1})
     if f"detection.{FRAMES[1]}" not in corrected and not given.detection.assume_odometry_frame:
         corrected |= _orientation(logs, known.with_values(corrected), given)
-    delay_s, found = 0.0, tuple[Correction, ...]()
+    delay_s = 0.0
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
@@ -131,7 +125,6 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         labels=labels,
         corrected=corrected | ({"odometry.sources": 2} if any(two_sources) else {}),
         delay_s=delay_s,
-        suspected=tuple(each for each in found if each.is_significant and _is_large(each)),
         lacks_heading=bool(np.ptp(motion.headings) < SAME_HEADING_RAD) and not agree(scans),
         detour=detour,
     )
@@ -202,8 +195,6 @@ def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) 
     if agree(as_they_are):
         return {}
     others = {name: scans_of(logs, known.with_values({f"detection.{name}": True}))[0] for name in FRAMES}
-    if better_frame(as_they_are, others) is None:
-        return {}
     turned, _ = scans_of(logs, known.with_values(_orientation(logs, known, given)))
     name = better_frame(turned, others)
     return {} if name is None else {f"detection.{name}": True}
@@ -226,9 +217,7 @@ def _label_noise(logs: Sequence[SurveyedLog], known: Calibration) -> LabelNoise:
 
 
 def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Survey:
-    """What scans (one at least), in the order of their stamps, tell; ``tracks``: those of their objects, where they are
-    known already.
-    """
+    """The survey of scans (at least one), in the order of their stamps; ``tracks``: of their objects, if known."""
     poses = np.stack([scan.T_odom_body for scan in scans])
     headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
@@ -242,15 +231,12 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
     tracks = tracks or objects_among(follow_objects(scans, headings))
     biases = centroid_biases(tracks)
     median_range_m = float(np.median(ranges))
-    components = estimate_components(
-        without_bias(tracks, biases), motion, most_repeated=_scans_of_a_view(median_range_m, motion)
-    )
+    components = estimate_components(without_bias(tracks, biases), motion)
     # A detection errs by its own noise and by what changes with the view.
     variance = components.white(median_range_m**2)[0] + components.variances.view if components is not None else 0.0
     return Survey(
         scans=len(scans),
         detections=len(ranges),
-        classes=len(np.unique(np.concatenate([scan.labels for scan in scans]))),
         range_m=float(np.quantile(ranges, RANGE_QUANTILE)),
         median_range_m=median_range_m,
         max_range_m=float(ranges.max()),
@@ -265,7 +251,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         components=components,
         heights=estimate_height_noise(tracks),
         detectability=detectability_of(tracks),
-        clutter=measure_clutter(scans, len(tracks.track), float(np.sqrt(variance))),
+        clutter_density=clutter_density(scans, len(tracks.track), float(np.sqrt(variance))),
     )
 
 
@@ -275,16 +261,10 @@ def _spacing(scans: list[SurveyScan]) -> float:
     return float(np.median(distances)) if len(distances) else float("nan")
 
 
-def _scans_of_a_view(range_m: float, motion: Motion) -> int:
-    """Scans in a row from which objects at that range look alike."""
-    scan_m = float(motion.travel_m[-1]) / len(motion.travel_m)
-    return int(np.clip(SAME_VIEW_RAD * range_m / max(scan_m, 1e-9), 1, MAX_REPEATED))
-
-
 def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:
     """Horizontal variance of detections as estimated, by that which their messages claim."""
     claimed = tracks.claimed[np.isfinite(tracks.claimed)]
     if estimate is None or len(claimed) == 0:
         return float("nan")
     square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
-    return estimate.repeated * estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))
+    return estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))

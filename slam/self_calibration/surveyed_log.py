@@ -23,7 +23,7 @@ from slam.self_calibration.variance_components import CLIP
 MAX_DETECTIONS = 150_000
 """A survey ends after that many detections; what it estimates has converged by then."""
 FAR_OFF = 100.0
-"""Detections beyond so many median ranges are no measurements."""
+"""Detections beyond so many median ranges are treated as outliers."""
 MAX_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
 
@@ -60,7 +60,7 @@ class SurveyedLog:
         return self._count
 
     def detour(self) -> float:
-        """The length of the odometry's path by that of its every second message; 1 where it stands still."""
+        """Ratio of the length of the odometry's path to that of every second message; 1 at standstill."""
         _, poses = self._track(Calibration())
         full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
@@ -78,8 +78,8 @@ class SurveyedLog:
         return len(self._odometry) < len(both)
 
     def scans(self, calibration: Calibration, vocabulary: dict[str, int]) -> tuple[list[SurveyScan], BodyMotion]:
-        """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones, and how the
-        body moves at them.
+        """Corrected scans with odometry, in the order of their stamps, without empty ones, and the motion of the body
+        at them.
 
         Of messages of one sensor with one stamp the first is used, as in the map. ``vocabulary``: numbers of the
         classes, to which new ones are added.
@@ -139,7 +139,7 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
 
 
 def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
-    """Headings (K,) rad of the body at scans, without jumps by whole turns."""
+    """Unwrapped headings (K,) rad of the body at scans."""
     return np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans]))) if scans else np.zeros(0)
 
 
@@ -170,7 +170,7 @@ def _path_length(poses: FloatArray) -> float:
 
 
 def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
-    """The scans without detections so far away that they are no measurements."""
+    """The scans without detections that are implausibly far away."""
     if not scans:
         return scans
     limit_m = FAR_OFF * float(np.median(np.concatenate([_ranges(scan) for scan in scans])))

@@ -1,15 +1,15 @@
-"""Which tracks are of objects, and which join false detections that lie near each other by chance.
+"""Probability that a track is of an object, and not of false detections that are near each other by chance.
 
 Where detections lie at random, the nearest one within a room around the end of a track is at a squared distance that is
 even over the room: w = -log(distance^2 / room^2) has an exponential distribution of mean 1. What continues the track of
-an object is nearer: of mean 1 / a > 1. A track by chance goes on with a probability q, that of an object with p. The
+an object is nearer: of mean 1 / a > 1. A track by chance continues with a probability q, that of an object with p. The
 likelihoods of a track with n links are
 
     chance: q^n (1 - q) exp(-sum w)          object: p^n (1 - p) a^n exp(-a sum w)
 
 and expectation maximisation finds p, q, a and the share of objects from all tracks of a log (Dempster, Laird and Rubin,
 J. Royal Statistical Society B, 1977): the existence probability of integrated tracking (Musicki, Evans and Stankovic,
-IEEE Trans. Automatic Control, 1994), with what is clutter told by the log itself. No length and no noise is known.
+IEEE Trans. Automatic Control, 1994), with clutter that is estimated from the log. No length and no noise is known.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def existence_probabilities(links: FloatArray, closeness: FloatArray) -> FloatAr
 
 
 def _goes_on(links: FloatArray, weights: FloatArray) -> float:
-    """Probability that a track goes on, of tracks with weights (T,)."""
+    """Probability that a track continues, of tracks with weights (T,)."""
     return _probability(float(weights @ links) / max(float(weights @ (links + 1)), LEAST))
 
 

@@ -27,8 +27,7 @@ that the pairs have of a component while all others are held.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import roots_genlaguerre
@@ -53,17 +52,13 @@ ROOM_SIGMAS = 4.0
 LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
-REPEATED_SHARE, SHORT_LAGS = 0.5, 2
-"""Scans repeat their errors where these seem smaller than that share of those that scans farther apart show, by so many
-of the shortest lags.
-"""
 ROUNDING = 1e-12
 EXACT = 1e-13
 """Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
 OWN, SHARED = 7, 11
-"""How many of the components are of single detections, and of the odometry."""
+"""Numbers of the components of single detections, and of the odometry."""
 TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
 
@@ -116,15 +111,11 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class ComponentEstimate:
-    """``variances`` with their ``standard_errors``; from ``pairs`` tracked pairs of detections.
-
-    ``repeated``: so many scans in a row repeat what is said to be of a single one, as where a tracker fills in scans.
-    """
+    """``variances`` with their ``standard_errors``; from ``pairs`` tracked pairs of detections."""
 
     variances: NoiseComponents
     standard_errors: NoiseComponents
     pairs: int
-    repeated: int = 1
 
     def white(self, square_range: float) -> tuple[float, float]:
         """Variance [m^2] of what a detection does not share with others, at a squared range, and its standard error."""
@@ -135,34 +126,9 @@ class ComponentEstimate:
         return variance, error
 
 
-def estimate_components(tracks: ObjectTracks, motion: Motion, *, most_repeated: int = 1) -> ComponentEstimate | None:
-    """Variance components of a log; None where too few objects could be tracked, or at absurd distances.
-
-    ``most_repeated``: scans up to so many apart may repeat their errors. Errors that are repeated hardly change from
-    scan to scan; every second, fourth, ... scan alone shows them.
-    """
-    whites = list[tuple[float, float]]()
-    for power in range(max(most_repeated, 1).bit_length()):
-        estimate = _estimate(_every(tracks, 2**power), motion, lags=SHORT_LAGS)
-        if estimate is None:
-            break
-        whites.append(estimate.white(float(np.mean(tracks.offsets**2)) * 2.0))
-    if not whites:
-        return None
-    least = REPEATED_SHARE * max(variance - error for variance, error in whites)
-    repeated = 2 ** next(power for power, (variance, error) in enumerate(whites) if variance + error >= least)
-    found = _estimate(_every(tracks, repeated), motion)
-    return None if found is None else replace(found, repeated=repeated)
-
-
-def _every(tracks: ObjectTracks, count: int) -> ObjectTracks:
-    """The detections in every so many scans."""
-    return tracks.of(tracks.scan % count == 0)
-
-
-def _estimate(tracks: ObjectTracks, motion: Motion, *, lags: int | None = None) -> ComponentEstimate | None:
-    """By all lags, or so many of the shortest."""
-    pairs = _displacements(_well_apart(tracks), motion, lags)
+def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
+    """Variance components of a log; None where too few objects could be tracked, or at absurd distances."""
+    pairs = _displacements(_well_apart(tracks), motion)
     if pairs is None:
         return None
     fit = _Fit(pairs)
@@ -178,7 +144,7 @@ def _estimate(tracks: ObjectTracks, motion: Motion, *, lags: int | None = None) 
 def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     """The tracks that had room for all the noise there is: those between near neighbours end where it is large.
 
-    Where there are few of them, the quarter of the detections with the most room stands for them.
+    Where there are few of them, the quarter of the detections with the most room is used instead.
     """
     same = tracks.track[1:] == tracks.track[:-1]
     steps = tracks.steps[1:][same]
@@ -210,9 +176,9 @@ class _Displacements:
     unit_m: float
 
 
-def _displacements(tracks: ObjectTracks, motion: Motion, most_lags: int | None) -> _Displacements | None:
+def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | None:
     """None where objects are followed too seldom, or too far away."""
-    lags = list(islice(_lagged_pairs(tracks), most_lags))
+    lags = list(_lagged_pairs(tracks))
     if not lags:
         return None
     first, second = (np.concatenate(each) for each in zip(*lags, strict=True))

@@ -1,1 +1,1 @@
-"""A made-up drive through a world of objects: odometry that drifts, detections that err, and the truth about both."""
+"""A simulated drive through a world of objects: odometry with drift, detections with errors, and the truth."""

@@ -1,4 +1,4 @@
-"""What a simulated drive is like: every number has its unit, range and meaning; unknown keys are refused."""
+"""Configuration of a simulated drive: every number has its unit, range and meaning; unknown keys are refused."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from slam.common.config_tree import load_tree
-from slam.common.errors import SimulationError
 
 
 class _Branch(BaseModel):
@@ -16,7 +15,7 @@ class _Branch(BaseModel):
 
 
 class DriveConfig(_Branch):
-    """How the body follows the tour."""
+    """Motion of the body along the tour."""
 
     speed_mps: float = Field(default=8.0, gt=0, le=50)
     """cruising speed [m/s]"""
@@ -35,7 +34,7 @@ class DriveConfig(_Branch):
 
 
 class OdometryConfig(_Branch):
-    """How the odometry drifts; see ``slam.simulation.odometry`` for the exact model."""
+    """Drift of the odometry; see ``slam.simulation.odometry`` for the exact model."""
 
     scale_drift_percent: float = Field(default=1.0, ge=0, le=50)
     """rms error of the length accumulated over 100 m of path, in percent of it"""
@@ -46,7 +45,7 @@ class OdometryConfig(_Branch):
 
 
 class SensorConfig(_Branch):
-    """What the object detector sees and how wrong it is."""
+    """Range and errors of the object detector."""
 
     max_range_m: float = Field(default=30.0, gt=0, le=1000)
     """range of the sensor [m]"""
@@ -120,19 +119,3 @@ def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = 
         ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
     """
     return load_tree(SimulationConfig, path, overrides)
-
-
-def kidnap_overrides(text: str) -> list[str]:
-    """The overrides for ``load_simulation_config`` that ``text``, "FROM_M:TO_M", stands for.
-
-    Raises:
-        SimulationError: the text is no such pair, or a number is out of range.
-    """
-    try:
-        from_m, to_m = (float(part) for part in text.split(":"))
-        KidnapConfig(from_m=from_m, to_m=to_m)
-    except ValueError as error:  # pydantic's ValidationError is one
-        raise SimulationError(
-            f"kidnap {text!r}: expected FROM_M:TO_M, FROM_M > 0 and TO_M >= 0 metres along the tour"
-        ) from error
-    return [f"kidnap.from_m={from_m!r}", f"kidnap.to_m={to_m!r}"]

@@ -1,7 +1,8 @@
-"""A detector of objects: what it sees, what it misses, what it invents, and how wrong it is about where and what."""
+"""An object detector with missed and false detections, and errors of position and class."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,17 +10,6 @@ from numpy.typing import NDArray
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.simulation.config import SensorConfig
-
-
-@dataclass(frozen=True, slots=True)
-class SensorStreams:
-    """One generator for each cause of error, so that switching one off leaves the others' numbers as they are."""
-
-    position: np.random.Generator
-    dropout: np.random.Generator
-    label: np.random.Generator
-    score: np.random.Generator
-    false_positive: np.random.Generator
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,22 +64,23 @@ def scan_objects(
     radii_m: FloatArray,
     class_count: int,
     config: SensorConfig,
-    streams: SensorStreams,
+    rngs: Mapping[str, np.random.Generator],
 ) -> Scan:
     """Detect the objects at ``positions`` (N, 3), metres, body frame, whose classes are ``class_indices`` (N,).
 
     An object is seen if it is in view, unshadowed (by those in view, of radii ``radii_m`` (N,)) and not dropped. Its
     position gets N(0, sigma^2) on each axis, sigma = ``noise_base_m`` + ``noise_per_m`` times the true range. With the
     probability ``misclassification`` times range / ``max_range_m`` its label is one of the other classes, all alike.
+    ``rngs`` has a generator for each cause of error, so that switching one off leaves the others' numbers as they are.
     The number of false positives is Poisson; they lie evenly over the area in view at z = 0 plus noise, with any class.
     """
     rows = np.flatnonzero(in_view(positions, config))
     seen = positions[rows]
     # Numbers are drawn for everything in view, so that neither shadows nor dropout shift another object's numbers.
-    normals = streams.position.standard_normal((len(rows), 3))
-    kept = streams.dropout.random(len(rows)) >= config.dropout
-    label_draw, other_draw = streams.label.random((2, len(rows)))
-    score_normals = streams.score.standard_normal(len(rows))
+    normals = rngs["position"].standard_normal((len(rows), 3))
+    kept = rngs["dropout"].random(len(rows)) >= config.dropout
+    label_draw, other_draw = rngs["label"].random((2, len(rows)))
+    score_normals = rngs["score"].standard_normal(len(rows))
     if config.occlusion:
         kept &= unshadowed(seen, radii_m[rows])
 
@@ -103,7 +94,7 @@ def scan_objects(
         classes = np.where(wrong, (classes + shift) % class_count, classes)
     scores = 0.9 - 0.25 * range_m / config.max_range_m - 0.2 * wrong + 0.05 * score_normals
 
-    false = _false_positives(class_count, config, streams.false_positive)
+    false = _false_positives(class_count, config, rngs["false_positive"])
     all_measured = np.concatenate([measured[kept], false.positions])
     order = np.argsort(np.arctan2(all_measured[:, 1], all_measured[:, 0]), kind="stable")
     return Scan(

@@ -1,4 +1,4 @@
-"""What stands along the streets of a generated town: rows along the kerbs, things scattered between, corners, parks.
+"""Objects along the streets of a generated town: rows along the kerbs, scattered ones, corners, parks.
 
 Classes are named, and about as frequent, as in cities mapped by hand: mostly trees, then signs, bollards and lamps.
 """

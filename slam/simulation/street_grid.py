@@ -41,7 +41,7 @@ class _Streets:
 
 
 def generate_street_grid(*, rng: np.random.Generator, name: str = "street-grid") -> World:
-    """A made-up town of 4 x 3 blocks and a tour of 1.5 to 2 km through it; world frame, metres, z = 0.
+    """A generated town of 4 x 3 blocks and a tour of 1.5 to 2 km through it; world frame, metres, z = 0.
 
     Blocks are 65 to 130 m wide, crossings are shifted, two streets are closed, and the whole is turned by any angle.
     Trees and lamps stand in rows along the kerbs, with spacings of their own and gaps; the rest is scattered in

@@ -1,4 +1,4 @@
-"""A drive mapped under many degradations, each with several seeds.
+"""Many drives mapped from one log: with faults, seeds and settings.
 
 ``run_sweep`` is where to begin reading.
 """
@@ -7,193 +7,155 @@ from __future__ import annotations
 
 import json
 import logging
-import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
-from logs.digest import file_sha256
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, select_topics
 from logs.topics import RecordKind
 from slam.common.config import Config
-from slam.common.config_tree import changes
 from slam.common.errors import EvaluationError
-from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.metrics.statistics import Spread
-from slam.evaluation.report.figures import HEADLINE_FIGURES
-from slam.evaluation.result import plain
-from slam.sweeps.cells import Cell, CellFolder, CellResult, compute_cell
-from slam.sweeps.degradations import is_random
+from slam.evaluation.comparison import Comparison, Run, compare_runs
+from slam.simulation.faults.registry import FAULTS, parse_faults
+from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
+from slam.sweeps.result_folder import ResultFolder
 from slam.sweeps.workers import Death, compute_all
 
 _log = logging.getLogger(__name__)
 
-_FIGURES = [figure.key for figure in HEADLINE_FIGURES]
+DEFAULT_DEGRADATIONS = (
+    "dropout=0.7",
+    "position_noise=1",
+    "label_confusion=0.5",
+    "false_positives=10",
+    "odometry_yaw_noise=0.005",
+)
+EVERY_FAULT = "every fault"
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """``results`` by variant, degradation and seed; ``computed`` of them are new, the others were there before.
+    """``results`` by task; ``computed`` of them are new, the others were there before."""
 
-    ``wall_s``: what this time it took.
-    """
-
-    results: Mapping[Cell, CellResult]
+    results: Mapping[DriveTask, MappedDrive]
     computed: int
-    wall_s: float
-
-    @property
-    def first(self) -> Cell:
-        """A cell, which tells of the drive."""
-        return next(iter(self.results))
 
     @property
     def failures(self) -> list[str]:
-        """One line for each cell that failed."""
-        return [f"{cell.name}: {result.error}" for cell, result in self.results.items() if result.error]
+        """One line for each drive that failed."""
+        return [f"{task.name}: {result.error}" for task, result in self.results.items() if result.error]
 
-    @property
-    def evaluations(self) -> dict[str, Mapping[str, Any]]:
-        """The JSON of each cell that did not fail, by the name of the cell."""
-        return {cell.name: each.evaluation for cell, each in self.results.items() if each.evaluation is not None}
-
-    def rows(self) -> dict[tuple[str, str], pd.DataFrame]:
-        """The cells of each variant and degradation: ``seed``, ``file``, ``error``, ``reported``,
-        ``real_time_factor``, and the headline figures by their keys, NaN where they are undefined.
-        """
-        table = pd.DataFrame(
-            {
-                "variant": cell.variant,
-                "degradation": cell.degradation,
-                "seed": cell.seed,
-                "file": cell.file_name,
-                "error": result.error,
-                "reported": result.reported,
-                "real_time_factor": (result.times or {}).get("real_time_factor", math.nan),
-            }
-            | {figure.key: figure.of(result.evaluation or {}) for figure in HEADLINE_FIGURES}
-            for cell, result in self.results.items()
+    def compare(self) -> Comparison:
+        """The drives with the same faults and settings are one group, its seeds repetitions."""
+        return compare_runs(
+            [
+                Run(
+                    task.name,
+                    result.evaluation,
+                    json.dumps({"faults": task.faults or "none", "variant": task.variant}),
+                )
+                for task, result in self.results.items()
+            ]
         )
-        table[_FIGURES] = table[_FIGURES].astype(float)
-        return {(str(v), str(d)): cells for (v, d), cells in table.groupby(["variant", "degradation"], sort=False)}
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Plain dicts, lists, strings and finite numbers, which but for ``times`` depend on the input alone."""
-        first, protocol = self.first, Protocol()
-        return {
-            "input": {"log": first.log.name, "sha256": first.sha256},
-            "version": first.version,
-            "configuration": json.loads(first.config.model_dump_json()),
-            "changes": changes(Config(), first.config.model_dump_json()),
-            "variants": {cell.variant: changes(Config(), cell.config.model_dump_json()) for cell in self.results},
-            "degradations": [_describe(*names, cells) for names, cells in self.rows().items()],
-            "protocol": {**plain(protocol), "rules": protocol.describe()},
-            "times": {
-                "wall_s": self.wall_s,
-                "cpu_s": sum((result.times or {}).get("cpu_s", 0.0) for result in self.results.values()),
-                "computed": self.computed,
-                "reused": len(self.results) - self.computed,
-                "cells": {cell.file_name: dict(result.times or {}) for cell, result in self.results.items()},
-            },
-        }
+        """The comparison, and of each drive how its replay ended; all but ``times`` depends on the input alone."""
+        by_name = {task.name: result for task, result in self.results.items()}
+        comparison = self.compare().to_json_dict()
+        for run in comparison["runs"]:
+            result = by_name[run["log"]]
+            run |= {"error": result.error, "reported": list(result.reported)}
+            del run["evaluation"]
+        times = {name: {"replay_s": each.replay_s, "cpu_s": each.cpu_s} for name, each in by_name.items()}
+        return {**comparison, "computed": self.computed, "times": times}
 
 
-def spread_over(cells: pd.DataFrame, column: str) -> Spread:
-    """Mean and spread of a column over the cells that did not fail."""
-    return Spread.over(plain(cells.loc[cells["error"] == "", column].tolist()))
+def plan_sweep(
+    log: Path,
+    degradations: Sequence[str],
+    variants: Mapping[str, Config],
+    *,
+    seeds: int,
+    topics: Mapping[str, str] | None = None,
+) -> list[DriveTask]:
+    """A drive for each variant, degradation and seed; where nothing is random, for one seed only.
+
+    Args:
+        log: a drive with truth.
+        degradations: faults joined by commas, applied in this order; "" for none.
+        variants: configurations by name.
+        seeds: how many, from 0 on.
+        topics: kind -> topic, where the log leaves a choice.
+
+    Raises:
+        LogError: the log cannot be read.
+        EvaluationError: it is no drive with a truth.
+        ConfigurationError: a fault that does not exist, or a value that is not allowed.
+    """
+    with LogReader(log) as reader:
+        there = reader.topics()
+    if any(info.topic.startswith(OUTPUT_PREFIX) for info in there):
+        raise EvaluationError(f"{log} is a map already; give the drive that it was made from")
+    if not select_topics(there, topics).topics_of(RecordKind.GROUND_TRUTH):
+        raise EvaluationError(f"{log} has no ground truth to compare with; record /ground_truth or name its topic")
+    return [
+        DriveTask(log, config, faults, seed, variant, tuple(sorted((topics or {}).items())))
+        for variant, config in variants.items()
+        for faults, is_random in _named(degradations).items()
+        for seed in range(seeds if is_random else 1)
+    ]
 
 
 def run_sweep(
-    source: Path,
+    tasks: Sequence[DriveTask],
     folder: Path,
-    degradations: Sequence[str],
-    config: Config,
     *,
-    seeds: int,
     jobs: int,
-    topics: Mapping[str, str] | None = None,
-    variants: Mapping[str, Config] | None = None,
     on_progress: Callable[[float], None] | None = None,
-    compute: Callable[..., CellResult] = compute_cell,
+    compute: Callable[..., MappedDrive] = map_drive,
 ) -> Sweep:
-    """Degrade, map and evaluate a drive again and again.
+    """Degrade, map and evaluate one log again and again.
 
-    A cell that ``folder`` holds already, of the same input, degradation, seed, configuration, version and protocol, is
-    not computed again; one that failed is. A degradation without random numbers has one cell, not ``seeds`` of them.
+    A result that ``folder`` holds already, of the same input, faults, seed, configuration, version and protocol, is
+    not computed again; a failure is.
 
     Args:
-        source: a log that can be mapped, with the truth.
-        folder: keeps the cells; made if it is not there.
-        degradations: what to do to the log, by their names, no two alike.
-        config: of the estimator, where there are no variants.
-        seeds: 0, 1, ... of the degradations.
+        tasks: of one log.
+        folder: keeps the results; made if it is not there.
         jobs: processes at a time.
-        topics: kind -> topic, where the log leaves a choice.
-        variants: configurations by name, to be compared over the same degraded drives.
-        on_progress: called with the fraction of the cells done, in [0, 1].
-        compute: a function of a module that computes a cell, as :func:`compute_cell` does.
+        on_progress: called with the fraction of the drives done, in [0, 1].
+        compute: a function of a module that maps a drive, as :func:`map_drive` does.
 
     Raises:
         LogError: the input cannot be read or the folder cannot be written.
-        EvaluationError: the input is no drive with a truth, or another sweep is at the folder.
+        EvaluationError: another sweep is at the folder.
     """
-    started = time.perf_counter()
-    _refuse_without_truth(source, topics)
-    sha256, of_topics = file_sha256(source), tuple(sorted((topics or {}).items()))
-    cells = [
-        Cell(source, sha256, each, version("descriptellation-slam"), degradation, seed, of_topics, variant)
-        for variant, each in (variants or {"": config}).items()
-        for degradation in degradations
-        for seed in range(seeds if is_random(degradation) else 1)
-    ]
-    with CellFolder(folder).opened() as kept:
-        results = {cell: result for cell in cells if (result := kept.finished(cell)) is not None}
-        # Seed by seed, so that a sweep that is stopped tells something of each degradation.
-        new = sorted((cell for cell in cells if cell not in results), key=lambda cell: cell.seed)
+    with ResultFolder(folder, tasks[0].log).opened() as kept:
+        results = {task: result for task in tasks if (result := kept.finished(task)) is not None}
+        # Seed by seed, so that a sweep that is stopped has some results of each degradation.
+        new = sorted((task for task in tasks if task not in results), key=lambda task: task.seed)
         with closing(compute_all(partial(compute, scratch=kept.scratch), new, jobs=jobs)) as outcomes:
-            for cell, outcome in outcomes:
-                result = _after_death(outcome) if isinstance(outcome, Death) else outcome
-                kept.keep(cell, result)
-                results[cell] = result
-                _log.info("%s: %s", cell.name, result.error or "done")
+            for task, outcome in outcomes:
+                result = MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
+                kept.keep(task, result)
+                results[task] = result
+                _log.info("%s: %s", task.name, result.error or "done")
                 if on_progress is not None:
-                    on_progress(len(results) / len(cells))
-    return Sweep({cell: results[cell] for cell in cells}, len(new), time.perf_counter() - started)
+                    on_progress(len(results) / len(tasks))
+    return Sweep({task: results[task] for task in tasks}, len(new))
 
 
-def _refuse_without_truth(source: Path, topics: Mapping[str, str] | None) -> None:
-    with LogReader(source) as reader:
-        there = reader.topics()
-    if any(info.topic.startswith(OUTPUT_PREFIX) for info in there):
-        raise EvaluationError(f"{source} is a map already; give the drive that it was made from")
-    if not select_topics(there, topics).topics_of(RecordKind.GROUND_TRUTH):
-        raise EvaluationError(f"{source} has no ground truth to compare with; record /ground_truth or name its topic")
-
-
-def _after_death(death: Death) -> CellResult:
-    why = f"the process ended with code {death.exit_code}, perhaps for lack of memory; try fewer jobs"
-    return CellResult(None, why)
-
-
-def _describe(variant: str, name: str, cells: pd.DataFrame) -> dict[str, Any]:
-    return {
-        "name": name,
-        "variant": variant,
-        "figures": {key: asdict(spread_over(cells, key)) for key in _FIGURES},
-        "cells": [
-            {**cell, "figures": plain(figures)}
-            for cell, figures in zip(
-                cells[["seed", "file", "error", "reported"]].to_dict("records"),
-                cells[_FIGURES].to_dict("records"),
-                strict=True,
-            )
-        ],
-    }
+def _named(degradations: Sequence[str]) -> dict[str, bool]:
+    """Whether each degradation is random, by its name; two that do the same have the same name."""
+    found = dict[str, bool]()
+    for text in degradations:
+        if text == EVERY_FAULT:
+            found |= {fault.name: fault.is_random for fault in FAULTS.values() if "LABEL" not in fault.values}
+        else:
+            faults = parse_faults([text] if text else [])
+            found[",".join(fault.name for fault in faults)] = any(fault.is_random for fault in faults)
+    return found

@@ -25,6 +25,9 @@ class Death:
 
     exit_code: int | None
 
+    def __str__(self) -> str:
+        return f"the process ended without a result (exit code {self.exit_code}); check the memory, try fewer jobs"
+
 
 def compute_all(
     compute: Callable[[_Task], _Outcome], tasks: Sequence[_Task], *, jobs: int, fresh: bool = False

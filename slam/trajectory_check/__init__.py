@@ -1,1 +1,1 @@
-"""Whether the final trajectory is the best of a drive, told without the truth."""
+"""A check without ground truth whether the final trajectory is the best of a drive."""

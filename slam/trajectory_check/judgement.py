@@ -1,4 +1,4 @@
-"""Which of the trajectories of a drive is the best, judged by how they predict detections from those of other visits.
+"""Comparison of the trajectories of a drive by their prediction of detections from those of other visits.
 
 The final trajectory was fitted to all detections, so the judgement favours it: where another one predicts better, the
 data association or the closures of the final one have failed.
@@ -22,19 +22,19 @@ MAX_QUERIES = 256
 CONFIDENCE = 0.999
 """Probability that a difference of two trajectories is not by chance."""
 MIN_ADVANTAGE = 0.1
-"""Least difference that is told, in nats per detection: a density that is a tenth higher."""
+"""Least difference that is reported, in nats per detection: a density that is a tenth higher."""
 MIN_BLOCKS = 4
-"""Parts of the way, each as long as the sensor range, whose scatter tells what chance makes."""
+"""Parts of the way, each as long as the sensor range, whose scatter gives the significance of a difference."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryCheck:
-    """What detections on several visits to the same places tell of the trajectories of a drive.
+    """Comparison of the trajectories of a drive by detections on several visits to the same places.
 
     ``gains``: by trajectory, mean logarithm of the density that it predicts for a detection beside the density in the
-    field of view, in nats; above 0 it predicts better than chance. Empty where it cannot be told: none predicts better,
-    as where the drive comes nowhere twice. ``better``: the trajectory that predicts significantly better than the final
-    one, the best if several do; None where none does. ``detections``: how many were predicted.
+    field of view, in nats; above 0 it predicts better than chance. Empty if none predicts better than chance, as where
+    the drive comes nowhere twice. ``better``: the trajectory that predicts significantly better than the final one, the
+    best if several do; None where none does. ``detections``: how many were predicted.
     """
 
     gains: Mapping[str, float] = field(default_factory=dict)
@@ -80,7 +80,7 @@ def check_trajectories(
 def _is_better(differences: FloatArray, counts: IntArray, blocks: IntArray) -> bool:
     """Whether the mean of the differences (Q,) by the counts (Q,) of detections is more than chance makes.
 
-    Scans of one block (Q,) err together, so the scatter of the blocks tells what chance makes: a one-sided t-test.
+    Scans of one block (Q,) err together, so the test is a one-sided t-test over the blocks.
     """
     of_block = np.bincount(blocks, counts)
     informative = of_block > 0

@@ -1,7 +1,7 @@
-"""How well a trajectory predicts the detections of a scan from those made on other visits to the same place.
+"""Prediction of the detections of a scan, by a trajectory, from those made on other visits to the same place.
 
 A trajectory that drifts places what was seen on two visits apart. No association and no landmark takes part: each
-trajectory makes its own map of the detections as they are, and all are asked the same.
+trajectory makes its own map of the detections, and all predict the same scans.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ VISIT_RANGES = 2.0
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
 MAX_SOURCES, MAX_DETECTIONS = 1000, 64
-"""Detections around a scan that predict it, and detections of it that are predicted: more would tell the same again."""
+"""Detections around a scan that predict it, and detections of it that are predicted: more would be redundant."""
 RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What a trajectory says of Q scans.
+    """The prediction of Q scans by a trajectory.
 
     ``gains`` (Q,): logarithm of the density of their detections beside that in the field of view of any scan, summed;
     ``has_sources`` (Q,): whether it places detections of another visit there.
@@ -37,7 +37,7 @@ class Prediction:
 
 
 class VisitPredictor:
-    """Asks trajectories to predict scans; ``sigma_m``: by how much an object's position differs between two visits."""
+    """Predicts scans by trajectories; ``sigma_m``: deviation of an object's position between two visits."""
 
     def __init__(self, scans: tuple[SampledScan, ...], *, sensor_range_m: float, sigma_m: float) -> None:
         self._range_m = sensor_range_m
@@ -92,7 +92,7 @@ class VisitPredictor:
 
 
 class _FieldOfView:
-    """Where the body's sensors detect objects, in the plane in which these are spread most."""
+    """Density of the detections around the body, in the plane in which they are spread most."""
 
     def __init__(self, positions: FloatArray, range_m: float) -> None:
         """``positions`` (N, 3) m, body frame, within the range."""

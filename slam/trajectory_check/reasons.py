@@ -1,4 +1,4 @@
-"""Why the final trajectory of a drive may be worse than another one, from what was measured."""
+"""Likely reasons why the final trajectory of a drive is worse than another one."""
 
 from __future__ import annotations
 

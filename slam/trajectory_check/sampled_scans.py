@@ -38,7 +38,7 @@ class ScanSample:
 
     @property
     def scans(self) -> tuple[SampledScan, ...]:
-        """Those that were kept, in their order."""
+        """The kept scans, in their order."""
         return tuple(self._scans)
 
     def add(self, scan: SampledScan) -> None:

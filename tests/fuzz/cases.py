@@ -31,7 +31,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         info ?ANY
         info ?ANY --json
         info ?ANY --closures
-        info ?ANY --json --all"""),
+        info ?ANY --json --closures"""),
     "replay": (6, """
         replay ?drive|ros|json -o out.mcap
         replay ?drive|ros|json -o out.mcap --json
@@ -48,7 +48,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         export ?mapped --tum a.txt --kitti b.txt --g2o c.g2o"""),
     "degrade": (1, """
         degrade ?drive -o out.mcap --fault dropout=0.3
-        degrade ?drive -o out.mcap --fault reversed
+        degrade ?drive -o out.mcap --fault lengths_scaled
         degrade ?drive -o out.mcap --fault false_positives=3
         degrade ?drive -o out.mcap --fault label_confusion=0.2"""),
     "import": (1.5, """
@@ -72,8 +72,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """
         compare =mapped@other.mcap ?mapped --json
-        compare =mapped@other.mcap ?mapped --table out.html
-        compare =mapped@other.mcap ?mapped --table out.tex
+        compare =mapped@other.mcap ?mapped --rules
         sweep ?drive -o sweep --degrade dropout=0.3 --seeds 1 --jobs 1
         evaluate =mapped --reference ?trajectory.tum|trajectory.kitti --json"""),
     # A training itself would take too long: the second map is refused.

@@ -1,8 +1,7 @@
-"""Mutated clouds: PLY files of altered fields, and sequences of scans with labels as KITTI has them."""
+"""Mutated clouds: PLY files of altered fields."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,6 @@ _PLACES = ((3.0, 4.0), (-5.0, 2.0), (6.0, -3.0), (-4.0, -6.0), (9.0, 1.0), (0.0,
 _PLY_TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
               "f8": "double"}  # fmt: skip
 _KINDS = (*_PLY_TYPES, "i8", "u8")
-_SCANS = 3
-_IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 
 
 def make_columns() -> Columns:
@@ -30,45 +27,15 @@ def make_columns() -> Columns:
 
 
 def mutate_ply(rng: np.random.Generator) -> bytes:
-    """A PLY file, in any of its three storages, with a few changes."""
+    """A PLY file, in either order of bytes, with a few changes."""
     columns = _mutate_columns(make_columns(), rng)
-    storage = str(rng.choice(["ascii", "binary_little_endian", "binary_big_endian"]))
+    storage = str(rng.choice(["binary_little_endian", "binary_big_endian"]))
     order = ">" if storage == "binary_big_endian" else "<"
     columns = {name: values if values.dtype.str[1:] in _PLY_TYPES else values.astype("f8")
                for name, values in columns.items()}  # fmt: skip
     lines = ["ply", f"format {storage} 1.0", "comment fuzz", f"element vertex {_count(columns)}"]
     lines += [f"property {_PLY_TYPES[values.dtype.str[1:]]} {name}" for name, values in columns.items()]
-    return _damaged([*lines, "end_header"], _rows(columns, storage == "ascii", order), rng)
-
-
-def write_sequence(folder: Path, rng: np.random.Generator) -> None:
-    """A sequence as SemanticKITTI has it, with one of its files altered."""
-    columns = make_columns()
-    points = np.column_stack([columns["x"], columns["y"], columns["z"], np.zeros(_count(columns))]).astype("<f4")
-    tags = (columns["class"] + (columns["label"] << 16)).astype("<u4")
-    files: dict[str, bytes] = {
-        "poses.txt": "\n".join([_IDENTITY] * _SCANS).encode(),
-        "times.txt": "\n".join(f"{0.1 * i:.6f}" for i in range(_SCANS)).encode(),
-        "calib.txt": f"P0: {_IDENTITY}\nTr: {_IDENTITY}\n".encode(),
-        **{f"velodyne/{i:06d}.bin": points.tobytes() for i in range(_SCANS)},
-        **{f"labels/{i:06d}.label": tags.tobytes() for i in range(_SCANS)},
-    }
-    name = str(rng.choice(list(files)))
-    match int(rng.integers(4)):
-        case 0:
-            del files[name]
-        case 1:
-            files[name] = mutate_text(files[name], rng) if name.endswith("txt") else mutate_bytes(files[name], rng)
-        case 2:
-            places = rng.integers(len(points), size=int(rng.choice([1, 20, len(points)])))
-            points[places, int(rng.integers(4))] = _odd(np.dtype("f4"), rng)
-            files["velodyne/000000.bin"] = points.tobytes()
-        case _:
-            tags[rng.integers(len(tags), size=20)] = int(rng.choice(np.array(INTEGERS, dtype=object))) % 2**32
-            files["labels/000001.label"] = tags.tobytes()
-    for each, content in files.items():
-        (folder / each).parent.mkdir(exist_ok=True)
-        (folder / each).write_bytes(content)
+    return _damaged([*lines, "end_header"], _rows(columns, order), rng)
 
 
 def _mutate_columns(columns: Columns, rng: np.random.Generator) -> Columns:
@@ -115,9 +82,7 @@ def _count(columns: Columns) -> int:
     return len(next(iter(columns.values()))) if columns else 0
 
 
-def _rows(columns: Columns, is_text: bool, order: str) -> bytes:
-    if is_text:
-        return "\n".join(" ".join(map(str, row)) for row in zip(*columns.values(), strict=True)).encode() + b"\n"
+def _rows(columns: Columns, order: str) -> bytes:
     kinds = [(str(i), values.dtype.newbyteorder(order)) for i, values in enumerate(columns.values())]
     rows = np.zeros(_count(columns), dtype=kinds)
     for i, values in enumerate(columns.values()):

@@ -1,11 +1,9 @@
-"""Command lines on data of others: clouds, archives of centroids, bags, and trainings that go on."""
+"""Command lines on data of others: clouds, folders of centroids, bags, and trainings that go on."""
 
 from __future__ import annotations
 
 import contextlib
-import io
 import sqlite3
-import tarfile
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import numpy as np
 import zstandard
 
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
-from tests.fuzz.cloud_mutations import mutate_ply, write_sequence
+from tests.fuzz.cloud_mutations import mutate_ply
 from tests.fuzz.training_mutations import mutate_checkpoint
 
 NETWORKS = {"likelihood": "descriptellation_lr", "network": "descriptellation"}
@@ -44,31 +42,22 @@ def training_arguments(folder: str) -> list[str]:
 
 
 def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
-    """A labelled cloud, or a sequence of scans, that is altered."""
+    """A labelled cloud that is altered."""
     named = [[], ["--name", "80=pole"], ["--name", "80=pole", "--name", "81=trunk"]][int(rng.integers(3))]
-    if rng.random() < 0.6:
-        (folder / "cloud.ply").write_bytes(mutate_ply(rng))
-        command = str(rng.choice(["ply", "paris-lille"]))
-        return ["import", command, "out.mcap", "--file", "cloud.ply", *(named if command == "ply" else [])]
-    write_sequence(folder, rng)
-    return ["import", "semantic-kitti", "out.mcap", "--sequence", ".", "--odometry", "poses.txt"]
+    (folder / "cloud.ply").write_bytes(mutate_ply(rng))
+    return ["import", "map", "out.mcap", "--file", "cloud.ply", *named]
 
 
 def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
-    """A sequence of KITTI with centroids in a folder or an archive, of which one file is altered."""
+    """A sequence of KITTI with centroids, of which one file is altered."""
     files = dict(_OBJECTS)
     name = str(rng.choice(list(files)))
     files[name] = mutate_text(files[name], rng)
-    given = "objects"
-    if rng.random() < 0.5:
-        given = str(rng.choice(["objects.tar", "objects.tar.gz", "objects.tar.xz"]))
-        content = _packed({each: files[each] for each in files if each.startswith("objects/")}, given.split(".")[-1])
-        (folder / given).write_bytes(mutate_bytes(content, rng) if rng.random() < 0.5 else content)
     for each, content in files.items():
         (folder / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / each).write_bytes(content)
     given_files = ["--odometry", "poses.txt", "--calib", "calib.txt", "--times", "times.txt"]
-    return ["import", "kitti-objects", "out.mcap", "--detections", given, *given_files]
+    return ["import", "kitti-objects", "out.mcap", "--detections", "objects/07", *given_files]
 
 
 def checkpoint_arguments(trainings: dict[str, bytes], folder: Path, rng: np.random.Generator) -> list[str]:
@@ -122,13 +111,3 @@ def _mutate_database(path: Path, rng: np.random.Generator) -> None:
                     case _ if columns:
                         column = str(rng.choice(columns))
                         connection.execute(f"UPDATE {table} SET {column} = ? {where}", (odd,))
-
-
-def _packed(files: dict[str, bytes], kind: str) -> bytes:
-    out = io.BytesIO()
-    with tarfile.open(fileobj=out, mode="w:" + kind.removeprefix("tar")) as archive:  # type: ignore[call-overload]
-        for name, content in files.items():
-            member = tarfile.TarInfo(name)
-            member.size = len(content)
-            archive.addfile(member, io.BytesIO(content))
-    return out.getvalue()

@@ -29,7 +29,6 @@ degrade ODD -o out.mcap --fault dropout=0.1
 import csv out.mcap --odometry ODD --detections detections.csv
 import csv out.mcap --odometry trajectory.tum --detections ODD
 import map out.mcap --file ODD
-import ply out.mcap --file ODD
 import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --calib ODD --times ODD
 simulate out.mcap --config ODD
 simulate out.mcap --objects ODD --trajectory ODD
@@ -41,7 +40,7 @@ _WRITING = """
 replay drive.mcap -o ODD
 replay drive.mcap -o out.mcap --save-map ODD
 replay drive.mcap -o out.mcap --picture ODD
-evaluate mapped.mcap --json-file ODD
+evaluate mapped.mcap --html ODD
 evaluate mapped.mcap --html ODD
 export mapped.mcap --tum ODD
 export mapped.mcap --csv ODD

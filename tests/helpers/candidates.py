@@ -24,7 +24,6 @@ def make_candidate(
     pairs: Sequence[tuple[int, int]] = (),
     odometry_penalty: float = 0.0,
     unpredicted_penalty: float = 0.0,
-    alignment_penalty: float = 0.0,
 ) -> Candidate:
     """``llrs``: LLR of each landmark of the query; ``sigma`` is that of angles [rad] and of positions [m]."""
     llr_of = llrs or {0: 25.0}
@@ -43,6 +42,5 @@ def make_candidate(
         matched_fraction=1.0,
         odometry_penalty=odometry_penalty,
         unpredicted_penalty=unpredicted_penalty,
-        alignment_penalty=alignment_penalty,
         retrieval_distance=0.5,
     )

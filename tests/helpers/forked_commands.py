@@ -11,16 +11,16 @@ SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where files are made: outputs are flushed to the disk before they get their names, which takes longer than the rest
 of most commands."""
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.page", "logs.summary",
-             "slam.display.map_picture", "slam.backend.pose_graph.robust_optimization", "rich.table",
+             "slam.display.map_picture", "slam.backend.pose_graph.pose_graph_optimization", "rich.table",
              "matplotlib.pyplot", "slam.object_map.map_io", "tools.console",
-             "plotly.graph_objects", "descriptors.learned.descriptor",
+             "descriptors.learned.descriptor",
              "descriptors.training.contrast", "slam.simulation.faults.registry",
              "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",
              "osmium",
              "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.evaluation.comparison",
-             "slam.sweeps.sweep", "slam.evaluation.report.tables",
+             "slam.sweeps.sweep",
              "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
-             "logs.clouds.semantic_kitti", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
+             "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 
 
 def import_commands() -> None:

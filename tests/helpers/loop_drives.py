@@ -58,7 +58,7 @@ class Outcome:
     @property
     def ate_m(self) -> float:
         assert self.evaluation.estimate is not None
-        return self.evaluation.estimate.absolute.rmse_m
+        return self.evaluation.estimate.ate_m
 
 
 def replay_drive(

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from logs import messages as m
 from logs.storage.ros2_definitions import typestore
 from logs.topics import Channel, RawMessage, Schema
-from logs.validation import covariance_to_parent, quaternion_xyzw
+from logs.validation import quaternion_xyzw
 from slam.formats.ros2_bag import make_message
 from tests.helpers.short_drives import Entry
 
@@ -77,12 +77,10 @@ def ros2_messages(entries: Iterable[Entry]) -> list[Message]:
 
 def _converted(topic: str, record: m.Record) -> tuple[str, str, dict[str, Any]] | None:
     if isinstance(record, m.Odometry):
-        given = record.covariance
-        covariance = np.zeros((6, 6)) if given is None else covariance_to_parent(given, record.T_odom_body)
         fields = {
             "header": header(record.stamp_ns, record.frame_id),
             "child_frame_id": record.child_frame_id,
-            "pose": {"pose": pose(record.T_odom_body), "covariance": covariance},
+            "pose": {"pose": pose(record.T_odom_body)},
         }
         return "/odom", "nav_msgs/msg/Odometry", fields
     if isinstance(record, m.ObjectDetections):

@@ -20,6 +20,14 @@ def random_covariance(rng, size):
     return A @ A.T + 0.1 * np.eye(size)
 
 
+def transforms(rng, count):
+    return np.stack([random_transform(rng) for _ in range(count)])
+
+
+def covariances(rng, count, size):
+    return np.stack([random_covariance(rng, size) for _ in range(count)])
+
+
 def random_detections(rng, count, *, full=True, stamp_ns=1):
     return m.ObjectDetections(
         stamp_ns=stamp_ns,
@@ -27,7 +35,7 @@ def random_detections(rng, count, *, full=True, stamp_ns=1):
         positions=rng.normal(size=(count, 3)),
         labels=tuple(f"class {i % 3}" for i in range(count)),
         scores=rng.uniform(size=count),
-        covariances=np.stack([random_covariance(rng, 3) for _ in range(count)]) if full else None,
+        covariances=covariances(rng, count, 3) if full else None,
         sizes=rng.uniform(size=(count, 3)) if full else None,
         track_ids=tuple(f"track/{i}" for i in range(count)) if full else None,
     )
@@ -37,7 +45,7 @@ def every_kind(rng):
     """(topic, kind, record) of every kind of record that can be read back."""
     k, e, o, n = 4, 5, 6, 7
     return [
-        ("/odom", "odometry", m.Odometry(10, random_transform(rng), "odom", "base", random_covariance(rng, 6))),
+        ("/odom", "odometry", m.Odometry(10, random_transform(rng), "odom", "base")),
         ("/odom", "odometry", m.Odometry(11, random_transform(rng))),
         ("/detections", "detections", random_detections(rng, n, stamp_ns=12)),
         ("/detections", "detections", random_detections(rng, n, full=False, stamp_ns=13)),
@@ -55,7 +63,7 @@ def every_kind(rng):
                 vocabulary=("tree", "pole"),
                 ids=tuple(f"L{i}" for i in range(n)),
                 positions=rng.normal(size=(n, 3)),
-                covariances=np.stack([random_covariance(rng, 3) for _ in range(n)]),
+                covariances=covariances(rng, n, 3),
                 class_probabilities=rng.dirichlet([1.0, 1.0], size=n),
                 states=("confirmed",) * (n - 1) + ("retired",),
                 reasons=("",) * (n - 1) + ("merged into L0",),
@@ -68,9 +76,7 @@ def every_kind(rng):
         (
             "/slam/full_trajectory",
             "trajectory",
-            m.TrajectoryRecord(
-                20, "map", rng.integers(0, 2**62, size=n), np.stack([random_transform(rng) for _ in range(n)])
-            ),
+            m.TrajectoryRecord(20, "map", rng.integers(0, 2**62, size=n), transforms(rng, n)),
         ),
         (
             "/slam/graph",
@@ -79,16 +85,16 @@ def every_kind(rng):
                 stamp_ns=21,
                 keyframe_ids=np.arange(k),
                 keyframe_stamps_ns=rng.integers(0, 2**62, size=k),
-                T_map_body=np.stack([random_transform(rng) for _ in range(k)]),
+                T_map_body=transforms(rng, k),
                 edge_keyframe_ids=rng.integers(0, k, size=(e, 2)),
-                edge_transforms=np.stack([random_transform(rng) for _ in range(e)]),
-                edge_covariances=np.stack([random_covariance(rng, 6) for _ in range(e)]),
+                edge_transforms=transforms(rng, e),
+                edge_covariances=covariances(rng, e, 6),
                 edge_kinds=("odometry",) * (e - 1) + ("closure",),
                 observation_keyframe_ids=rng.integers(0, k, size=o),
                 observation_landmark_ids=tuple(f"L{i}" for i in range(o)),
                 observation_positions=rng.normal(size=(o, 3)),
-                observation_covariances=np.stack([random_covariance(rng, 3) for _ in range(o)]),
-                pose_covariances=np.stack([random_covariance(rng, 6) for _ in range(k)]),
+                observation_covariances=covariances(rng, o, 3),
+                pose_covariances=covariances(rng, k, 6),
             ),
         ),
         (

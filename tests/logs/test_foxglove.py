@@ -49,8 +49,9 @@ def test_primitives_are_detections_and_their_class_is_looked_for_in_order():
 def test_other_frames_and_times_become_records_of_their_own():
     update = SceneUpdate()
     for frame, seconds in [("left", 1), ("right", 1), ("left", 2), ("left", 1)]:
-        place(entity(update, frame=frame, seconds=seconds, label="tree").cubes.add(), 1.0)
+        place(entity(update, frame=frame, seconds=seconds, label="tree").cubes.add(), 1.0, 2.0)
     records = decode(raw(update), "detections")
+    np.testing.assert_array_equal(records[0].sizes, np.full((2, 3), 2.0))
     assert [(r.frame_id, r.stamp_ns // 10**9, len(r.labels)) for r in records] == [
         ("left", 1, 2),
         ("right", 1, 1),
@@ -71,11 +72,3 @@ def test_frame_transforms(many):
     assert records[0].T_parent_child[1, 3] == 4.0
     (odometry,) = decode(raw(message), "odometry")
     assert (odometry.frame_id, odometry.child_frame_id) == ("/odom", "base")
-
-
-def test_sizes_are_given_where_every_object_has_one():
-    update = SceneUpdate()
-    place(entity(update, id="a1").cubes.add(), 1.0, 2.0)
-    place(entity(update, id="a2").cubes.add(), 1.0, 3.0)
-    (record,) = decode(raw(update), "detections")
-    np.testing.assert_array_equal(record.sizes, [[2, 2, 2], [3, 3, 3]])

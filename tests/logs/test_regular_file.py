@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-import tarfile
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -16,7 +14,6 @@ from logs.clouds.ply_file import read_points
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError, UnreadableLogError
 from logs.importers.maps.object_table import read_object_table
-from logs.importers.object_scans import read_object_scans
 from logs.importers.text_files import read_source_text
 from logs.reader import LogReader
 from logs.storage import regular_file
@@ -28,7 +25,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
     "digest": file_sha256,
     "table": read_source_text,
-    "archive": read_object_scans,
     "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
@@ -83,14 +79,3 @@ def test_a_log_that_unpacks_to_far_more_than_any_is_not_unpacked(tmp_path: Path)
     assert max_unpacked_bytes(path.stat().st_size) < 1_000_000
     with pytest.raises(UnreadableLogError, match=r"unpacks to more than 0 MB, more than a log; unpack it"):
         LogReader(path)
-
-
-@pytest.mark.usefixtures("small_limits")
-def test_nor_is_an_archive(tmp_path: Path) -> None:
-    path = tmp_path / "00.tar.xz"
-    member = tarfile.TarInfo("00/bow.txt")
-    member.size = 10_000_000
-    with tarfile.open(path, "w:xz") as archive:
-        archive.addfile(member, BytesIO(b"\n" * member.size))
-    with pytest.raises(DatasetError, match="unpacks to more than 0 MB; unpack it and give the folder"):
-        read_object_scans(path)

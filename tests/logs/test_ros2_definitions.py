@@ -8,8 +8,7 @@ import pytest
 
 from logs.decoders import cdr
 from logs.decoders.record_decoder import MAX_DEFINITIONS, RecordDecoder
-from logs.selection import Selection
-from logs.topics import Channel, RawMessage, Schema
+from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.validation import Refusal
 
 EMPTY = b"\0\1\0\0" + b"\0" * 8
@@ -65,9 +64,9 @@ def test_a_refused_definition_is_not_read_for_each_message(monkeypatch):
 
 
 def test_a_log_with_many_definitions_is_read_in_part():
-    decoder = RecordDecoder(Selection.of({"/odom": "odometry"}))
+    decoder = RecordDecoder()
     for i in range(MAX_DEFINITIONS + 5):
         text = f"float64 x{i}".encode()
         channel = Channel(i, "/odom", "cdr", Schema(i, "nav_msgs/msg/Odometry", "ros2msg", text))
-        decoder.records(RawMessage(channel, 1, 1, 0, EMPTY))
+        decoder.records(RawMessage(channel, 1, 1, 0, EMPTY), [RecordKind.ODOMETRY])
     assert decoder.counters == Counter(invalid_messages=MAX_DEFINITIONS, undecodable=5)

@@ -26,18 +26,11 @@ def test_every_kind_of_record_comes_back(tmp_path):
     examples = every_kind(np.random.default_rng(1))
     write(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
     selection = Selection.of({topic: kind for topic, kind, _ in examples})
-    entries = read(tmp_path / "log.mcap", selection)
-    assert len(entries) == len(examples)
-    for entry, (topic, _, record) in zip(entries, examples, strict=True):
+    for entry, (topic, _, record) in zip(read(tmp_path / "log.mcap", selection), examples, strict=True):
         assert (entry.topic, entry.log_time_ns) == (topic, record.stamp_ns)
         assert_same_record(entry.record, record)
-
-
-def test_the_parts_of_topics_follow_from_their_names(tmp_path):
-    examples = every_kind(np.random.default_rng(3))
-    write(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
     with LogReader(tmp_path / "log.mcap") as reader:
-        assert select_all(reader.topics()) == Selection.of({topic: kind for topic, kind, _ in examples})
+        assert select_all(reader.topics()) == selection
 
 
 def test_empty_records_come_back(tmp_path):
@@ -99,9 +92,7 @@ def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):
 
 
 def test_one_pass_decodes_and_copies(tmp_path):
-    rng = np.random.default_rng(8)
-    examples = every_kind(rng)
-    write(tmp_path / "in.mcap", [(topic, record) for topic, _, record in examples])
+    write(tmp_path / "in.mcap", [(topic, record) for topic, _, record in every_kind(np.random.default_rng(8))])
     copied = {"/ground_truth", "/odom"}
     with LogReader(tmp_path / "in.mcap") as reader, LogWriter(tmp_path / "out.mcap") as writer:
         seen = []
@@ -112,12 +103,7 @@ def test_one_pass_decodes_and_copies(tmp_path):
     assert seen == [("/odom", 1)] * 2 + [("/detections", 1)] * 2 + [("/ground_truth", 0)]
     with LogReader(tmp_path / "in.mcap") as before, LogReader(tmp_path / "out.mcap") as after:
         for a, b in zip(before.messages(copied), after.messages(), strict=True):
-            assert (a.topic, a.log_time_ns, a.publish_time_ns, a.data) == (
-                b.topic,
-                b.log_time_ns,
-                b.publish_time_ns,
-                b.data,
-            )
+            assert (a.topic, a.log_time_ns, a.data) == (b.topic, b.log_time_ns, b.data)
             assert a.channel.schema.data == b.channel.schema.data
 
 

@@ -26,7 +26,7 @@ def mapped(source: Path, output: Path) -> tuple[float, dict[str, int]]:
     counters = replay(source, output, Config()).counters
     estimate = evaluate(read_records(output)).estimate
     assert estimate is not None
-    return estimate.absolute.rmse_m, counters
+    return estimate.ate_m, counters
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_jump_is_corrected_and_counted(log, clean_ate_m, tmp_path, fault, counte
 
 @pytest.mark.slow
 @pytest.mark.xfail(strict=True, reason="few objects in view: ATE 0.31 and 0.36 m, 0.102 wanted")
-@pytest.mark.parametrize("fault", ["odometry_freezes=5", "odometry_frozen=0.5"])
+@pytest.mark.parametrize("fault", ["odometry_freezes=5", "odometry_freezes=1000"])
 def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, tmp_path, fault):
     faulty = tmp_path / "faulty.mcap"
     write_faulty(log, faulty, parse_faults([fault]), seed=0)
@@ -75,7 +75,6 @@ def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, 
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="0.278 m, 0.176 m wanted")
 def test_pause_of_nine_seconds_is_no_break(log, clean_ate_m, tmp_path):
     faulty = tmp_path / "faulty.mcap"
     write_faulty(log, faulty, parse_faults(["odometry_pause=9"]), seed=0)

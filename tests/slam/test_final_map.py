@@ -9,7 +9,7 @@ import pytest
 from slam.backend.batch_solver import Optimization
 from slam.final_map import judge_outcome
 
-CONVERGED = Optimization(True, 4, 10.0, 1.0)
+CONVERGED = Optimization(True, 4, 1.0)
 
 
 def test_drive_without_trouble_is_well():
@@ -20,7 +20,7 @@ def test_drive_without_trouble_is_well():
 @pytest.mark.parametrize(
     ("optimization", "warning", "counters", "message"),
     [
-        (Optimization(False, 50, 10.0, 9.0), "", {"odometry_used": 1}, "did not converge in 50 iterations"),
+        (Optimization(False, 50, 9.0), "", {"odometry_used": 1}, "did not converge in 50 iterations"),
         (CONVERGED, "two parts", {"odometry_used": 1}, "closures: two parts"),
         (CONVERGED, "", {"odometry_used": 1, "odometry_out_of_order": 2}, "their stamps do not increase"),
         (CONVERGED, "", {"odometry_used": 1, "covariances_missing": 3}, "optimised"),

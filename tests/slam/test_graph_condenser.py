@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers, StatusRecord
+from logs.messages import FactorGraphRecord, ObjectMapRecord, StatusRecord
 from slam import graph_condenser
 from slam.object_map.map_io import load_map, save_map
 from tests.helpers.loop_drives import CORNERS, Outcome, furnished, replay_drive
@@ -70,8 +70,7 @@ def test_the_map_is_as_good(whole, condensed):
 def test_a_saved_map_is_without_the_condensed_keyframes(condensed, tmp_path):
     objects, graph = records_of(condensed.path, "/slam/map")[-1], condensed.graph
     assert isinstance(objects, ObjectMapRecord)
-    markers = SceneMarkers(0, "map", np.zeros((0, 3)), (), ())
-    assert save_map(tmp_path / "map.mcap", objects, graph, markers, {}) == 0
+    assert save_map(tmp_path / "map.mcap", objects, graph, {}) == 0
     saved = load_map(tmp_path / "map.mcap")
     assert len(saved.graph.keyframe_ids) == len(graph.keyframe_ids) - count_condensed(condensed)
     assert set(saved.graph.observation_keyframe_ids.tolist()) == set(graph.observation_keyframe_ids.tolist())

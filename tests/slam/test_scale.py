@@ -42,7 +42,6 @@ def scaled(record: Record, scale: float) -> Record:
     """An input of the estimator with all its lengths scaled."""
     match record:
         case Odometry():
-            assert record.covariance is None
             return replace(record, T_odom_body=scaled_pose(record.T_odom_body, scale))
         case Transform():
             return replace(record, T_parent_child=scaled_pose(record.T_parent_child, scale))
@@ -116,7 +115,7 @@ def maps(entries, unscaled, tmp_path_factory) -> dict[float, SavedMap]:
     loaded = {}
     for scale, final in finals.items():
         path = tmp_path_factory.mktemp("maps") / "map.mcap"
-        save_map(path, final.object_map, final.graph, final.markers, {"version": "0", "input_sha256": "0"})
+        save_map(path, final.object_map, final.graph, {"version": "0", "input_sha256": "0"})
         loaded[scale] = load_map(path)
     return loaded
 

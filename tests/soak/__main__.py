@@ -36,7 +36,7 @@ def main() -> int:
         config = SimulationConfig(drive=DriveConfig(speed_mps=speed_mps))
         summary = write_simulation(log, world, config, seed=options.seed)
         print(
-            f"{summary.driven_m / 1000.0:.1f} km in {summary.duration_s / 3600.0:.2f} h, {options.laps} laps, "
+            f"{world.tour_length_m / 1000.0:.1f} km in {summary.duration_s / 3600.0:.2f} h, {options.laps} laps, "
             f"{len(world.object_ids)} objects in the town, log of {log.stat().st_size / 1e6:.0f} MB",
             flush=True,
         )

@@ -2,49 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from logs.messages import ObjectDetections, Odometry, Transform
 from logs.writer import LogWriter
 from tests.tools.runs import Result, Run
 
-ROWS = [(second, 5 - second, 2.0) for second in range(10)]
-DATES = "time,x_m,y_m,yaw\n" + "".join(f"2024-05-01T12:00:{second:02d}Z,{second},0,0\n" for second in range(10))
 MAP = "x_m,y_m,label\n0,0,tree\n5,0,tree\n0,7,pole\n6,8,tree\n"
 GRID = "x_m,y_m\n385000,6670000\n385005,6670000\n385000,6670007\n385006,6670008\n"
 PLACES = "lat,lon,label\n60.1,24.9,tree\n60.1001,24.9,tree\n60.1,24.9002,pole\n60.1002,24.9001,tree\n"
-
-
-@pytest.mark.parametrize(
-    ("damage", "code", "told"),
-    [
-        (slice(None), 0, "10 objects detected"),
-        (slice(0, 60), 2, "cannot be read as Parquet"),
-        (None, 2, "need pyarrow"),
-    ],
-)
-def test_import_of_parquet(
-    dslam: Run, tmp_path: Path, damage: slice | None, code: int, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("pyarrow", reason="pyarrow is not installed")
-    start = pd.Timestamp("2024-05-01T12:00:00Z")
-    rows = [(start + pd.Timedelta(seconds=t), x, y, "tree") for t, x, y in ROWS]
-    path = tmp_path / "detections.parquet"
-    pd.DataFrame(rows, columns=["time", "x_m", "y_m", "label"]).to_parquet(path)
-    path.write_bytes(path.read_bytes()[damage or slice(None)])
-    if damage is None:
-        monkeypatch.setitem(sys.modules, "pyarrow", None)
-    (tmp_path / "odometry.csv").write_text(DATES, encoding="utf-8")
-    files = ("--odometry", tmp_path / "odometry.csv", "--detections", path)
-    check(dslam("import", "csv", tmp_path / "drive.mcap", *files), code, told)
 
 
 LOOP = Transform(0, "lidar", "lidar_mount", np.eye(4))

@@ -20,47 +20,27 @@ def robot(dslam: Run, tmp_path: Path) -> Path:
     return path
 
 
-def test_file_holds_values_with_sigmas_and_evidence(robot: Path) -> None:
+def test_file_holds_the_calibration_of_the_library(dslam: Run, robot: Path) -> None:
     calibration = load_config(calibration=robot).calibration
     assert calibration.is_complete
-    assert calibration.evidence["detections"] > 0
     assert calibration == library.calibrate(SAMPLE)
+    pooled = json.loads(dslam("calibrate", SAMPLE, SAMPLE, "--json").out)["calibration"]
+    assert pooled["evidence"]["scans"] == 2 * calibration.evidence["scans"]
 
 
-def test_several_logs_are_pooled(dslam: Run) -> None:
-    one, two = (json.loads(dslam("calibrate", *logs, "--json").out) for logs in ((SAMPLE,), (SAMPLE, SAMPLE)))
-    assert two["calibration"]["evidence"]["scans"] == 2 * one["calibration"]["evidence"]["scans"]
-    assert two["calibration"]["detection"]["sensor_range_m"] == pytest.approx(
-        one["calibration"]["detection"]["sensor_range_m"], rel=1e-3
-    )
-
-
-def test_replay_uses_the_file_and_estimates_nothing(dslam: Run, robot: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_given", [True, False])
+def test_replay_uses_the_file_or_estimates_the_same(dslam: Run, robot: Path, tmp_path: Path, is_given: bool) -> None:
     output, again = tmp_path / "out.mcap", tmp_path / "same.toml"
-    assert dslam("replay", SAMPLE, "-o", output, "--calibration", robot).code == 0
+    assert dslam("replay", SAMPLE, "-o", output, *(("--calibration", robot) if is_given else ())).code == 0
     with LogReader(output) as reader:
         about = reader.metadata()["dslam"]
-    assert json.loads(about["estimated"]) == {}
-    used = load_config(calibration=robot)
-    assert Config.model_validate_json(about["configuration"]) == used
+    assert (json.loads(about["estimated"]) == {}) == is_given
     again.write_text(dslam("config", "--from", output).out)
-    assert load_config(again) == used
-
-
-def test_config_from_a_map_holds_what_was_estimated(dslam: Run, robot: Path, tmp_path: Path) -> None:
-    output, same = tmp_path / "out.mcap", tmp_path / "same.toml"
-    assert dslam("replay", SAMPLE, "-o", output).code == 0
-    same.write_text(dslam("config", "--from", output).out)
-    known, estimated = load_config(same).calibration, load_config(calibration=robot).calibration
-    assert (known.odometry, known.detection, known.objects) == (
-        estimated.odometry, estimated.detection, estimated.objects
-    )  # fmt: skip
-
-
-def test_a_flag_wins_over_the_file_of_the_calibration(robot: Path) -> None:
-    config = load_config(None, ["calibration.odometry.yaw_sigma=0.5"], calibration=robot)
-    assert config.calibration.odometry.yaw_sigma == 0.5
-    assert config.calibration.detection == load_config(calibration=robot).calibration.detection
+    used, known = load_config(calibration=robot), load_config(again)
+    if is_given:
+        assert Config.model_validate_json(about["configuration"]) == known == used
+    for part in ("odometry", "detection", "objects"):
+        assert getattr(known.calibration, part) == getattr(used.calibration, part)
 
 
 def test_a_file_that_is_no_calibration_is_refused(dslam: Run, tmp_path: Path) -> None:

@@ -43,18 +43,26 @@ def maps(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path
 
 
 class TestOneLog:
-    def test_the_page(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+    def test_requirements_decide_the_exit_code(self, dslam: Run, mapped: Path) -> None:
+        bars = ("--require", "trajectory.ate_m<=1.0", "--require", "landmarks.precision>=0.5")
+        result = dslam("evaluate", mapped, *bars)
+        assert result.code == 0
+        met = [line for line in result.out.splitlines() if line.startswith("met: ")]
+        assert [line.split()[1] for line in met] == ["trajectory.ate_m", "landmarks.precision"]
+        unmet = dslam("evaluate", mapped, "--require", "trajectory.ate_m<=0.000001")
+        assert unmet.code == 1
+        assert "ATE" in unmet.out
+        assert unmet.err.count("\n") == 1
+        assert "trajectory.ate_m is" in unmet.err
+        assert_refused(dslam("evaluate", mapped, "--require", "trajectory.ate_m=4"), "expected for example")
+
+    def test_the_page_and_thresholds(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         page = tmp_path / "report.html"
-        result = dslam("evaluate", mapped, "--html", page)
+        result = dslam("evaluate", mapped, "--html", page, "--rules", "--protocol", "closure_translation_m=1.25")
         assert result.code == 0
         assert str(page) in "".join(result.out.partition("written")[2].split())
+        assert "within 1.25 m and" in result.out
         assert page.read_text(encoding="utf-8").lower().startswith("<!doctype html>")
-        assert_refused(dslam("evaluate", mapped, "--html", page, "--picture", page), "two outputs")
-        assert_refused(dslam("evaluate", mapped, "--html", mapped), "is the input")
-
-    def test_thresholds_can_be_given(self, dslam: Run, mapped: Path) -> None:
-        told = dslam("evaluate", mapped, "--rules", "--protocol", "closure_translation_m=1.25")
-        assert "within 1.25 m and" in told.out
         assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m=1"), "no such threshold")
         assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m"), "NAME=NUMBER")
 
@@ -67,79 +75,61 @@ class TestOneLog:
             for option in ((), ("--map-run", tmp_path / "first.mcap"))
         ]
         assert [each["method"] for each in told] == ["trajectory", "map"]
+        assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no final trajectory")
 
     def test_a_reference_that_is_none(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         text = tmp_path / "gt.txt"
         text.write_text("1 2 3\n")
         assert_refused(dslam("evaluate", mapped, "--reference", text), f"{text}, line 1", "not a pose")
-        assert_refused(dslam("evaluate", mapped, "--reference", tmp_path / "none.tum"), "none.tum", "No such file")
-
-    def test_a_map_that_cannot_be_located(self, dslam: Run, mapped: Path) -> None:
-        assert_refused(dslam("evaluate", mapped, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no final trajectory")
 
 
 class TestSeveralLogs:
     def test_groups_with_mean_and_deviation(self, dslam: Run, maps: list[Path]) -> None:
-        result = dslam("compare", *maps)
-        assert (result.code, result.err) == (0, "")
-        assert "calibrate=false" in " ".join(result.out.split())
-        assert "(2 runs)" in result.out
-        assert "keyframe.distance_m=30.0" in result.out
-        assert "pooled standard deviations" in result.out
-        told = json.loads(dslam("compare", *maps, "--json").out)
-        assert [each["group"] for each in told["runs"]] == [0, 0, 1]
-        alone = [json.loads(dslam("evaluate", path, "--json").out) for path in maps]
-        assert [each["evaluation"] for each in told["runs"]] == alone
-        ates = [each["trajectory"]["ate_m"] for each in alone]
-        assert told["groups"][0]["figures"]["trajectory.ate_m"]["mean"] == pytest.approx(sum(ates[:2]) / 2)
-
-    def test_a_bar_holds_of_every_run(self, dslam: Run, maps: list[Path]) -> None:
-        met = dslam("compare", *maps, "--require", "trajectory.ate_m<=10")
-        assert met.code == 0
-        assert all(f"met: {path}: trajectory.ate_m is" in " ".join(met.out.split()) for path in maps)
         result = dslam("compare", *maps, "--require", "trajectory.ate_m<=0")
         assert result.code == 1
         assert result.err.count("\n") == 1
         assert all(f"{path}: trajectory.ate_m is" in result.err for path in maps)
+        assert "(2 runs)" in result.out
+        assert "keyframe.distance_m=30.0" in result.out
+        told = json.loads(dslam("compare", *maps, "--json").out)
+        first, _, other = [each["group"] for each in told["runs"]]
+        assert list(told["groups"]) == [first, other]
+        alone = [json.loads(dslam("evaluate", path, "--json").out) for path in maps]
+        assert [each["evaluation"] for each in told["runs"]] == alone
 
     def test_what_cannot_be_compared(self, dslam: Run, maps: list[Path], tmp_path: Path) -> None:
         copy = Path(shutil.copy(maps[0], tmp_path / "copy.mcap"))
         assert_refused(dslam("compare", maps[0], copy), "the same run", str(copy))
         assert_refused(dslam("compare", maps[0]), "one log was given", "dslam evaluate")
-        assert_refused(dslam("compare", maps[0], SAMPLE), str(SAMPLE), "no estimate")
 
 
 class TestSweep:
-    def test_it_writes_tables(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
-        folder = tmp_path / "sweep"
-        command = ("sweep", short_log, "-o", folder, "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
-        result = dslam(*command, "--rules", "--set", "keyframe.distance_m=3")
+    def test_it_prints_a_table_and_reuses_results(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        command = ("sweep", short_log, "-o", tmp_path / "sweep", "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
+        variant = ("--variant", "keyframe.distance_m=3;calibrate=false")
+        result = dslam(*command, *variant)
         assert (result.code, result.err) == (0, "")
-        assert "2 cells computed" in result.out
-        assert "rules" in result.out
-        endings = ("json", "md", "csv")
-        assert {path.name for path in folder.iterdir()} == {"cells", *(f"sweep.{ending}" for ending in endings)}
-        again = dslam(*command, "--json", "--set", "keyframe.distance_m=3", "--require", "trajectory.ate_m<=0")
+        assert "2 drives mapped, 0 mapped before" in result.out
+        assert "faults=dropout=0.5 (1 runs)" in " ".join(result.out.split())
+        again = dslam(*command, *variant, "--json", "--require", "trajectory.ate_m<=0")
         assert again.code == 1
         assert "dropout=0.5, seed 0: trajectory.ate_m is" in again.err
         told = json.loads(again.out)
-        assert (told["times"]["computed"], told["times"]["reused"]) == (0, 2)
-        assert told["changes"] == ["keyframe.distance_m=3.0"]
-        assert told["configuration"]["keyframe"]["distance_m"] == 3.0
+        assert told["computed"] == 0
+        assert list(told["groups"]) == ["faults=none", "faults=dropout=0.5"]
 
-    def test_a_cell_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
-        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn")
+    def test_a_drive_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "keep_label=unicorn", "--markdown")
         result = dslam("sweep", short_log, *sweep)
         assert result.code == 1
-        assert result.err.startswith("dslam: failed: drop_label=unicorn, seed 0: ")
+        assert result.err.startswith("dslam: failed: keep_label=unicorn, seed 0: ")
         assert result.err.count("\n") == 1
-        assert "undegraded" in result.out
+        assert "| faults=keep_label=unicorn (1 runs) | – |" in result.out
 
     def test_what_cannot_be_swept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         output = ("-o", tmp_path / "sweep")
         assert_refused(dslam("sweep", mapped, *output), "give the drive")
         assert_refused(dslam("sweep", SAMPLE, *output, "--degrade", "drop=1"), "did you mean")
         assert_refused(dslam("sweep", SAMPLE, *output, "--set", "keyframe.distance=1"), "keyframe.distance_m")
-        assert_refused(dslam("sweep", tmp_path / "none.mcap", *output), "none.mcap")
         assert_refused(dslam("sweep", SAMPLE, "-o", SAMPLE), str(SAMPLE))
         assert not (tmp_path / "sweep").exists()

@@ -33,26 +33,17 @@ def test_text_files_become_a_log_that_can_be_replayed_and_evaluated(dslam: Run, 
     assert dslam("replay", drive.output, "-o", replayed).code == 0
     told = json.loads(dslam("evaluate", replayed, "--json").out)
     assert told["associations"]["detection_count"] == 4
-    assert told["associations"]["false_positive_count"] == 1
     assert told["trajectory"]["ate_m"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_json_tells_the_same(dslam: Run, drive: TextDrive) -> None:
-    drive.write("detections.csv", DETECTIONS.replace("object_id", "species"))
-    told = json.loads(dslam("import", "csv", drive.output, *options(drive), "--json").out)
-    assert told["detection_count"] == 4
-    assert told["message_counts"] == {"/odom": 5, "/detections": 3, "/ground_truth": 5}
-    assert told["odometry_format"] == "tum"
-    assert told["columns_left_out"] == ["species"]
-    assert told["notes"] == []
-
-
-def test_what_is_left_out_is_told(dslam: Run, drive: TextDrive) -> None:
+def test_json_and_text_tell_what_is_left_out(dslam: Run, drive: TextDrive) -> None:
     drive.write("detections.csv", DETECTIONS.replace("object_id", "species").replace("100.400", "101"))
+    told = json.loads(dslam("import", "csv", drive.output, *options(drive), "--json").out)
+    assert told["message_counts"] == {"/odom": 5, "/detections": 3, "/ground_truth": 5}
+    assert (told["detection_count"], told["odometry_format"], told["columns_left_out"]) == (4, "tum", ["species"])
     out = dslam("import", "csv", drive.output, *options(drive)).out
     assert "columns left out: species" in out
-    assert "note: " in out
-    assert "1 of 4 detections, this one first, are outside the odometry's time" in " ".join(out.split())
+    assert f"note: {told['notes'][0]}" in " ".join(out.split())
 
 
 def test_faults_are_one_line(dslam: Run, drive: TextDrive) -> None:
@@ -76,7 +67,7 @@ def test_the_lines_of_the_docs_write_a_log_that_can_be_replayed(
     assert told["counters"]["landmarks_confirmed"] == 2
 
 
-@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "cxx", "track_id", "frame"])
+@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "track_id", "frame"])
 def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
     assert word in dslam("import", "csv", "--help").out
 
@@ -84,14 +75,10 @@ def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
 @pytest.mark.slow
 def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
     cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))
-    result = dslam("import", "paris-lille", tmp_path / "map.mcap", "--file", cloud)
-    assert (result.code, result.err) == (0, "")
-    assert "original: 9 objects, 6 classes" in result.out
-    assert "preprocessed: 6 objects, 3 classes" in result.out
     told = json.loads(
-        dslam("import", "ply", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
+        dslam("import", "map", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
               "302020600=sign", "--json").out
     )  # fmt: skip
     assert told["class_counts"] == {"lamp": 3, "sign": 2}
-    refused = dslam("import", "ply", tmp_path / "c.mcap", "--file", cloud, "--name", "lamp")
+    refused = dslam("import", "map", tmp_path / "c.mcap", "--file", cloud, "--name", "lamp")
     assert_refused(refused, "'lamp' is not NUMBER=CLASS")

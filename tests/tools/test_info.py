@@ -1,4 +1,4 @@
-"""dslam info: the tree of frames, and detections that cannot be placed."""
+"""dslam info: detections that cannot be placed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from logs.messages import ObjectDetections, Odometry, Transform
 from logs.summary import summarize
 from logs.writer import LogWriter
-from tools.inspection.frames import draw_tree, find_faults
+from tools.inspection.frames import find_faults
 
 
 def write_drive(path: Path, *, sensor: str = "/lidar", delay_ns: int = 0, mount: str = "base_link") -> Path:
@@ -21,19 +21,6 @@ def write_drive(path: Path, *, sensor: str = "/lidar", delay_ns: int = 0, mount:
             at_ns = stamp_ns + delay_ns
             log.write("/objects", ObjectDetections(at_ns, sensor, np.ones((1, 3)), ("tree",), np.ones(1)), stamp_ns)
     return path
-
-
-def test_draw_tree_places_each_frame_below_its_parent(tmp_path: Path) -> None:
-    tree = draw_tree(summarize(write_drive(tmp_path / "log.mcap", sensor="camera")).topics)
-    assert tree == ["camera", "odom", "  base_link  (/odom)", "    lidar  (/tf_static)"]
-
-
-def test_draw_tree_ends_in_a_loop(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "log.mcap") as log:
-        log.write("/tf", Transform(0, "map", "a", np.eye(4)))
-        log.write("/tf", Transform(0, "a", "b", np.eye(4)))
-        log.write("/tf", Transform(0, "b", "a", np.eye(4)))
-    assert {line.split()[0] for line in draw_tree(summarize(tmp_path / "log.mcap").topics)} <= {"map", "a", "b"}
 
 
 @pytest.mark.parametrize(

@@ -53,11 +53,6 @@ class TestNames:
         assert "\x1b" not in result.err
         assert "\\x1b[31m" in result.err
 
-    @pytest.mark.slow
-    def test_are_drawn_as_they_stand(self, dslam: Run, odd_names: Path, tmp_path: Path) -> None:
-        result = dslam("replay", odd_names, "-o", tmp_path / "out.mcap", "--picture", tmp_path / "out.png")
-        assert (result.code, result.err) == (0, "")
-
     def test_in_a_locale_without_umlauts(self, odd_names: Path) -> None:
         result = shell(
             f"{sys.executable} -m dslam info {odd_names}",
@@ -78,34 +73,22 @@ class TestStreams:
         assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>&-").returncode == 2
         assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>/dev/full").returncode == 2
 
-    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-    def test_that_are_full(self) -> None:
+    def test_that_are_full_or_break(self) -> None:
         result = shell(f"{INFO} > /dev/full")
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1
         assert "No space left" in result.stderr
-
-    @pytest.mark.slow
-    def test_without_a_home(self, tmp_path: Path) -> None:
-        command = f"env -u HOME -u TMPDIR {sys.executable} -m dslam replay {SAMPLE} -o {tmp_path}/out.mcap"
-        result = shell(f"{command} --picture {tmp_path}/out.png")
-        assert (result.returncode, result.stderr) == (0, "")
+        assert shell(f"{INFO} | true").stderr == ""
 
 
 class TestSignals:
-    def stopped_after(self, seconds: float, number: signal.Signals, output: Path) -> tuple[int, str]:
+    def stopped(self, number: signal.Signals, output: Path) -> tuple[int, str]:
         command = [sys.executable, "-m", "dslam", "replay", str(SAMPLE), "-o", str(output)]
         process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         part = output.with_name(output.name + ".part")
         deadline = time.monotonic() + 60.0
-        while (
-            seconds < 0
-            and not (part.exists() and part.stat().st_size)
-            and process.poll() is None
-            and time.monotonic() < deadline
-        ):
+        while not (part.exists() and part.stat().st_size) and process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.01)
-        time.sleep(max(seconds, 0.0))
         process.send_signal(number)
         _, told = process.communicate(timeout=600)
         return process.returncode, told
@@ -113,7 +96,7 @@ class TestSignals:
     @pytest.mark.slow
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     def test_while_mapping_name_what_is_left(self, tmp_path: Path, number: signal.Signals) -> None:
-        code, told = self.stopped_after(-1.0, number, tmp_path / "out.mcap")
+        code, told = self.stopped(number, tmp_path / "out.mcap")
         assert code == 128 + number
         assert told.count("\n") == 1
         assert str(tmp_path / "out.mcap.part") in told

@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json, Topics, check_outputs, parse_topics
-from tools.evaluation.evaluated_log import Truth, evaluate_log
-from tools.evaluation.output import (
+from tools.arguments import Json, Topics, parse_topics
+from tools.evaluation.evaluated_log import (
     Calib,
-    Findings,
-    JsonFile,
     MapRun,
     Protocols,
     Reference,
-    Require,
     Rules,
     Times,
+    Truth,
+    evaluate_log,
     parse_thresholds,
-    report,
 )
+from tools.evaluation.requirements import Require, finish
 
 if TYPE_CHECKING:
     from slam.evaluation.comparison import Run
@@ -37,64 +35,35 @@ def compare(
     calib: Calib = None,
     topics: Topics = None,
     as_json: Json = False,
-    json_file: JsonFile = None,
     map_run: MapRun = None,
     protocol: Protocols = None,
     require: Require = None,
     rules: Rules = False,
-    table: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE.csv|.tex",
-            help="Write the table as CSV or LaTeX. Repeatable.",
-        ),
-    ] = None,
 ) -> None:
     """Evaluate several maps, and print them side by side.
 
     Runs of one version and configuration count as repetitions; differences
     larger than their spread are marked.
 
-    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap --table ab.csv --table ab.tex
+    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap
     """
-    chosen = parse_topics(topics)
+    truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-    check_outputs([json_file, *(table or ())], [*logs, reference, times, calib, map_run])
-    from slam.evaluation.requirements import parse_requirement
-
-    requirements = [parse_requirement(text) for text in require or ()]
-    truth = Truth(reference, times, calib, chosen, map_run, parse_thresholds(protocol))
-    findings = compare_logs(logs, truth, table or ())
-    report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
-
-
-def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()) -> Findings:
-    """Evaluate each log, set them side by side and write the tables.
-
-    Raises:
-        LogError, SlamError: a log cannot be evaluated, or two are the same.
-    """
-    from slam.evaluation.comparison import NO_SPREAD, RULE, compare_runs
-    from slam.evaluation.report.table_files import check_endings, write_table
+        from slam.evaluation.comparison import compare_runs
     from tools import console
 
-    check_endings(tables)
     _refuse_copies(logs)
     runs = [_evaluate(log, truth) for log in logs]
     comparison = compare_runs(runs)
-    evaluations = {run.name: run.results for run in runs}
-    table, note = comparison.to_table(), RULE if comparison.has_spread else NO_SPREAD
-    for path in tables:
-        write_table(path, table, note)
-    groups = comparison.groups if len(comparison.groups) > 1 else ()
-    members = [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in groups]
-    return Findings(
-        results=comparison.to_json_dict(),
-        parts=[console.frame(table), "", *members, note, *filter(None, [comparison.descriptor_verdict])],
-        runs=evaluations,
-        rules=runs[0].results["protocol"]["rules"],
-    )
+    if as_json:
+        console.show_json(comparison.to_json_dict())
+    else:
+        members = [f"{label}: {', '.join(run.name for run in group)}" for label, group in comparison.groups.items()]
+        console.show(console.frame(comparison.to_table()), "", *members, comparison.note)
+        if rules:
+            console.show(console.pairs(runs[0].results["protocol"]["rules"], title="\nrules"))
+    finish({run.name: run.results for run in runs}, require, quiet=as_json)
 
 
 def _evaluate(log: Path, truth: Truth) -> Run:

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import Json, Picture, SlamLog, Topics, can_draw, check_outputs, parse_topics
-from tools.evaluation.evaluated_log import Truth, evaluate_log
-from tools.evaluation.output import (
+from tools.evaluation.evaluated_log import (
     Calib,
-    Findings,
-    JsonFile,
     MapRun,
     Protocols,
     Reference,
-    Require,
     Rules,
     Times,
+    Truth,
+    evaluate_log,
     parse_thresholds,
-    report,
 )
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
+from tools.evaluation.requirements import Require, finish
 
 
 def evaluate(
@@ -34,7 +29,6 @@ def evaluate(
     calib: Calib = None,
     topics: Topics = None,
     as_json: Json = False,
-    json_file: JsonFile = None,
     picture: Picture = None,
     page: Annotated[
         Path | None,
@@ -52,20 +46,9 @@ def evaluate(
 
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
-    chosen = parse_topics(topics)
-    check_outputs([json_file, picture, page], [log, reference, times, calib, map_run])
-    from slam.evaluation.requirements import parse_requirement
-
-    requirements = [parse_requirement(text) for text in require or ()]
-    truth = Truth(reference, times, calib, chosen, map_run, parse_thresholds(protocol))
-    findings = _evaluate_log(log, truth, picture, page, json_file, every=every)
-    report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
-
-
-def _evaluate_log(
-    log: Path, truth: Truth, picture: Path | None, page: Path | None, json_file: Path | None, *, every: bool
-) -> Findings:
-    from slam.evaluation.report.figures import summarize
+    truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
+    check_outputs([picture, page], [log, reference, times, calib, map_run])
+    from slam.evaluation.report.figures import list_figures, summarize
     from tools import console
 
     records, evaluation = evaluate_log(log, truth)
@@ -75,15 +58,18 @@ def _evaluate_log(
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
     if page is not None:
-        from slam.evaluation.page.page import write_report
+        from slam.evaluation.page.page import write_page
 
-        write_report(page, records, evaluation, title=log.stem)
+        write_page(page, records, evaluation, title=log.stem)
     results = evaluation.to_json_dict()
-    written = ", ".join(str(path) for path in (picture, page, json_file) if path is not None)
-    parts: list[RenderableType] = [console.pairs(summarize(results) | ({"written": written} if written else {}))]
-    if every:
-        from slam.evaluation.report.tables import make_tables
-
-        parts += [console.frame(table, title=f"\n{title}") for title, table in make_tables(results).items()]
-        parts.append(console.pairs(dict(evaluation.unavailable), title="\nnot measured"))
-    return Findings(results, parts, {"": results}, rules=evaluation.protocol.describe())
+    if as_json:
+        console.show_json(results)
+    else:
+        written = ", ".join(str(path) for path in (picture, page) if path is not None)
+        console.show(console.pairs(summarize(results) | ({"written": written} if written else {})))
+        if every:
+            listed = list_figures(results) | {"not measured": dict(evaluation.unavailable)}
+            console.show(*(console.pairs(texts, title=f"\n{title}") for title, texts in listed.items()))
+        if rules:
+            console.show(console.pairs(evaluation.protocol.describe(), title="\nrules"))
+    finish({"": results}, require, quiet=as_json)

@@ -1,62 +1,116 @@
-"""One log of a replay, read and evaluated."""
+"""One log of a replay, read and evaluated, and the options that say how."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 if TYPE_CHECKING:
     from slam.common.arrays import FloatArray
     from slam.evaluation.inputs.records import EvaluationRecords
-    from slam.evaluation.inputs.text_reference import TextReference
     from slam.evaluation.result import Evaluation
+
+Reference = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="LOG|POSES",
+        help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz).",
+        show_default=False,
+    ),
+]
+Times = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Seconds of each pose in KITTI's format; not needed with one pose per odometry message.",
+        show_default=False,
+    ),
+]
+Calib = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="KITTI's calib.txt, if references in its format are of the left camera.",
+        show_default=False,
+    ),
+]
+MapRun = Annotated[
+    Path | None,
+    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.", show_default=False),
+]
+Protocols = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--protocol",
+        metavar="NAME=NUMBER",
+        help="A threshold of the evaluation (--rules lists them), e.g. closure_translation_m=4. Repeatable.",
+        show_default=False,
+    ),
+]
+Rules = Annotated[bool, typer.Option("--rules", help="Also print the rules of the evaluation.")]
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What the logs are compared with, if it is not in themselves.
+    """The ground truth, if the logs do not hold it, and how it is used.
 
     ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's
-    format; ``topics``: by kind; ``map_run``: the drive that made the map in which the robot found itself;
+    format; ``map_run``: the drive that made the map in which the robot found itself; ``topics``: by kind;
     ``thresholds``: of the protocol, by name, that are not its own.
     """
 
-    reference: Path | None = None
-    times: Path | None = None
-    calib: Path | None = None
-    topics: Mapping[str, str] | None = None
-    map_run: Path | None = None
-    thresholds: Mapping[str, float] = field(default_factory=dict)
+    reference: Path | None
+    times: Path | None
+    calib: Path | None
+    map_run: Path | None
+    topics: Mapping[str, str]
+    thresholds: Mapping[str, float]
 
-    def of(self, path: Path | None) -> Path | TextReference | None:
-        """The reference at ``path``: a log as it stands, a file of poses with what belongs to it."""
-        from logs.storage.opening import is_log
-        from slam.evaluation.inputs.text_reference import TextReference
 
-        return path if path is None or is_log(path) else TextReference(path, self.times, self.calib)
+def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
+    """Thresholds by name, of texts like "closure_translation_m=4".
+
+    Raises:
+        EvaluationError: one of another form.
+    """
+    from slam.common.errors import EvaluationError
+
+    thresholds: dict[str, float] = {}
+    for text in texts or ():
+        name, _, number = text.partition("=")
+        try:
+            thresholds[name.strip()] = float(number)
+        except ValueError:
+            raise EvaluationError(f"--protocol {text}: give NAME=NUMBER, e.g. closure_translation_m=4") from None
+    return thresholds
 
 
 def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation]:
-    """What was read of the log, and what was measured.
+    """The records of the log and their evaluation.
 
     Raises:
         LogError: it cannot be read.
         EvaluationError: it holds no estimate.
     """
+    from logs.storage.opening import is_log
     from slam.common.errors import EvaluationError
     from slam.evaluation.evaluate import evaluate, protocol_of
     from slam.evaluation.inputs.records import read_records
+    from slam.evaluation.inputs.text_reference import TextReference
 
-    records = read_records(log, reference=truth.of(truth.reference), topics=truth.topics)
+    path = truth.reference
+    reference = path if path is None or is_log(path) else TextReference(path, truth.times, truth.calib)
+    records = read_records(log, reference=reference, topics=truth.topics)
     map_alignment = None if truth.map_run is None else _locate_map_of(truth.map_run)
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
-    return records, evaluate(
-        records, protocol_of(records).with_thresholds(truth.thresholds), map_alignment=map_alignment
-    )
+    protocol = protocol_of(records).with_thresholds(truth.thresholds)
+    return records, evaluate(records, protocol, map_alignment=map_alignment)
 
 
 @cache

@@ -20,10 +20,9 @@ Origin = Annotated[
     typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median position of objects in degrees."),
 ]
 Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Assign this class to all objects.")]
-Sigma = Annotated[
-    float, typer.Option("--sigma", metavar="METRES", min=0.01, help="Standard deviation of a coordinate of an object.")
-]
 SURVEYED_SIGMA_M, DRAWN_SIGMA_M = 0.3, 1.0
+_LONGEST_NUMBER = 18
+"""Digits of the number of a class, so that 64 bits hold it."""
 
 
 def map_of_objects(
@@ -32,8 +31,8 @@ def map_of_objects(
         Path,
         typer.Option(
             metavar="FILE",
-            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), or a table: "
-            "CSV with a header, or JSON lines; also packed by gzip.",
+            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), a labelled "
+            "point cloud (.ply with x, y, z, class or label, and perhaps instance), or a table: CSV with a header.",
         ),
     ],
     tag: Annotated[
@@ -42,6 +41,14 @@ def map_of_objects(
             "--tag",
             metavar="KEY[=VALUE]",
             help="Tag of the objects in OpenStreetMap, instead of those of street furniture. Repeatable.",
+        ),
+    ] = None,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--name",
+            metavar="NUMBER=CLASS",
+            help="Number and name of a class of a point cloud; by default all classes but 0. Repeatable.",
         ),
     ] = None,
     origin: Origin = None,
@@ -73,19 +80,35 @@ def map_of_objects(
         from logs.importers.maps.osm import read_osm
 
         objects = read_osm(file, tags=tag or ())
-    elif suffix in (".geojson", ".geojsonl", ".json"):
+    elif suffix in (".geojson", ".json"):
         from logs.importers.maps.geojson import read_geojson
 
         objects = read_geojson(file)
+    elif suffix == ".ply":
+        from logs.clouds.cloud_files import read_cloud
+        from logs.clouds.map_of_cloud import map_of_cloud
+        from logs.digest import file_sha256
+
+        objects = map_of_cloud(read_cloud(file), str(file), file_sha256(file), _parsed_names(name))
     else:
         from logs.importers.maps.object_table import read_object_table
 
         objects = read_object_table(file)
     sigma_m = sigma or (DRAWN_SIGMA_M if is_drawn else SURVEYED_SIGMA_M)
-    make_map(output, objects, origin, label, sigma_m, json=json)
+    _make_map(output, objects, origin, label, sigma_m, json=json)
 
 
-def make_map(
+def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
+    named: dict[int, str] = {}
+    for pair in names or ():
+        number, _, label = pair.partition("=")
+        if not number.isdecimal() or len(number) > _LONGEST_NUMBER or not label:
+            raise typer.BadParameter(f"{pair!r} is not NUMBER=CLASS, for example 80=pole.", param_hint="--name")
+        named[int(number)] = label
+    return named or None
+
+
+def _make_map(
     output: Path,
     objects: MapObjects,
     origin: str | None,
@@ -93,9 +116,8 @@ def make_map(
     sigma_m: float,
     *,
     json: bool,
-    more: Mapping[str, object] | None = None,
 ) -> None:
-    """Write the map of ``objects`` and print what is in it, and ``more`` of its source."""
+    """Write the map of ``objects`` and print what is in it."""
     from slam.localization.map_import import import_map
     from slam.place_recognition.imported_map import save_imported_map
     from tools import console
@@ -114,7 +136,6 @@ def make_map(
                 "class_counts": dict(counts),
                 "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
                 "notes": list(objects.notes),
-                **{name.replace(" ", "_"): value for name, value in (more or {}).items()},
             }
         )
         return
@@ -130,6 +151,5 @@ def make_map(
         f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
         f"  {classes}{others}",
         f"  origin at {where}" if georeference is not None else f"  origin {where}",
-        *(f"  {name}: {value}" for name, value in (more or {}).items()),
         *(f"  note: {note}" for note in objects.notes),
     )

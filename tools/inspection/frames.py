@@ -1,4 +1,4 @@
-"""The tree of frames of a log, and what in it keeps detections from the body."""
+"""What in the frames and clocks of a log keeps detections from the body."""
 
 from __future__ import annotations
 
@@ -6,33 +6,12 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from tools.inspection import MAX_LISTED
-
 if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
 
-_INDENT = "  "
-
-
-def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
-    """A line for each frame, below its parent, with the topic that connects the two; frames without one stand alone."""
-    above = {child: (parent, topic.topic) for topic in topics for parent, child in topic.frame_edges}
-    children = defaultdict[str, list[str]](list)
-    for child, (parent, _) in above.items():
-        children[parent].append(child)
-    frames = {frame for topic in topics for frame in topic.frames} | children.keys()
-    lines: list[str] = []
-    waiting = [(0, root) for root in sorted(frames - above.keys(), reverse=True)]
-    while waiting:
-        depth, frame = waiting.pop()
-        topic = f"  ({above[frame][1]})" if frame in above else ""
-        lines.append(f"{_INDENT * depth}{frame}{topic}")
-        waiting += [(depth + 1, child) for child in sorted(children[frame], reverse=True)]
-    return lines[:MAX_LISTED] + [f"and {len(lines) - MAX_LISTED} more"] * (len(lines) > MAX_LISTED)
-
 
 def find_faults(summary: LogSummary) -> list[str]:
-    """What keeps detections from being placed on the odometry: frames that nothing connects, and other clocks."""
+    """Reasons why detections cannot be placed on the odometry: unconnected frames, and other clocks."""
     from logs.topics import RecordKind
 
     if summary.selection is None:

@@ -1,1 +1,1 @@
-"""What researchers use beside the program: it imports the core, nothing imports it, and it is loaded on demand."""
+"""Benchmarks for researchers: they import the core, nothing imports them, and they are loaded on demand."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from slam.sweeps.mapped_drive import MappedDrive
+    from slam.evaluation.comparison import Comparison
 
-Row = Mapping[str, str]
-Columns = Mapping[str, tuple[str, int, float]]
-"""Heading -> key of a figure in an evaluation's JSON, digits, and factor."""
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
+ResultFolder = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are reused.")
+]
 UNDEFINED = "–"
+COMPARED = ("ATE m", "closures precision", "closures recall", "relocalizations right", "associations precision")
+"""Figures of a comparison that fit beside one another."""
 
 
 def number(value: float | None, digits: int, factor: float = 1.0) -> str:
@@ -27,21 +30,14 @@ def percent(share: float | None, digits: int = 1) -> str:
     return number(share, digits, 100.0)
 
 
-def figures_of(run: MappedDrive, columns: Columns) -> dict[str, str]:
-    """Figures of a mapped drive by their headings."""
-    return {heading: number(run.figure(key), digits, factor) for heading, (key, digits, factor) in columns.items()}
-
-
-def with_progress(runs: Iterable[MappedDrive], total: int) -> Iterator[MappedDrive]:
-    """The same runs; a line for each goes to standard error."""
-    for done, run in enumerate(runs, start=1):
-        how = f"failed: {run.error}" if run.error else f"{run.seconds:.0f} s"
-        typer.echo(f"{done} of {total}: {run.name}, {how}", err=True)
-        yield run
+def rows_of(comparison: Comparison) -> list[dict[str, str]]:
+    """A row for each group of runs, with some of the figures."""
+    table = comparison.to_table().T.reindex(columns=list(COMPARED)).astype(object).fillna(UNDEFINED)
+    return [{"runs": str(name)} | row for name, row in table.to_dict("index").items()]
 
 
 def report(
-    rows: Sequence[Row],
+    rows: Sequence[Mapping[Any, str]],
     *notes: str,
     title: str | None = None,
     texts: Collection[str] = (),
@@ -59,12 +55,13 @@ def report(
         console.show(console.table(rows, texts=texts, title=title), *notes)
 
 
-def to_markdown(rows: Sequence[Row], *, texts: Collection[str] = ()) -> str:
+def to_markdown(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = ()) -> str:
     """The rows as a table in Markdown; the first column and ``texts`` are to the left."""
     headings = list(rows[0]) if rows else []
     alignment = ["---" if heading in (*headings[:1], *texts) else "---:" for heading in headings]
-    return "\n".join(_line(cells) for cells in (headings, alignment, *(list(row.values()) for row in rows)))
+    lines = [headings, alignment, *(list(row.values()) for row in rows)]
+    return "\n".join(f"| {' | '.join(map(_escaped, cells))} |" for cells in lines)
 
 
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|').replace(chr(10), ' ') for cell in cells)} |"
+def _escaped(cell: str) -> str:
+    return cell.replace("|", "\\|").replace("\n", " ")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,7 @@ import typer
 from tools.arguments import check_outputs, parse_origin
 
 if TYPE_CHECKING:
-    from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
+    from logs.messages import TrajectoryRecord
     from slam.common.georeference import Georeference
     from slam.evaluation.inputs.records import EvaluationRecords
 
@@ -67,109 +66,84 @@ def export(
             "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson or --ros2-bag."
         )
     check_outputs(outputs, [log])
+    from slam.evaluation.inputs.records import read_records
     from slam.formats import landmark_tables as tables
     from slam.formats import trajectories as text
     from slam.formats.g2o import write_g2o
     from slam.formats.ros2_bag import write_ros2_bag
+    from slam.library import read_map
     from tools import console
 
-    source = _Source(log, of, origin)
-    for path, write in ((tum, text.write_tum), (kitti, text.write_kitti)):
-        if path is not None:
-            write(path, source.track)
-            console.show(f"{path}: {len(source.track.stamps_ns)} poses")
-    if geodetic is not None:
-        text.write_geodetic(geodetic, source.track, source.georeference)
-        console.show(f"{geodetic}: {len(source.track.stamps_ns)} poses")
-    if csv is not None:
-        tables.write_csv(csv, source.objects)
-        console.show(f"{csv}: {len(source.objects.ids)} landmarks")
-    if geojson is not None:
-        tables.write_geojson(geojson, source.objects, source.georeference)
-        console.show(f"{geojson}: {len(source.objects.ids)} landmarks")
-    if ros2_bag is not None:
-        odometry = source.records.odometry
-        body_frame = odometry[0].child_frame_id if odometry else "base_link"
-        write_ros2_bag(ros2_bag, source.track, source.objects, body_frame=body_frame)
-        console.show(f"{ros2_bag}: {len(source.track.stamps_ns)} poses, {len(source.objects.ids)} landmarks")
-    if g2o is not None:
-        graph = source.graph
-        write_g2o(g2o, graph, source.records.object_map)
-        console.show(
-            f"{g2o}: {len(graph.keyframe_ids)} keyframes, {len(graph.edge_kinds)} edges, without the robust kernels of "
-            "the configuration, which g2o files cannot hold"
-        )
+    georeference = _georeference(log, origin) if geodetic or geojson else None
+    if tum or kitti or geodetic or g2o or ros2_bag:
+        records = read_records(log)
+    if tum or kitti or geodetic or ros2_bag:
+        track = _track(log, records, of)
+        poses = f"{len(track.stamps_ns)} poses"
+    if csv or geojson or ros2_bag:
+        objects = read_map(log)
+        landmarks = f"{len(objects.ids)} landmarks"
+    if tum:
+        text.write_tum(tum, track)
+        console.show(f"{tum}: {poses}")
+    if kitti:
+        text.write_kitti(kitti, track)
+        console.show(f"{kitti}: {poses}")
+    if geodetic and georeference:
+        text.write_geodetic(geodetic, track, georeference)
+        console.show(f"{geodetic}: {poses}")
+    if csv:
+        tables.write_csv(csv, objects)
+        console.show(f"{csv}: {landmarks}")
+    if geojson and georeference:
+        tables.write_geojson(geojson, objects, georeference)
+        console.show(f"{geojson}: {landmarks}")
+    if ros2_bag:
+        body_frame = records.odometry[0].child_frame_id if records.odometry else "base_link"
+        write_ros2_bag(ros2_bag, track, objects, body_frame=body_frame)
+        console.show(f"{ros2_bag}: {poses}, {landmarks}")
+    if g2o:
+        if records.graph is None:
+            raise _no_result(log)
+        write_g2o(g2o, records.graph, records.object_map)
+        console.show(f"{g2o}: {len(records.graph.edge_kinds)} edges, without robust kernels, which g2o cannot hold")
 
 
-class _Source:
-    """What a log holds to be written, read when it is first asked for."""
+def _track(log: Path, records: EvaluationRecords, of: Track) -> TrajectoryRecord:
+    from logs.messages import TrajectoryRecord
+    from slam.common.errors import InputDataError
 
-    def __init__(self, log: Path, of: Track, origin: str | None) -> None:
-        self._log = log
-        self._of = of
-        self._origin = origin
+    if of == Track.ESTIMATE:
+        if records.trajectory is None or not len(records.trajectory.stamps_ns):
+            raise _no_result(log)
+        return records.trajectory
+    frame, path = {
+        Track.ONLINE: ("map", records.online_path),
+        Track.ODOMETRY: ("odom", records.odometry_path),
+        Track.TRUTH: ("world", records.true_path),
+    }[of]
+    if not len(path):
+        raise InputDataError(f"{log} has no poses of the {of}; choose another with --of")
+    return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
 
-    @cached_property
-    def records(self) -> EvaluationRecords:
-        from slam.evaluation.inputs.records import read_records
 
-        return read_records(self._log)
+def _georeference(log: Path, origin: str | None) -> Georeference:
+    """Where the map is: as the option says, else as the log does."""
+    from logs.container.limits import RESULT_LIMITS
+    from logs.reader import LogReader
+    from slam.common.errors import InputDataError
+    from slam.common.georeference import Georeference
 
-    @cached_property
-    def track(self) -> TrajectoryRecord:
-        from logs.messages import TrajectoryRecord
-        from slam.common.errors import InputDataError
-
-        records = self.records
-        if self._of == Track.ESTIMATE:
-            if records.trajectory is None or not len(records.trajectory.stamps_ns):
-                raise self._no_result()
-            return records.trajectory
-        frame, path = {
-            Track.ONLINE: ("map", records.online_path),
-            Track.ODOMETRY: ("odom", records.odometry_path),
-            Track.TRUTH: ("world", records.true_path),
-        }[self._of]
-        if not len(path):
-            raise InputDataError(f"{self._log} has no poses of the {self._of}; choose another with --of")
-        return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
-
-    @cached_property
-    def objects(self) -> ObjectMapRecord:
-        from slam.library import read_map
-
-        return read_map(self._log)
-
-    @property
-    def graph(self) -> FactorGraphRecord:
-        if self.records.graph is None:
-            raise self._no_result()
-        return self.records.graph
-
-    @cached_property
-    def georeference(self) -> Georeference:
-        """Where the map is: as the option says, else as the log does."""
-        from slam.common.errors import InputDataError
-        from slam.common.georeference import Georeference
-
-        if self._origin is not None:
-            return parse_origin(self._origin)
-        for values in self._metadata.values():
+    if origin is not None:
+        return parse_origin(origin)
+    with LogReader(log, RESULT_LIMITS) as reader:
+        for values in reader.metadata().values():
             if "georeference" in values:
                 return Georeference.from_json(values["georeference"])
-        raise InputDataError(f"{self._log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
+    raise InputDataError(f"{log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
 
-    @cached_property
-    def _metadata(self) -> dict[str, dict[str, str]]:
-        from logs.container.limits import RESULT_LIMITS
-        from logs.reader import LogReader
 
-        with LogReader(self._log, RESULT_LIMITS) as reader:
-            return dict(reader.metadata())
+def _no_result(log: Path) -> Exception:
+    from slam.common.errors import InputDataError
 
-    def _no_result(self) -> Exception:
-        from slam.common.errors import InputDataError
-
-        return InputDataError(
-            f"{self._log} has no final trajectory, map and graph; give one that 'dslam replay' finished"
-        )
+    return InputDataError(f"{log} has no final trajectory, map and graph; give one that 'dslam replay' finished")

@@ -30,7 +30,7 @@ def calibrate(
     """Estimate noise, scales and faults of a robot's sensors from its logs, for 'dslam replay --calibration'.
 
     A correction is made only if it predicts parts of the logs that it was not fitted to better than everything else
-    that could explain them; otherwise it is a suspicion, and nothing is changed.
+    that could explain them.
 
     Example: dslam calibrate monday.mcap tuesday.mcap -o robot.toml
     """
@@ -51,8 +51,6 @@ def calibrate(
                 "calibration": calibration.model_dump(mode="json"),
                 "estimated": sorted(found.estimated),
                 "notes": list(found.notes),
-                "suspicions": list(found.suspicions),
-                "floors": list(found.floors),
             }
         )
     else:
@@ -69,7 +67,5 @@ def _show(found: CalibratedLog, output: Path | None) -> None:
         rows[key] = f"{value:.4g}" + ("" if sigma is None else f" +- {sigma:.2g}")
     rows["from"] = ", ".join(f"{name} {value:.0f}" for name, value in calibration.evidence.items())
     rows |= {"corrected": "; ".join(found.notes)} if found.notes else {}
-    rows |= {"no less than": ", ".join(found.floors)} if found.floors else {}
-    rows |= {"suspected": "; ".join(found.suspicions)} if found.suspicions else {}
     rows |= {"written": str(output)} if output is not None else {}
     console.show(console.pairs(rows))

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.errors import DatasetError
 from logs.messages import FloatArray
 
-MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG = 90.0, 180.0
+MAX_DEGREES = (90.0, 180.0)
+"""Of latitude and longitude."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,21 +56,12 @@ def check_degrees(source: str, geodetic: FloatArray) -> None:
     """
     if not len(geodetic):
         raise DatasetError(f"{source} holds no objects; give at least four")
-    wrong = _outside(geodetic[:, 0], geodetic[:, 1])
-    if not wrong.any():
-        return
-    row = int(wrong.argmax())
-    latitude, longitude = geodetic[row, :2]
-    is_swapped = not _outside(geodetic[:, 1], geodetic[:, 0]).any()
-    remedy = (
-        "latitude and longitude are swapped: exchange the columns" if is_swapped else "these are metres or another unit"
-    )
-    raise DatasetError(
-        f"{source}: latitude {latitude:g}, longitude {longitude:g} of object {row + 1} are not degrees; {remedy}"
-    )
-
-
-def _outside(latitude: FloatArray, longitude: FloatArray) -> NDArray[np.bool_]:
-    return np.asarray(
-        ~(np.abs(latitude) <= MAX_LATITUDE_DEG) | ~(np.abs(longitude) <= MAX_LONGITUDE_DEG), dtype=np.bool_
-    )
+    plane = np.abs(geodetic[:, :2])
+    wrong = ~(plane <= MAX_DEGREES).all(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        is_swapped = (plane[:, ::-1] <= MAX_DEGREES).all()
+        raise DatasetError(
+            f"{source}: latitude {geodetic[row, 0]:g}, longitude {geodetic[row, 1]:g} of object {row + 1} are not "
+            f"degrees; {'they are swapped: exchange the columns' if is_swapped else 'these are metres or another unit'}"
+        )

@@ -1,1 +1,1 @@
-"""Keyframes that others stand for, so that the graph grows with the map and not with the drive."""
+"""Keyframes that others represent, so that the graph grows with the map and not with the drive."""

@@ -1,4 +1,4 @@
-"""Which keyframes are attached to which.
+"""The choice of the anchor of each attached keyframe.
 
 As in reduced pose graphs (Johannsson et al., ICRA 2013), a place that was passed often gets no new variables; here the
 observations from there go to the keyframe of the second traversal, and landmarks stay variables. The first traversal

@@ -1,4 +1,4 @@
-"""Keyframes that are no variables any more: each moves rigidly with another one, its anchor."""
+"""Keyframes that are not variables of the graph: each moves rigidly with another one, its anchor."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def relative_covariances(
     *,
     sensor_range_m: float,
 ) -> dict[int, FloatArray]:
-    """How well the pose of each keyframe relative to its anchor is known: (6, 6), about the axes of the keyframe.
+    """Covariance (6, 6) of the pose of each keyframe relative to its anchor, about the axes of the keyframe.
 
     By the landmarks that both observed, by closures, and along the drive by the odometry: a smoother of information, to
     which earlier keyframes are constants.
@@ -88,7 +88,7 @@ def condensed_factors(
     """The factors that replace those of newly attached keyframes.
 
     Observations from them become observations from their anchors. Of their edges those to keyframes that stay remain,
-    but for closures that found them: the anchor stands for what these found.
+    but for closures that found them: the anchor represents those.
 
     Args:
         factors: those in force, by number.

@@ -38,7 +38,7 @@ FACTOR_LIMITS = (1e-3, 1e2)
 MIN_INFORMATION = 0.01
 TEST_PROBABILITY = 0.05
 COMPLEX_STEP = 1e-12
-SIZE = 6
+POSE_SIZE = 6
 SOLVED_AT_ONCE = 48
 """Right sides, which are dense."""
 
@@ -83,7 +83,7 @@ def variance_factors(system: LinearSystem) -> FloatArray:
     """
     factors = np.ones(len(system.residuals))
     stretches = len(system.odometry_rows) // STRETCH_STEPS
-    full_stretches = system.odometry_rows[: stretches * STRETCH_STEPS].reshape(stretches, STRETCH_STEPS, SIZE)
+    full_stretches = system.odometry_rows[: stretches * STRETCH_STEPS].reshape(stretches, STRETCH_STEPS, POSE_SIZE)
     groups = [
         (rows, _spread_out(samples))
         for rows, samples in (
@@ -95,8 +95,8 @@ def variance_factors(system: LinearSystem) -> FloatArray:
     if not groups:
         return factors
     adding = sparse.vstack([_adding(samples, len(factors)) for _, samples in groups], format="csr")
-    residuals = (adding @ system.residuals).reshape(-1, SIZE)
-    posterior = _posterior_variances(system, adding).reshape(-1, SIZE)
+    residuals = (adding @ system.residuals).reshape(-1, POSE_SIZE)
+    posterior = _posterior_variances(system, adding).reshape(-1, POSE_SIZE)
     start = 0
     for rows, samples in groups:
         part = slice(start, start + len(samples))
@@ -117,9 +117,9 @@ def _spread_out(samples: IntArray) -> IntArray:
 
 def _adding(samples: IntArray, row_count: int) -> sparse.csr_array:
     """(S * 6, N): adds up the rows (S, K, 6) of each sample, and divides by the root of K."""
-    sums = np.broadcast_to(np.arange(len(samples) * SIZE).reshape(-1, 1, SIZE), samples.shape)
+    sums = np.broadcast_to(np.arange(len(samples) * POSE_SIZE).reshape(-1, 1, POSE_SIZE), samples.shape)
     weights = np.full(samples.size, 1.0 / np.sqrt(samples.shape[1]))
-    return sparse.csr_array((weights, (sums.ravel(), samples.ravel())), shape=(len(samples) * SIZE, row_count))
+    return sparse.csr_array((weights, (sums.ravel(), samples.ravel())), shape=(len(samples) * POSE_SIZE, row_count))
 
 
 def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> FloatArray:
@@ -144,7 +144,7 @@ def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> Floa
 
 def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
     """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and the information (S, 6) of other factors."""
-    variance = np.ones(SIZE)
+    variance = np.ones(POSE_SIZE)
     for _ in range(ROUNDS):
         left = variance / (1.0 + variance * measured)
         expected = np.where(measured > 0.0, left / posterior * residuals, 0.0)
@@ -179,7 +179,7 @@ def covariance_blocks(system: LinearSystem, factors: FloatArray) -> FloatArray:
     values = -entries.imag / COMPLEX_STEP if np.iscomplexobj(entries) else entries
     owner = system.owners[rows]
     starts = np.searchsorted(system.owners, owner)
-    blocks = np.zeros((int(system.owners[-1]) + 1 if len(system.owners) else 0, SIZE, SIZE))
+    blocks = np.zeros((int(system.owners[-1]) + 1 if len(system.owners) else 0, POSE_SIZE, POSE_SIZE))
     blocks[owner, rows - starts, columns - starts] = values
     blocks[owner, columns - starts, rows - starts] = values
     return blocks

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slam.backend.covariance.covariance_estimation import (
+    POSE_SIZE,
     LinearSystem,
     covariance_blocks,
     outlier_limit,
@@ -25,7 +26,7 @@ from slam.common.arrays import FloatArray, IntArray
 logger = logging.getLogger(__name__)
 
 KeyArray = NDArray[np.uint64]
-POSE_SIZE, POINT_SIZE = 6, 3
+POINT_SIZE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,15 +67,11 @@ def compute_marginals(
         config: the kernels of the observations.
 
     Raises:
-        RuntimeError: the graph does not determine all variables.
+        np.linalg.LinAlgError: the graph does not determine all variables.
     """
     keys, points = _ordered_keys(values)
     system = _linearize(graph, values, factors, config)
-    try:
-        blocks = covariance_blocks(system, variance_factors(system))
-    except np.linalg.LinAlgError as error:
-        logger.info("marginals are computed one at a time by GTSAM: %s", error)
-        return _marginals_one_by_one(graph, values)
+    blocks = covariance_blocks(system, variance_factors(system))
     return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
 
 
@@ -114,25 +111,6 @@ def _sizes(factors: Sequence[Factor]) -> IntArray:
     """Rows (F,) of factors."""
     is_small = np.array([isinstance(each, Observation | LandmarkPrior) for each in factors])
     return np.where(is_small, POINT_SIZE, POSE_SIZE)
-
-
-def _marginals_one_by_one(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Marginals:
-    """Covariances of all variables by elimination with QR, which is slow, but bears a poor conditioning."""
-    parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")
-    isam, factors = gtsam.ISAM2(parameters), gtsam.NonlinearFactorGraph()
-    for place in range(graph.size()):
-        if graph.exists(place):
-            factors.add(graph.at(place))
-    isam.update(factors, values)
-    keys, points = _ordered_keys(values)
-    covariances = [np.asarray(isam.marginalCovariance(int(key))) for key in keys]
-    return Marginals(
-        keys[points:],
-        keys[:points],
-        np.array(covariances[points:]).reshape(-1, POSE_SIZE, POSE_SIZE),
-        np.array(covariances[:points]).reshape(-1, POINT_SIZE, POINT_SIZE),
-    )
 
 
 def _linearize(

@@ -27,7 +27,7 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
 
     Args:
         matrix: the information matrix. It may be complex, symmetric (not Hermitian), with a positive definite real part
-            and a small imaginary one, of which the inverse then tells how it changes with it.
+            and a small imaginary one, and the imaginary part of the inverse is its derivative.
         owners: (n,) the variable that each row belongs to.
 
     Returns:

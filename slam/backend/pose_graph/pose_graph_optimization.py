@@ -1,57 +1,110 @@
-"""A pose graph as GTSAM's factors, solved by the robust batch optimisation."""
+"""Batch optimisation of poses with edges between them, of which some are loop closures, and some of these are false."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import X
 
-from slam.backend.pose_graph.pose_graph import PoseGraph
-from slam.backend.pose_graph.robust_optimization import MAX_ITERATIONS, RobustSolution, optimize_robustly
-from slam.common.arrays import BoolArray
-from slam.common.errors import FactorGraphError
+from slam.backend.batch_solver import MAX_ITERATIONS, levenberg_marquardt
+from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, PosePrior, between_factor, prior_factor
+from slam.backend.gtsam_calls import GtsamCalls
+from slam.common.arrays import BoolArray, FloatArray
 
-FIXED_SIGMA = 1e-5
-"""How firmly the first pose is held, in metres and radians; it is given back as it was."""
+WIDE_KERNEL_WIDTH = 10.0
+"""Width at which many closures outweigh few that happen to fit the odometry."""
+MIN_WEIGHT = 0.02
+"""A closure whose weight is less is rejected: one that is off by more than seven standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraphSolution:
-    """The graph at its solution, and how it was found; weights are those of the closures."""
+    """``T_map_body`` (K, 4, 4) of the keyframes in their order, and ``weights`` (C,) of the closures in [0, 1]: 1 fits
+    exactly, 0 was rejected. ``message``: what did not converge, and whether all closures were rejected; or empty.
+    """
 
-    graph: PoseGraph
-    solution: RobustSolution
+    T_map_body: FloatArray
+    weights: FloatArray
+    message: str
+
+    @property
+    def kept(self) -> BoolArray:
+        """Whether each closure (C,) agrees with the solution."""
+        return np.asarray(self.weights >= MIN_WEIGHT)
 
 
 def optimize_pose_graph(
-    graph: PoseGraph, is_closure: BoolArray, *, max_iterations: int = MAX_ITERATIONS
+    T_map_body: Mapping[int, FloatArray], factors: Iterable[PosePrior | Edge], closures: Sequence[Edge]
 ) -> PoseGraphSolution:
-    """Solve a connected pose graph.
+    """Solve a pose graph, and reject the false closures in it.
+
+    All closures get a Cauchy kernel, whose weight falls with the square of the error (Black and Rangarajan 1996 on such
+    kernels as outlier processes). Such a cost has many minima. Two are compared, near the solution without closures and
+    near that with a wide kernel, and the lower one is used; so the initial values hardly matter. The weight never falls
+    to zero, and hundreds of false closures pull together: those of little weight are rejected and the rest is solved
+    again, until none is rejected.
 
     Args:
-        graph: with one pose at least.
-        is_closure: (E,), the edges that may be false; the others connect all poses. All false: plain least squares.
-        max_iterations: of one solution, of which there are several.
+        T_map_body: initial values (4, 4) by keyframe.
+        factors: what holds all poses without the closures.
+        closures: edges that may be false; there may be none.
 
     Raises:
-        FactorGraphError: GTSAM cannot solve it.
+        FactorGraphError: GTSAM cannot solve the graph, for example because a keyframe has no initial value.
     """
-    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for (start, end), T, covariance in zip(graph.edges.tolist(), graph.T_from_to, graph.covariances, strict=True):
-        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        factors.add(gtsam.BetweenFactorPose3(start, end, gtsam.Pose3(T), noise))
-    for vertex, T in enumerate(graph.T_world_vertex):
-        values.insert(vertex, gtsam.Pose3(T))
-    held = gtsam.noiseModel.Isotropic.Sigma(6, FIXED_SIGMA)
-    factors.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(graph.T_world_vertex[0]), held))
-    try:
-        solution = optimize_robustly(factors, values, np.flatnonzero(is_closure), max_iterations=max_iterations)
-    except (RuntimeError, ValueError, IndexError) as error:
-        first_line = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
-        raise FactorGraphError(f"the optimisation failed: {first_line}") from error
-    poses = np.array([solution.values.atPose3(vertex).matrix() for vertex in range(len(graph.T_world_vertex))])
-    if not np.isfinite(poses).all():
-        raise FactorGraphError("the optimisation failed: a pose is not finite; check the measurements")
-    poses[0] = graph.T_world_vertex[0]
-    return PoseGraphSolution(replace(graph, T_world_vertex=poses), solution)
+    initial = gtsam.Values()
+    for keyframe, T in T_map_body.items():
+        initial.insert(X(keyframe), gtsam.Pose3(T))
+    with GtsamCalls().doing("the optimisation of the pose graph"):
+        solver = _Solver(factors, closures)
+        in_force = np.ones(len(closures), dtype=np.bool_)
+        values = solver.solve(~in_force, initial)
+        if len(closures):
+            starts = (values, solver.solve(in_force, values, WIDE_KERNEL_WIDTH))
+            solutions = [solver.solve(in_force, start) for start in starts]
+            values = min(solutions, key=lambda each: solver.graph(in_force).error(each))
+        while (rejected := in_force & (solver.weights(values) < MIN_WEIGHT)).any():
+            in_force &= ~rejected
+            values = solver.solve(in_force, values)
+    notes = list(solver.shortfalls)
+    if len(in_force) and not in_force.any():
+        notes.append(f"none of {len(in_force)} closures agrees with the rest; all were rejected")
+    poses = np.array([values.atPose3(X(keyframe)).matrix() for keyframe in T_map_body]).reshape(-1, 4, 4)
+    return PoseGraphSolution(poses, np.where(in_force, solver.weights(values), 0.0), "; ".join(notes))
+
+
+class _Solver:
+    """Solves a graph with some of its closures; ``shortfalls``: what did not converge."""
+
+    def __init__(self, factors: Iterable[PosePrior | Edge], closures: Sequence[Edge]) -> None:
+        self._others = gtsam.NonlinearFactorGraph()
+        for each in factors:
+            self._others.add(between_factor(each) if isinstance(each, Edge) else prior_factor(each))
+        # Without the kernel that closures have.
+        self._closures = [between_factor(replace(each, kind=EdgeKind.ODOMETRY)) for each in closures]
+        self.shortfalls: dict[str, None] = {}
+
+    def solve(self, in_force: BoolArray, start: gtsam.Values, width: float = CLOSURE_KERNEL_WIDTH) -> gtsam.Values:
+        """The least cost of all other factors and the closures in force (C,), near ``start``."""
+        optimizer = levenberg_marquardt(self.graph(in_force, width), start)
+        values = optimizer.optimize()
+        if optimizer.iterations() >= MAX_ITERATIONS:
+            closures = np.count_nonzero(in_force)
+            self.shortfalls[f"the solution with {closures} closures took all {MAX_ITERATIONS} iterations"] = None
+        return values
+
+    def graph(self, in_force: BoolArray, width: float = CLOSURE_KERNEL_WIDTH) -> gtsam.NonlinearFactorGraph:
+        """All other factors, and the closures in force (C,) with kernels of that width in standard deviations."""
+        graph, kernel = self._others.clone(), gtsam.noiseModel.mEstimator.Cauchy.Create(width)
+        for row in np.flatnonzero(in_force).tolist():
+            closure = self._closures[row]
+            graph.add(closure.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(kernel, closure.noiseModel())))
+        return graph
+
+    def weights(self, values: gtsam.Values) -> FloatArray:
+        """Weight (C,) that the Cauchy kernel gives each closure, in (0, 1]."""
+        chi_squared = np.array([2.0 * closure.error(values) for closure in self._closures], dtype=np.float64)
+        return np.asarray(1.0 / (1.0 + chi_squared / CLOSURE_KERNEL_WIDTH**2))

@@ -1,1 +1,1 @@
-"""What an evaluation reads: records of logs, the protocol, synchronized poses."""
+"""Input of an evaluation: records of logs, the protocol, synchronized poses."""

@@ -1,12 +1,12 @@
-"""The rules and thresholds by which everything is measured; they are printed with the numbers."""
+"""The rules and thresholds of the evaluation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import Annotated, Self
+from typing import Self
 
-from pydantic import ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
+from pydantic import ConfigDict, PositiveFloat, PositiveInt, ValidationError
 from pydantic.dataclasses import dataclass
 
 from slam.common.errors import EvaluationError
@@ -15,61 +15,34 @@ from slam.evaluation.metrics.trajectory import KITTI_LENGTHS_M, KITTI_START_STEP
 
 SPACING_TOLERANCE = 0.05
 """Part of the query spacing by which keyframes may be closer: those placed every 2 m must not be thinned by half."""
-
+SAME_HEADING_DEG, OPPOSITE_HEADING_DEG = 45.0, 135.0
+"""Angles between the headings of two visits up to which they are the same, and beyond which they are opposite."""
+WINDOW_LANDMARKS = 3
+"""Fewest landmarks of a window: two leave no residual after their alignment."""
+COVERAGE_PROBABILITY = 0.95
+"""Of the region of the chi-squared distribution in which errors are counted."""
 RANGE_M = 30.0
 """Sensor range for which the lengths of the protocol are given: those of papers, about cars in streets."""
-LENGTHS = (
-    "revisit_m",
-    "window_m",
-    "window_stride_m",
-    "match_distance_m",
-    "closure_translation_m",
-    "query_spacing_m",
-    "revisit_distance_m",
-    "closure_run_gap_m",
-    "relocalization_translation_m",
-)
-"""Those of them that mean nothing in a hall of ten metres."""
 
 
 @dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class Protocol:
-    """Thresholds, with KITTI's values for the relative errors; units are in the names. All are positive, and a window
-    of fewer than three landmarks leaves no residual.
-    """
+    """Thresholds; units are in the names. All are positive, and lengths (``..._m``) are those usual for cars."""
 
     max_truth_gap_s: PositiveFloat = 1.5
-    relative_lengths_m: tuple[PositiveFloat, ...] = KITTI_LENGTHS_M
-    short_relative_lengths_m: tuple[PositiveFloat, ...] = (1.0, 10.0)
-    relative_start_step: PositiveInt = KITTI_START_STEP
     revisit_m: PositiveFloat = 100.0
     window_m: PositiveFloat = 50.0
-    window_stride_m: PositiveFloat = 25.0
-    window_least_landmarks: Annotated[int, Field(ge=3)] = 3
     match_distance_m: PositiveFloat = 2.0
     least_detections: PositiveInt = 5
     closure_translation_m: PositiveFloat = 4.0
     closure_rotation_deg: PositiveFloat = 10.0
     query_spacing_m: PositiveFloat = 2.0
     revisit_distance_m: PositiveFloat = 5.0
-    same_heading_deg: PositiveFloat = 45.0
-    opposite_heading_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 135.0
-    closure_run_gap_m: PositiveFloat = 10.0
-    relocalization_translation_m: PositiveFloat = 4.0
-    relocalization_rotation_deg: PositiveFloat = 10.0
-    coverage_probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.95
-
-    def __post_init__(self) -> None:
-        if self.same_heading_deg > self.opposite_heading_deg:
-            raise EvaluationError(
-                f"same_heading_deg = {self.same_heading_deg} of the evaluation protocol exceeds opposite_heading_deg = "
-                f"{self.opposite_heading_deg}"
-            )
 
     def for_range(self, sensor_range_m: float) -> Self:
-        """The same with all ``LENGTHS`` in proportion to a sensor range [m]."""
-        scale = sensor_range_m / RANGE_M
-        return self.with_thresholds({name: scale * getattr(self, name) for name in LENGTHS})
+        """The same with all lengths in proportion to a sensor range [m]."""
+        lengths = [each.name for each in fields(self) if each.name.endswith("_m")]
+        return self.with_thresholds({name: sensor_range_m / RANGE_M * getattr(self, name) for name in lengths})
 
     def with_thresholds(self, thresholds: Mapping[str, float]) -> Self:
         """The same with other thresholds, by name.
@@ -86,18 +59,16 @@ class Protocol:
 
     def describe(self) -> dict[str, str]:
         """Each rule in one sentence, with the thresholds in it."""
-        lengths = ", ".join(f"{length:g}" for length in self.relative_lengths_m)
-        short = ", ".join(f"{length:g}" for length in self.short_relative_lengths_m)
+        lengths = ", ".join(f"{length:g}" for length in KITTI_LENGTHS_M)
+        least_m = (1.0 - SPACING_TOLERANCE) * self.query_spacing_m
         return {
             "time": "The truth is interpolated at the stamps of the estimate, inside its span and not across gaps of "
             f"more than {self.max_truth_gap_s:g} s.",
             "alignment": "Umeyama SE(3) without scale over all compared positions; on a straight line (lateral spread "
             f"below {STRAIGHT_LINE_RATIO:g} of the longitudinal one) yaw and translation only.",
-            "ate": "Distances between aligned estimated and true positions of the body; ate_m is their RMSE, ate_yaw_m "
-            "the RMSE after the alignment of yaw and translation only.",
-            "rpe": f"KITTI: stretches of {lengths} m of true path, starting at every {self.relative_start_step}th "
-            "compared pose and divided by the nominal length; the averages are over all stretches.",
-            "short_rpe": f"The same over stretches of {short} m, divided by their actual length.",
+            "ate": "Distances between aligned estimated and true positions of the body; ate_m is their RMSE.",
+            "rpe": f"KITTI: stretches of {lengths} m of true path, starting at every {KITTI_START_STEP}th compared "
+            "pose and divided by the nominal length; the averages are over all stretches.",
             "landmark_identity": "A landmark shows the true object of most of its detections; false positives count as "
             "one candidate, and a tie goes to the first. Detections of a merged landmark count for the one it was "
             "merged into.",
@@ -109,8 +80,8 @@ class Protocol:
             "association_recall": f"Detections of an object that was also detected within the last "
             f"{self.revisit_m:g} m of travel: the share assigned to an existing landmark of this object.",
             "landmark_error": f"Confirmed landmarks, grouped by first observation into windows of {self.window_m:g} m "
-            f"of true path every {self.window_stride_m:g} m; yaw and translation aligned in each window with at least "
-            f"{self.window_least_landmarks} landmarks; statistics over the residuals of all windows.",
+            "of true path that overlap by half; yaw and translation aligned in each window with at least "
+            f"{WINDOW_LANDMARKS} landmarks; statistics over the errors in all windows.",
             "landmark_global_error": "Confirmed landmarks after the alignment of the trajectory.",
             "landmark_matching": "By landmark_identity; without a truth of the detections, the nearest true object of "
             f"the same class within {self.match_distance_m:g} m after the alignment of the trajectory.",
@@ -118,14 +89,6 @@ class Protocol:
             "landmark_recall": f"True objects that were detected at least {self.least_detections} times: the share "
             "shown by a confirmed landmark.",
             "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
-            **self._describe_closures(),
-            **self._describe_relocalization(),
-            **self._describe_calibration(),
-        }
-
-    def _describe_closures(self) -> dict[str, str]:
-        least_m = (1.0 - SPACING_TOLERANCE) * self.query_spacing_m
-        return {
             "closure_decision": "Of several records about the same two keyframes the last one counts.",
             "closure_true": f"The transform is within {self.closure_translation_m:g} m and "
             f"{self.closure_rotation_deg:g} deg (whole angle of rotation) of the true relative pose; undecided where "
@@ -136,8 +99,8 @@ class Protocol:
             f"after the one before ({self.query_spacing_m:g} m less {100.0 * SPACING_TOLERANCE:g} %).",
             "revisit": f"A query keyframe within {self.revisit_distance_m:g} m (between true positions, 3-D) of any "
             f"keyframe at least {self.revisit_m:g} m of true travel before. The angle between the forward axes of it "
-            f"and the nearest such keyframe makes it same (up to {self.same_heading_deg:g} deg), opposite (beyond "
-            f"{self.opposite_heading_deg:g} deg) or crossing.",
+            f"and the nearest such keyframe makes it same (up to {SAME_HEADING_DEG:g} deg), opposite (beyond "
+            f"{OPPOSITE_HEADING_DEG:g} deg) or crossing.",
             "closure_recall": "Revisits with at least one accepted true closure at the same keyframe; closures at "
             "neighbouring keyframes do not count.",
             "closure_recognised": "Revisits that are recalled, or at which landmarks of the earlier traversal are "
@@ -146,19 +109,9 @@ class Protocol:
             "its posterior probability against a new place, without rivals: the number of right ones in each bin.",
             "closure_missed": "The last stage that a true candidate of a missed revisit reached.",
             "closure_error": "Errors of the accepted true closures: position and rotation angle of the query keyframe.",
-            "within_revisit_spread": f"Accepted true closures less than {self.closure_run_gap_m:g} m of true travel "
-            "apart form a run; the median, over runs of at least two, of the standard deviation of the error vectors "
-            "(world frame) about their mean.",
             "closure_score": "A threshold is moved over the score of the best decided candidate of each query "
             "keyframe; equal scores are accepted together, and ties within a keyframe are scored pessimistically. "
             "Average precision is the sum of (R_n - R_(n-1)) P_n as in scikit-learn, with recall over all revisits.",
-            "extended_precision": "The mean of the precision at the highest score and the largest recall at full "
-            "precision (Ferrarini et al., 2020); the latter is 0 if the best score is false. Undefined without a "
-            "candidate, as average precision and F1 are.",
-        }
-
-    def _describe_relocalization(self) -> dict[str, str]:
-        return {
             "relocalization_loss": "A loss lasts from the first status in state LOST, also at the start of a drive in "
             "a given map, to the next status RELOCALIZED (a fix). Time and travel (along the truth, else the odometry) "
             "include wrong fixes; lost_time_ratio is a share of the duration of the drive.",
@@ -166,22 +119,17 @@ class Protocol:
             "to the fix whose reference is from before the loss. With a given map: the error of the first pose on "
             "/slam/pose after the fix, aligned by the drive that made the map (method map) or by the evaluated "
             "trajectory itself (method trajectory), which hides a common offset.",
-            "relocalization_right": f"Within {self.relocalization_translation_m:g} m and "
-            f"{self.relocalization_rotation_deg:g} deg (whole angle of rotation). The success rate is the share of "
+            "relocalization_right": f"Within {self.closure_translation_m:g} m and "
+            f"{self.closure_rotation_deg:g} deg (whole angle of rotation). The success rate is the share of "
             "losses with a right fix, the wrong rate that of losses with a wrong one; fixes without truth are ignored.",
-        }
-
-    def _describe_calibration(self) -> dict[str, str]:
-        return {
             "calibration": "The NEES e^T P^-1 e of an error e with the covariance P, per degree of freedom (1 is "
-            f"right, more is overconfident), and the share of errors in the {100.0 * self.coverage_probability:g} % "
+            f"right, more is overconfident), and the share of errors in the {100.0 * COVERAGE_PROBABILITY:g} % "
             "region of the chi-squared distribution. Covariances are in the map frame, which the first keyframe fixes, "
             "so the truth is aligned with the estimate there and nowhere else. Errors of one run are correlated: judge "
             "the coverage over several runs.",
             "calibration_of_poses": "All other keyframes with truth: six degrees of freedom about the axes of the "
-            "body; planar: heading, forward and left.",
+            "body.",
             "calibration_of_landmarks": "Confirmed landmarks that show an object by the truth of their detections: "
-            "three coordinates; planar: x and y.",
-            "calibration_of_closures": "Accepted true closures, inserted or not, by their own covariance and axes; "
-            "planar as for poses.",
+            "three coordinates.",
+            "calibration_of_closures": "Accepted true closures, inserted or not, by their own covariance and axes.",
         }

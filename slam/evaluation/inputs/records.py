@@ -22,7 +22,6 @@ from logs.messages import (
     ObjectMapRecord,
     Odometry,
     Record,
-    RelocalizationRecord,
     SlamPose,
     StatusRecord,
     TrajectoryRecord,
@@ -42,7 +41,6 @@ _ESTIMATED_KINDS = frozenset(
         RecordKind.FACTOR_GRAPH,
         RecordKind.LOOP_CLOSURES,
         RecordKind.OBJECT_MAP,
-        RecordKind.RELOCALIZATIONS,
         RecordKind.SLAM_POSE,
         RecordKind.STATUS,
         RecordKind.TRAJECTORY,
@@ -58,10 +56,10 @@ _Record = TypeVar("_Record", bound=Record)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluationRecords:
-    """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
+    """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 
-    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: what the replay
-    recorded of itself. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
+    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: the metadata of
+    the replay. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
     """
 
     trajectory: TrajectoryRecord | None = None
@@ -75,7 +73,6 @@ class EvaluationRecords:
     closures: tuple[LoopClosureRecord, ...] = ()
     graph: FactorGraphRecord | None = None
     statuses: tuple[StatusRecord, ...] = ()
-    relocalizations: tuple[RelocalizationRecord, ...] = ()
     configuration: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
     has_prior_map: bool = False
@@ -108,7 +105,7 @@ class EvaluationRecords:
 
     @property
     def sensor_range_m(self) -> float | None:
-        """The sensor range that the run went by, estimated or given; None where the log does not tell."""
+        """The sensor range of the run, estimated or given; None if the log does not hold it."""
         estimated = _read_tree(self.provenance.get("estimated", ""))
         given = self.configuration.get("calibration", self.configuration).get("detection")
         range_m = estimated.get("detection.sensor_range_m")
@@ -166,7 +163,6 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
         closures=tuple(of_kind[LoopClosureRecord]),
         graph=_last(of_kind[FactorGraphRecord]),
         statuses=tuple(of_kind[StatusRecord]),
-        relocalizations=tuple(of_kind[RelocalizationRecord]),
     )
 
 
@@ -245,7 +241,7 @@ def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
 
 
 def _read_tree(recorded: str) -> dict[str, Any]:
-    """What a JSON object says; nothing where the text is none."""
+    """The JSON object in a text; empty if the text holds no object."""
     try:
         tree = parse_json(recorded)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Two series of poses brought to the same times: the truth, interpolated at the stamps of the estimate."""
+"""Synchronization of two series of poses: the truth is interpolated at the stamps of the estimate."""
 
 from __future__ import annotations
 
@@ -14,15 +14,10 @@ from slam.common.geometry import interpolate, travelled_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseSeries:
-    """Poses of the body in one fixed frame: stamps_ns (N,) strictly increasing, T_world_body (N, 4, 4), N may be 0.
-
-    ``disordered_count`` and ``duplicate_count`` say what :func:`clean_poses` had to repair.
-    """
+    """Poses of the body in one fixed frame: stamps_ns (N,) strictly increasing, T_world_body (N, 4, 4), N may be 0."""
 
     stamps_ns: IntArray
     T_world_body: FloatArray
-    disordered_count: int = 0
-    duplicate_count: int = 0
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -53,16 +48,11 @@ class PoseSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SynchronizedPoses:
-    """Estimate and truth at the same M stamps: stamps_ns (M,), T_map_body_est and T_world_body_gt (M, 4, 4).
-
-    ``outside_count`` and ``gap_count`` are the poses of the estimate without truth: beyond its ends, within its gaps.
-    """
+    """Estimate and truth at the same M stamps: stamps_ns (M,), T_map_body_est and T_world_body_gt (M, 4, 4)."""
 
     stamps_ns: IntArray
     T_map_body_est: FloatArray
     T_world_body_gt: FloatArray
-    outside_count: int
-    gap_count: int
 
     @property
     def positions_est(self) -> FloatArray:
@@ -83,30 +73,20 @@ def series_of(stamped_poses: Iterable[tuple[int, FloatArray]]) -> PoseSeries:
 
 
 def clean_poses(stamps_ns: IntArray, T_world_body: FloatArray) -> PoseSeries:
-    """Sort poses by time and keep the first of those that share a stamp; what was wrong is counted.
+    """Sort poses by time and keep the first of those that share a stamp.
 
     Args:
         stamps_ns: (N,) int64, in any order; N may be 0.
         T_world_body: (N, 4, 4) float64, metres.
 
-    Returns:
-        The series with strictly increasing stamps. A pose counts as disordered when a later stamp came before it.
-
     Raises:
-        EvaluationError: the lengths differ or a pose is not finite.
+        EvaluationError: a pose is not finite.
     """
-    stamps = np.asarray(stamps_ns, dtype=np.int64)
-    poses = np.asarray(T_world_body, dtype=np.float64).reshape(-1, 4, 4)
-    if len(stamps) != len(poses):
-        raise EvaluationError(f"{len(stamps)} stamps do not belong to {len(poses)} poses")
-    broken = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))
+    broken = np.flatnonzero(~np.isfinite(T_world_body).all(axis=(1, 2)))
     if len(broken):
-        raise EvaluationError(f"pose at {stamps[broken[0]]} ns is not finite ({len(broken)} such poses)")
-    if len(stamps) == 0:
-        return PoseSeries(stamps, poses)
-    disordered = int(np.count_nonzero(stamps < np.maximum.accumulate(stamps)))
-    unique, first = np.unique(stamps, return_index=True)
-    return PoseSeries(unique, poses[first], disordered, len(stamps) - len(unique))
+        raise EvaluationError(f"pose at {stamps_ns[broken[0]]} ns is not finite ({len(broken)} such poses)")
+    unique, first = np.unique(stamps_ns, return_index=True)
+    return PoseSeries(unique, T_world_body[first])
 
 
 def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> SynchronizedPoses:
@@ -124,10 +104,8 @@ def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) ->
     stamps = estimate.stamps_ns
     inside = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
     after = np.searchsorted(truth.stamps_ns, stamps, side="left").clip(0, len(truth.stamps_ns) - 1)
-    before = (after - 1).clip(0)
-    exact = truth.stamps_ns[after] == stamps
-    in_gap = inside & ~exact & (truth.stamps_ns[after] - truth.stamps_ns[before] > round(max_gap_s * 1e9))
-    known = inside & ~in_gap
+    gaps_ns = truth.stamps_ns[after] - truth.stamps_ns[(after - 1).clip(0)]
+    known = inside & ((truth.stamps_ns[after] == stamps) | (gaps_ns <= round(max_gap_s * 1e9)))
     if not known.any():
         raise EvaluationError(
             f"none of {len(stamps)} estimated poses in [{stamps[0]}, {stamps[-1]}] ns has truth, which spans "
@@ -138,6 +116,4 @@ def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) ->
         stamps[known],
         estimate.T_world_body[known],
         interpolate(truth.stamps_ns, truth.T_world_body, stamps[known]),
-        int(np.count_nonzero(~inside)),
-        int(np.count_nonzero(in_gap)),
     )

@@ -1,4 +1,4 @@
-"""True poses in a text file: TUM, KITTI, EuRoC or CSV, also packed by gzip."""
+"""True poses in a text file: TUM, KITTI or CSV, also packed by gzip."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
 
 _STRETCHES = 200
-_DEGREES = 1e-4
-"""Ways in degrees are 1e-5 of those in metres; no odometry exaggerates by that much."""
 _TURNED_DEG = 45.0
 """Directions of travel that differ by more, in the median, are of other axes: x, y and z are 90 deg apart."""
 
@@ -67,14 +65,13 @@ class TextReference:
         try:
             both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
         except EvaluationError:
-            return  # That they do not meet is told where they are compared.
+            return  # The comparison reports that they do not overlap.
         travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
         rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], _STRETCHES + 1)))
         ways = []
         for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
             ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
         moved_m = np.linalg.norm(ways, axis=2)  # (2, stretches)
-        self._check_unit(*moved_m.sum(axis=1).tolist())
         lengths = moved_m[0] * moved_m[1]
         moved = lengths > 0.0
         if not moved.any():
@@ -87,11 +84,4 @@ class TextReference:
             raise EvaluationError(
                 f"{self.path}: the robot moves {turned_deg:.0f} deg (median) away from where it moves by its odometry, "
                 f"so the axes of these poses are not those of its body; {remedy}"
-            )
-
-    def _check_unit(self, by_odometry_m: float, by_truth_m: float) -> None:
-        if 0.0 < by_truth_m < _DEGREES * by_odometry_m:
-            raise EvaluationError(
-                f"{self.path}: the robot moves by {by_truth_m:.2g}, where it moves by {by_odometry_m:.0f} m by its "
-                "odometry, so these positions are degrees, not metres; project them to a plane (for example UTM)"
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -20,20 +20,10 @@ STANDSTILL_M = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """``T_world_map`` (4, 4) carries estimated points into the true world; ``note`` says why it is not SE(3)."""
+    """``T_world_map`` (4, 4) carries estimated points into the true world."""
 
     T_world_map: FloatArray
     kind: Literal["se3", "yaw_translation"]
-    note: str = ""
-
-
-def principal_spreads(points: FloatArray) -> FloatArray:
-    """RMS spread (D,), metres, largest first, of the points (N, D) along their principal axes; N = 0 gives zeros."""
-    if len(points) == 0:
-        return np.zeros(points.shape[1])
-    centred = points - points.mean(axis=0)
-    variances = np.linalg.eigvalsh(centred.T @ centred / len(points))[::-1]
-    return np.sqrt(np.maximum(variances, 0.0))
 
 
 def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
@@ -46,11 +36,10 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Alig
         points_gt: (N, 3) float64, metres, world frame.
 
     Raises:
-        EvaluationError: fewer than two pairs, or points of either set above one another, which leave yaw arbitrary.
+        EvaluationError: the points of either set are one point, or lie above one another, so that yaw is arbitrary.
     """
-    _check_pairs(points_est, points_gt)
     for name, points in (("estimated", points_est), ("true", points_gt)):
-        spread = principal_spreads(points[:, :2])[0]
+        spread = _principal_spreads(points[:, :2])[0]
         if spread < STANDSTILL_M:
             raise EvaluationError(
                 f"the {len(points)} {name} points are within {spread:.3g} m of one another in the plane, "
@@ -64,32 +53,25 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Alig
 
 
 def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
-    """Rotation and translation, no scale; on a straight line, where that is ambiguous, yaw and translation and a note.
+    """Rotation and translation, no scale; on a straight line, where that is ambiguous, yaw and translation.
 
     Args:
         points_est: (N, 3) float64, metres, map frame.
         points_gt: (N, 3) float64, metres, world frame.
 
     Raises:
-        EvaluationError: fewer than two pairs, or the points do not move in the plane.
+        EvaluationError: the points do not move in the plane.
     """
-    _check_pairs(points_est, points_gt)
-    spreads = [principal_spreads(points) for points in (points_est, points_gt)]
-    if all(s[1] >= STRAIGHT_LINE_RATIO * s[0] and s[0] >= STANDSTILL_M for s in spreads) and len(points_est) > 2:
-        mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
-        R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
-        return Alignment(make_transform(R, mean_gt - R @ mean_est), "se3")
-    note = (
-        f"the path is a straight line (spread across it below {STRAIGHT_LINE_RATIO:g} of that along it), "
-        "so the rotation about it is undetermined: only yaw and translation are aligned"
-    )
-    return replace(align_yaw_translation(points_est, points_gt), note=note)
+    spreads = [_principal_spreads(points) for points in (points_est, points_gt)]
+    if any(second < STRAIGHT_LINE_RATIO * first or first < STANDSTILL_M for first, second, _ in spreads):
+        return align_yaw_translation(points_est, points_gt)
+    mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
+    R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
+    return Alignment(make_transform(R, mean_gt - R @ mean_est), "se3")
 
 
-def _check_pairs(points_est: FloatArray, points_gt: FloatArray) -> None:
-    if points_est.shape != points_gt.shape or points_est.ndim != 2 or points_est.shape[1] != 3:
-        raise EvaluationError(f"points of shape {points_est.shape} and {points_gt.shape} are not pairs (N, 3)")
-    if len(points_est) < 2:
-        raise EvaluationError(f"{len(points_est)} paired points; an alignment needs at least 2")
-    if not (np.isfinite(points_est).all() and np.isfinite(points_gt).all()):
-        raise EvaluationError("a point to be aligned is not finite")
+def _principal_spreads(points: FloatArray) -> FloatArray:
+    """RMS spread (D,), metres, largest first, of the points (N, D) along their principal axes."""
+    centred = points - points.mean(axis=0)
+    variances = np.linalg.eigvalsh(centred.T @ centred / len(points))[::-1]
+    return np.sqrt(np.maximum(variances, 0.0))

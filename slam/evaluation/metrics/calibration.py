@@ -1,4 +1,4 @@
-"""Whether the covariances of a map are right: errors measured by the covariance that the map gives them.
+"""Consistency of the covariances of a map with its errors.
 
 The normalised estimation error squared (NEES) of an error e with the covariance P is ``e^T P^-1 e``. If P is right and
 the errors are normal, it has the chi-squared distribution of the dimension of e (Bar-Shalom, Li and Kirubarajan,
@@ -6,9 +6,6 @@ Estimation with Applications to Tracking and Navigation, 2001, section 5.4).
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -18,56 +15,43 @@ from scipy.special import gammaincinv
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
-from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.protocol import COVERAGE_PROBABILITY, Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import LandmarkMatches
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
-IN_PLANE = {"pose": [2, 3, 4], "landmark": [0, 1], "closure": [2, 3, 4]}
-"""Of each kind of error the axes in the plane: heading, forward and left; x and y."""
-CALIBRATED = tuple(f"{prefix}{kind}" for kind in IN_PLANE for prefix in ("", "planar_"))
+NEEDS = {
+    "pose": "keyframes: covariances (/slam/graph) are needed, and truth, also at the first one, which fixes the map",
+    "landmark": "landmarks: confirmed ones are needed with a true object by their detections, and the truth at the "
+    "first keyframe",
+    "closure": "closures: an accepted true one with a covariance is needed",
+}
+"""Requirements of each kind of error."""
 
 _Errors = tuple[FloatArray, FloatArray]
 """Errors (N, D) and their covariances (N, D, D)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Consistency:
-    """N errors with their covariances: squares (N,) is the NEES of each, ``dimension`` its degrees of freedom.
+def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str, float | None]:
+    """Set errors (N, D) against covariances (N, D, D), leaving out those that are not positive definite; N may be 0.
 
-    ``unusable_count``: errors that were left out, because their covariance is not positive definite.
+    ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``coverage``: share of the errors in the
+    region with probability :data:`COVERAGE_PROBABILITY`; ``count``: errors used.
     """
-
-    squares: FloatArray
-    dimension: int
-    unusable_count: int = 0
-
-    @property
-    def count(self) -> int:
-        """Number of errors."""
-        return len(self.squares)
-
-    @property
-    def nees(self) -> float:
-        """Mean NEES of a degree of freedom: 1 is right, more is overconfident, less is too careful."""
-        return float(np.mean(self.squares)) / self.dimension
-
-    def coverage(self, probability: float) -> float:
-        """Share of the errors in the region that holds them with ``probability`` if the covariances are right."""
-        return float(np.mean(self.squares <= 2.0 * gammaincinv(0.5 * self.dimension, probability)))
-
-
-def measure_consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | None:
-    """Set errors (N, D) against covariances (N, D, D); None where no covariance is usable (N may be 0)."""
     dimension = errors.shape[1]
     finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
-    usable = np.zeros(len(errors), dtype=np.bool_)
-    usable[finite] = np.linalg.eigvalsh(covariances[finite])[:, 0] > 0.0
+    errors, covariances = errors[finite], covariances[finite]
+    usable = np.linalg.eigvalsh(covariances)[:, 0] > 0.0
     if not usable.any():
-        return None
+        return {"coverage": None, "nees": None, "count": 0}
     whitened = np.linalg.solve(covariances[usable], errors[usable][:, :, None])[:, :, 0]
     squares = np.einsum("ni,ni->n", errors[usable], whitened)
-    return Consistency(squares, dimension, int(np.count_nonzero(~usable)))
+    limit = 2.0 * gammaincinv(0.5 * dimension, COVERAGE_PROBABILITY)
+    return {
+        "coverage": float(np.mean(squares <= limit)),
+        "nees": float(np.mean(squares)) / dimension,
+        "count": len(squares),
+    }
 
 
 def evaluate_calibration(
@@ -78,8 +62,8 @@ def evaluate_calibration(
     judged: pd.DataFrame | None,
     truth: PoseSeries,
     protocol: Protocol,
-) -> tuple[dict[str, Consistency], str]:
-    """NEES of keyframes, landmarks and closures, by names of :data:`CALIBRATED`, and why some of them are missing.
+) -> tuple[dict[str, float | None], str]:
+    """Coverage, NEES and number of errors of keyframes, landmarks and closures, and why some of them are missing.
 
     The covariances are those in the map frame, which its first keyframe fixes. So the truth is tied there: no other
     alignment, which would fit the errors away, is made.
@@ -93,41 +77,18 @@ def evaluate_calibration(
         truth: may hold no pose.
         protocol: the thresholds.
     """
-    missing: list[str] = []
     errors: dict[str, _Errors | None] = {}
     T_map_world = _tie_first(graph, truth, protocol)
-    if graph is None or T_map_world is None:
-        missing.append("poses and landmarks: no truth at the first keyframe, which fixes the map")
-    else:
+    if graph is not None and T_map_world is not None:
         errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
         if map_est is not None and map_gt is not None and matches is not None:
             errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
     if judged is not None:
         errors["closure"] = _closure_errors(judged, truth, protocol)
-    parts: dict[str, Consistency] = {}
-    for kind, measured in errors.items():
-        for prefix, axes in (("", slice(None)), ("planar_", IN_PLANE[kind])):
-            if measured is not None:
-                part = measure_consistency(measured[0][:, axes], measured[1][:, axes][:, :, axes])
-                parts |= {f"{prefix}{kind}": part} if part is not None else {}
-    if T_map_world is not None and "pose" not in parts:
-        missing.append("poses: no covariances of keyframes with truth in the log (/slam/graph)")
-    if T_map_world is not None and "landmark" not in parts:
-        missing.append("landmarks: no confirmed one with a covariance, of an object, by the truth of detections")
-    if "closure" not in parts:
-        missing.append("closures: no accepted true one with a covariance")
-    return parts, "; ".join(missing)
-
-
-def describe_calibration(parts: Mapping[str, Consistency], probability: float) -> dict[str, float | None]:
-    """Coverage of the regions with that ``probability``, NEES and number of errors, by the keys of the JSON."""
-    figures: dict[str, float | None] = {}
-    for name in CALIBRATED:
-        part = parts.get(name)
-        figures[f"{name}_coverage"] = part.coverage(probability) if part else None
-        figures[f"{name}_nees"] = part.nees if part else None
-        figures[f"{name}_count"] = part.count if part else 0
-    return figures
+    nothing = (np.zeros((0, 1)), np.zeros((0, 1, 1)))
+    parts = {kind: measure_consistency(*(errors.get(kind) or nothing)) for kind in NEEDS}
+    figures = {f"{kind}_{name}": value for kind, part in parts.items() for name, value in part.items()}
+    return figures, "; ".join(NEEDS[kind] for kind, part in parts.items() if not part["count"])
 
 
 def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:

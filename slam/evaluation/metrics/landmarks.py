@@ -1,8 +1,9 @@
-"""Where the landmarks of the final map are, what they are called, and which objects have one."""
+"""Position errors and classes of the landmarks of the final map, and the objects without a landmark."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,13 +15,12 @@ from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
-from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.protocol import WINDOW_LANDMARKS, Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.alignment import STANDSTILL_M, align_yaw_translation, principal_spreads
+from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.evaluation.metrics.association import FALSE_POSITIVE
 from slam.evaluation.metrics.statistics import fraction, percentile
 
-CONFIRMED = "confirmed"
 DEFAULT_PROTOCOL = Protocol()
 
 
@@ -38,16 +38,6 @@ class LandmarkMatches:
     is_object: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WindowedErrors:
-    """Residuals (R, 3), metres, after each window was aligned by itself; a landmark of two windows stands twice."""
-
-    residuals: FloatArray
-    window_count: int
-    skipped_window_count: int
-    landmark_count: int
-
-
 def match_by_detections(
     map_est: ObjectMapRecord,
     map_gt: ObjectMapRecord,
@@ -55,12 +45,13 @@ def match_by_detections(
     *,
     has_prior_map: bool = False,
 ) -> LandmarkMatches:
-    """Match confirmed landmarks by the true object of their detections; one that got none with truth is no object.
+    """Match confirmed landmarks by the true object of their detections.
 
-    With ``has_prior_map`` landmarks without detections are left out: they are of earlier drives.
+    A landmark without detections with truth shows no object. With ``has_prior_map`` landmarks without detections are
+    left out: they are of earlier drives.
     """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
-    rows = _confirmed_rows(map_est)
+    rows = confirmed_rows(map_est)
     if has_prior_map:
         rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
     objects = [landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows]
@@ -86,7 +77,7 @@ def match_by_position(
         T_world_map: (4, 4), alignment of the whole trajectory.
         max_distance_m: limit of the match.
     """
-    rows = _confirmed_rows(map_est)
+    rows = confirmed_rows(map_est)
     positions = apply(T_world_map, map_est.positions[rows])
     labels_est = np.array(map_est.labels, dtype=np.str_)[rows] if len(rows) else np.zeros(0, dtype=np.str_)
     labels_gt = np.array(map_gt.labels, dtype=np.str_)
@@ -101,58 +92,37 @@ def match_by_position(
     return LandmarkMatches("nearest", rows, object_rows, object_rows >= 0)
 
 
-def compute_windowed_errors(
-    positions_est: FloatArray,
-    positions_gt: FloatArray,
-    seen_at_m: FloatArray,
-    path_length_m: float,
-    protocol: Protocol = DEFAULT_PROTOCOL,
-) -> WindowedErrors:
-    """Residuals of landmarks after aligning windows of path one by one: the local quality of a map, free of drift.
+def compute_windowed_errors_m(
+    positions_est: FloatArray, positions_gt: FloatArray, seen_at_m: FloatArray, path_length_m: float, window_m: float
+) -> FloatArray:
+    """Errors (R,) of landmarks after aligning windows of path one by one: the local quality of a map, free of drift.
 
-    Windows ``[s, s + window_m)`` start every ``window_stride_m`` until the path is covered. A landmark belongs to the
-    windows in which it was first seen. In each window yaw and translation are aligned by least squares
-    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than
-    ``window_least_landmarks`` landmarks, or with all of them in one place, are skipped.
+    Windows of ``window_m`` start every half window until the path is covered. A landmark belongs to the windows in
+    which it was first seen, and has an error in each. In each window yaw and translation are aligned by least squares
+    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than ``WINDOW_LANDMARKS``
+    landmarks, or with all of them in one place, are left out.
 
     Args:
         positions_est: (N, 3) metres, map frame; N may be 0.
         positions_gt: (N, 3) metres, world frame.
         seen_at_m: (N,) metres of true path at the first measurement; NaN where that is not known, which leaves it out.
         path_length_m: length of the true path.
-        protocol: the thresholds.
+        window_m: length of a window.
     """
-    window_m, stride_m = protocol.window_m, protocol.window_stride_m
-    residuals: list[FloatArray] = []
-    skipped = 0
-    used = np.zeros(len(positions_est), dtype=np.bool_)
-    count = float(np.ceil((max(path_length_m - stride_m, 0.0) + 1e-9) / stride_m))
-    numbers = _windows_of(seen_at_m, window_m, stride_m)
-    numbers = numbers[numbers < count]
-    for start in (stride_m * numbers).tolist():
-        inside = (seen_at_m >= start) & (seen_at_m < start + window_m)
-        if np.count_nonzero(inside) < protocol.window_least_landmarks or any(
-            principal_spreads(points[inside, :2])[0] < STANDSTILL_M for points in (positions_est, positions_gt)
-        ):
-            skipped += 1
-            continue
-        alignment = align_yaw_translation(positions_est[inside], positions_gt[inside])
-        residuals.append(apply(alignment.T_world_map, positions_est[inside]) - positions_gt[inside])
-        used |= inside
-    return WindowedErrors(
-        residuals=np.concatenate([np.zeros((0, 3)), *residuals]),
-        window_count=len(residuals),
-        skipped_window_count=int(min(count, 2.0**62)) - len(numbers) + skipped,
-        landmark_count=int(np.count_nonzero(used)),
-    )
-
-
-def _windows_of(seen_at_m: FloatArray, window_m: float, stride_m: float) -> FloatArray:
-    """Whole numbers (W,) of the windows in which anything was seen: a path that jumps may have 10^15 others."""
+    stride_m = 0.5 * window_m
+    # The windows in which anything was seen: a path that jumps may have 10^15 others.
     latest = np.floor(seen_at_m[np.isfinite(seen_at_m)] / stride_m)
-    earlier = np.arange(int(np.ceil(window_m / stride_m)) + 1)
-    numbers = np.unique(latest[:, None] - earlier)
-    return np.asarray(numbers[numbers >= 0.0])
+    numbers = np.unique(latest[:, None] - np.arange(3))
+    is_on_path = (numbers >= 0.0) & (numbers < np.ceil((max(path_length_m - stride_m, 0.0) + 1e-9) / stride_m))
+    errors_m = [np.zeros(0)]
+    for start_m in (stride_m * numbers[is_on_path]).tolist():
+        inside = (seen_at_m >= start_m) & (seen_at_m < start_m + window_m)
+        if np.count_nonzero(inside) < WINDOW_LANDMARKS:
+            continue
+        with suppress(EvaluationError):
+            alignment = align_yaw_translation(positions_est[inside], positions_gt[inside])
+            errors_m.append(_distances_m(alignment.T_world_map, positions_est[inside], positions_gt[inside]))
+    return np.concatenate(errors_m)
 
 
 def evaluate_landmarks(
@@ -167,9 +137,9 @@ def evaluate_landmarks(
 ) -> dict[str, Any]:
     """Position errors, classes, precision and recall of the confirmed landmarks, by the keys of the JSON.
 
-    Errors are those after aligning windows of path, in space and in the plane ("horizontal"), and those after the
-    alignment of the whole trajectory ("global"). What has no denominator is None. The class is right by construction
-    where landmarks were matched by it, and ``class_accuracy`` is None.
+    Errors are those after aligning windows of path, and those after the alignment of the whole trajectory ("global").
+    Fractions without a denominator are None. The class is right by construction where landmarks were matched by it, and
+    ``class_accuracy`` is None.
 
     Args:
         map_est: final map, map frame.
@@ -188,59 +158,39 @@ def evaluate_landmarks(
     positions_est, positions_gt = map_est.positions[rows_est], map_gt.positions[rows_gt]
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
         raise EvaluationError("the position of a landmark or a true object is not finite")
-    windowed = _windowed(map_est, rows_est, positions_est, positions_gt, path_gt, protocol)
-    distances = {
-        "": np.linalg.norm(windowed.residuals, axis=1),
-        "horizontal_": np.linalg.norm(windowed.residuals[:, :2], axis=1),
-        "global_": np.zeros(0)
-        if T_world_map is None
-        else np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1),
-    }
-    class_right = recallable = recalled = None
-    if matches.method == "detections":
-        class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
-    if object_detection_counts is not None:
-        often = {name for name, count in object_detection_counts.items() if count >= protocol.least_detections}
-        found = often & {map_gt.ids[row] for row in rows_gt}
-        recallable, recalled = len(often & set(map_gt.ids)), len(found)
-    confirmed_count, object_count = len(matches.landmark_rows), int(np.count_nonzero(matches.is_object))
+    windowed_m = global_m = np.zeros(0)
+    if path_gt is not None and len(path_gt):
+        seen_ns = map_est.first_seen_ns[rows_est]
+        known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
+        seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)
+        length_m = float(path_gt.travelled_m[-1])
+        windowed_m = compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, length_m, protocol.window_m)
+    if T_world_map is not None:
+        global_m = _distances_m(T_world_map, positions_est, positions_gt)
+    counts = object_detection_counts or {}
+    often = {name for name in map_gt.ids if counts.get(name, 0) >= protocol.least_detections}
+    found = {map_gt.ids[row] for row in rows_gt}
+    class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
+    confirmed_count = len(matches.landmark_rows)
     return {
-        **{
-            f"{prefix}{name}_error_m": percentile(errors_m, percent)
-            for prefix, errors_m in distances.items()
-            for name, percent in (("median", 50.0), ("p95", 95.0), ("max", 100.0))
-        },
+        "median_error_m": percentile(windowed_m, 50.0),
+        "p95_error_m": percentile(windowed_m, 95.0),
+        "max_error_m": percentile(windowed_m, 100.0),
+        "global_median_error_m": percentile(global_m, 50.0),
         "method": matches.method,
         "confirmed_count": confirmed_count,
-        "object_landmark_count": object_count,
         "matched_count": len(rows_est),
-        "window_count": windowed.window_count,
-        "skipped_window_count": windowed.skipped_window_count,
-        "windowed_landmark_count": windowed.landmark_count,
-        "class_right_count": class_right,
-        "recallable_object_count": recallable,
-        "recalled_object_count": recalled,
-        "precision": fraction(object_count, confirmed_count),
-        "recall": None if recalled is None else fraction(recalled, recallable or 0),
-        "class_accuracy": None if class_right is None else fraction(class_right, len(rows_est)),
+        "landmarks_per_object": fraction(len(rows_est), len(found)),
+        "precision": fraction(int(np.count_nonzero(matches.is_object)), confirmed_count),
+        "recall": fraction(len(often & found), len(often)),
+        "class_accuracy": fraction(class_right, len(rows_est)) if matches.method == "detections" else None,
     }
 
 
-def _windowed(
-    map_est: ObjectMapRecord,
-    rows_est: IntArray,
-    positions_est: FloatArray,
-    positions_gt: FloatArray,
-    path_gt: PoseSeries | None,
-    protocol: Protocol,
-) -> WindowedErrors:
-    if path_gt is None or len(path_gt.stamps_ns) == 0:
-        return WindowedErrors(np.zeros((0, 3)), 0, 0, 0)
-    seen_ns = map_est.first_seen_ns[rows_est]
-    known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
-    seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)
-    return compute_windowed_errors(positions_est, positions_gt, seen_at_m, float(path_gt.travelled_m[-1]), protocol)
+def _distances_m(T_world_map: FloatArray, positions_est: FloatArray, positions_gt: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1))
 
 
-def _confirmed_rows(map_est: ObjectMapRecord) -> IntArray:
-    return np.array([row for row, state in enumerate(map_est.states) if state == CONFIRMED], dtype=np.int64)
+def confirmed_rows(map_est: ObjectMapRecord) -> IntArray:
+    """Rows of the confirmed landmarks."""
+    return np.array([row for row, state in enumerate(map_est.states) if state == "confirmed"], dtype=np.int64)

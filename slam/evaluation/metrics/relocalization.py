@@ -1,8 +1,8 @@
-"""How soon a robot that was lost knows where it is, and whether it is right."""
+"""Time and errors of relocalizations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -18,42 +18,8 @@ from slam.evaluation.metrics.relocalization_errors import FixError, Span, measur
 from slam.evaluation.metrics.statistics import fraction, percentile
 
 LOST = "LOST"
+MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
 Method = Literal["closure", "map", "trajectory"]
-PERCENTILES = {
-    "median_seconds": ("seconds", 50.0),
-    "max_seconds": ("seconds", 100.0),
-    "median_distance_m": ("distance_m", 50.0),
-    "max_distance_m": ("distance_m", 100.0),
-    "median_error_m": ("error_m", 50.0),
-    "p95_error_m": ("error_m", 95.0),
-    "median_error_deg": ("error_deg", 50.0),
-    "p95_error_deg": ("error_deg", 95.0),
-}
-"""Figure -> what it is of, and percentile."""
-
-
-def describe_losses(losses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Numbers of losses and fixes, shares of right and wrong ones, and percentiles of all fixes, right or wrong.
-
-    The shares are of the losses that are not undecided; None where there is none.
-
-    Args:
-        losses: as :func:`evaluate_relocalization` lists them.
-    """
-    fixes = sum(loss["fix_ns"] is not None for loss in losses)
-    right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
-    undecided = fixes - right - wrong
-    return {
-        "loss_count": len(losses),
-        "fix_count": fixes,
-        "right_count": right,
-        "wrong_count": wrong,
-        "undecided_count": undecided,
-        "success_rate": fraction(right, len(losses) - undecided),
-        "false_relocalization_rate": fraction(wrong, len(losses) - undecided),
-        **{name: percentile([loss[column] for loss in losses], percent)
-           for name, (column, percent) in PERCENTILES.items()},
-    }  # fmt: skip
 
 
 def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> FloatArray:
@@ -83,13 +49,15 @@ def evaluate_relocalization(
     T_world_map: FloatArray | None = None,
     method: Method = "closure",
 ) -> dict[str, Any]:
-    """Times, distances and errors of all losses of a drive, by the keys of the JSON.
+    """Counts, shares and medians over all fixes, right or wrong, and each loss by itself, by the keys of the JSON.
+
+    The shares are of the losses that are not undecided; None where there is none.
 
     * A loss begins with the first status in state LOST, also at the start of the drive, and ends with RELOCALIZED.
     * ``method`` "closure": the error of a fix is that of the accepted closure that made it, the last one up to its
       stamp whose reference is from before the loss. "map", "trajectory": that of the first pose on ``/slam/pose`` at or
       after its stamp, laid on the truth by ``T_world_map``.
-    * A fix is right within ``relocalization_translation_m`` and ``relocalization_rotation_deg``, both inclusive.
+    * A fix is right within ``closure_translation_m`` and ``closure_rotation_deg``, both inclusive.
 
     Args:
         records: statuses, poses and closures of the drive.
@@ -105,8 +73,22 @@ def evaluate_relocalization(
     else:
         errors = measure_by_poses(records.online_path, spans, truth, T_world_map, protocol)
     losses = [_describe_loss(span, error, truth, odometry, protocol) for span, error in zip(spans, errors, strict=True)]
-    lost_time_ratio = _share_lost(records, spans)
-    return {"losses": losses, "lost_time_ratio": lost_time_ratio, "method": method, **describe_losses(losses)}
+    fixes = [loss for loss in losses if loss["fix_ns"] is not None]
+    right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
+    undecided = len(fixes) - right - wrong
+    return {
+        "loss_count": len(losses),
+        "fix_count": len(fixes),
+        "right_count": right,
+        "wrong_count": wrong,
+        "undecided_count": undecided,
+        "success_rate": fraction(right, len(losses) - undecided),
+        "false_relocalization_rate": fraction(wrong, len(losses) - undecided),
+        **{f"median_{name}": percentile([fix[name] for fix in fixes], 50.0) for name in MEASURES},
+        "lost_time_ratio": _share_lost(records, spans),
+        "method": method,
+        "losses": losses,
+    }
 
 
 def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
@@ -126,13 +108,13 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
 def _describe_loss(
     span: Span, error: FixError, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol
 ) -> dict[str, Any]:
-    """What became of a loss: None is what is not known, for want of a fix or of a truth."""
+    """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
     error_m, error_deg = error or (None, None)
     is_right = None
     if error_m is not None and error_deg is not None:
-        is_near = error_m <= protocol.relocalization_translation_m
-        is_right = is_near and error_deg <= protocol.relocalization_rotation_deg
+        is_near = error_m <= protocol.closure_translation_m
+        is_right = is_near and error_deg <= protocol.closure_rotation_deg
     return {
         "lost_ns": lost_ns,
         "fix_ns": fix_ns,

@@ -1,4 +1,4 @@
-"""How far a fix, after which a lost robot believes to know where it is, is from the truth."""
+"""Errors of fixes, the poses at which a lost robot was relocalized."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FixError = tuple[float, float] | None
 def measure_by_closures(
     closures: Sequence[LoopClosureRecord], spans: Sequence[Span], truth: PoseSeries, protocol: Protocol
 ) -> list[FixError]:
-    """By the closure that made each fix: the last accepted one up to its stamp whose reference is from before the loss.
+    """Errors of the closure of each fix: the last accepted one up to its stamp with a reference from before the loss.
 
     Args:
         closures: all records, in the order of the log.
@@ -55,7 +55,7 @@ def measure_by_poses(
     T_world_map: FloatArray | None,
     protocol: Protocol,
 ) -> list[FixError]:
-    """By the first pose at or after each fix, laid on the truth by ``T_world_map`` (4, 4); without that there are none.
+    """Errors of the first pose at or after each fix, transformed by ``T_world_map`` (4, 4); without it there are none.
 
     Args:
         poses: as they were at their time.

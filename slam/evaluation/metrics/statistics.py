@@ -1,4 +1,4 @@
-"""Shares, percentiles, and the mean and spread of a figure over several runs; undefined is None."""
+"""Fractions, percentiles, and the mean and spread of a figure over several runs; undefined values are None."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 UNDEFINED = "–"
 CONFIDENCE = 0.95
-"""Of statements about what chance explains."""
+"""Confidence level of statistical statements."""
 
 
 def fraction(part: int, whole: int) -> float | None:

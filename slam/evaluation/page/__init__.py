@@ -1,1 +1,1 @@
-"""An evaluation, or several, as one self-contained page that opens offline."""
+"""An evaluation as one self-contained page."""

@@ -1,4 +1,4 @@
-"""Where accepted closures come from: found by retrieval, followed from the closure before, or led back to.
+"""Origin of accepted closures: found by retrieval, or propagated forwards or backwards from another closure.
 
 A closure that retrieval found is a discovery; those that it predicts for the keyframes after it and before it are
 checks of the same discovery. So a precision is as sure as its discoveries are many, and these only count as several
@@ -18,24 +18,22 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.metrics.statistics import CONFIDENCE
 
 
-def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol, *, has_truth: bool) -> dict[str, Any]:
+def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol) -> dict[str, Any]:
     """Accepted closures by their origin, and independent discoveries: found closures that have no objects in common.
 
-    These are runs of found closures; a run ends where the next query is a submap's length further on. Undefined without
-    truth. ``proposer_counts``: accepted closures by what proposed their place; none in logs of earlier versions.
+    These are runs of found closures that the truth decides; a run ends where the next query is a submap's length
+    further on. ``proposer_counts``: accepted closures by what proposed their place; none in logs of earlier versions.
 
     Args:
         accepted: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
         protocol: the thresholds.
-        has_truth: whether they are judged.
     """
     seeds = np.array([np.nan if r.seed_query_keyframe_id is None else r.seed_query_keyframe_id
                       for r in accepted["record"]], dtype=np.float64)  # fmt: skip
     is_found, is_followed = np.isnan(seeds), seeds < accepted["query"]
     found = accepted[is_found & accepted["decided"]].sort_values("travelled_m", kind="stable")
     runs = (np.diff(found["travelled_m"], prepend=-np.inf) >= protocol.window_m).cumsum()
-    independent = len(np.unique(runs)) if has_truth else None
-    independent_false = len(np.unique(runs[~found["true"]])) if has_truth else None
+    independent, independent_false = len(np.unique(runs)), len(np.unique(runs[~found["true"]]))
     found_count = int(is_found.sum())
     proposers = Counter(record.proposer for record in accepted["record"] if record.proposer)
     return {
@@ -44,9 +42,8 @@ def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol, *, has_trut
         "led_back_count": len(accepted) - found_count - int(is_followed.sum()),
         "independent_count": independent,
         "independent_false_count": independent_false,
-        "proposer_counts": dict(sorted(proposers.items())),
-        "descriptor_verdict": _descriptor_verdict(proposers) if found_count else None,
-        "largest_false_share": largest_false_share(independent or 0, independent_false or 0),
+        "proposer_counts": {"descriptor": 0, **dict(sorted(proposers.items()))} if proposers else {},
+        "largest_false_share": largest_false_share(independent, independent_false),
     }
 
 
@@ -58,11 +55,3 @@ def largest_false_share(count: int, false_count: int) -> float | None:
     if count == 0 or count == false_count:
         return 1.0 if count else None
     return float(betaincinv(false_count + 1, count - false_count, CONFIDENCE))
-
-
-def _descriptor_verdict(proposers: Counter[str]) -> str | None:
-    """What the descriptor decided, in words; None where the log does not have the proposers."""
-    if not proposers:
-        return None
-    count = proposers["descriptor"]
-    return f"{count} proposed by the descriptor" if count else "none proposed by the descriptor, which decided nothing"

@@ -1,4 +1,4 @@
-"""What any threshold on the score would have accepted: precision against recall."""
+"""Precision and recall of every threshold on the score."""
 
 from __future__ import annotations
 
@@ -49,27 +49,16 @@ def describe_sweep(sweep: pd.DataFrame | None) -> dict[str, Any]:
 
     * ``average_precision``: sum of ``(R_n - R_(n-1)) P_n``, as scikit-learn defines it, but with recall over all
       revisits, so that one without a true best candidate is missed at every threshold.
-    * ``f1_max``: the largest harmonic mean of precision and recall.
     * ``recall_at_full_precision``: the largest recall of a threshold that accepts nothing false; 0 where the best score
       is false.
-    * ``extended_precision``: the mean of the precision at the highest threshold and of the recall at full precision
-      (Ferrarini et al., "Exploring performance bounds of visual place recognition using extended precision", RA-L
-      2020, eq. (7)). Where the best score is false the second is 0, and so is the first unless true candidates share
-      that score.
     """
-    names = ("average_precision", "f1_max", "recall_at_full_precision", "extended_precision")
-    if sweep is None or sweep.empty:
-        curve: dict[str, list[float]] = {"thresholds": [], "precision": [], "recall": []}
-        return {**dict.fromkeys(names), "precision_recall_curve": curve}
+    if sweep is None:
+        sweep = pd.DataFrame({"thresholds": [], "precision": [], "recall": []})
     precision, recall = sweep["precision"].to_numpy(), sweep["recall"].to_numpy()
-    sums = precision + recall
-    f1 = np.divide(2.0 * precision * recall, sums, out=np.zeros_like(sums), where=sums > 0.0)
-    full = np.flatnonzero(precision == 1.0)[-1:]
-    at_full_precision = float(recall[full].max(initial=0.0))
-    figures = (
-        float(np.sum(np.diff(recall, prepend=0.0) * precision)),
-        float(f1.max()),
-        at_full_precision,
-        0.5 * (float(precision[0]) + at_full_precision),
-    )
-    return {**dict(zip(names, figures, strict=True)), "precision_recall_curve": sweep.to_dict("list")}
+    average = float(np.sum(np.diff(recall, prepend=0.0) * precision))
+    at_full_precision = float(recall[precision == 1.0].max(initial=0.0))
+    return {
+        "average_precision": None if sweep.empty else average,
+        "recall_at_full_precision": None if sweep.empty else at_full_precision,
+        "precision_recall_curve": sweep.to_dict("list"),
+    }

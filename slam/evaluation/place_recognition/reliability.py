@@ -1,4 +1,4 @@
-"""Whether the posterior probabilities of places are right as often as they say: a reliability diagram in numbers.
+"""Reliability of the posterior probabilities of places: a reliability diagram in numbers.
 
 Of each query the likeliest candidate has posterior odds against "somewhere new". If they are calibrated, of all that
 have the probability p a share p is right (DeGroot and Fienberg, The Statistician 1983).
@@ -13,37 +13,27 @@ import numpy as np
 import pandas as pd
 from scipy.special import expit
 
-from slam.common.arrays import BoolArray, FloatArray
-
 EDGES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
 """Probabilities between the bins, and both ends."""
 SURE = 0.99
 
 
-def describe_reliability(judged: pd.DataFrame | None) -> dict[str, Any]:
+def describe_reliability(judged: pd.DataFrame) -> dict[str, Any]:
     """That of the candidates with posterior odds which no other closure predicted and which the truth decides.
 
+    ``bins``: number, mean probability (None without any) and number of right ones between two ``EDGES``;
+    ``sure_count``, ``sure_right``: candidates with a probability of at least :data:`SURE`.
+
     Args:
-        judged: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`; None without truth.
+        judged: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
     """
-    if judged is None:
-        return {"bins": [], "sure_count": None, "sure_right": None}
     rows = [
         decided and record.posterior_log_odds is not None and record.seed_query_keyframe_id is None
         for record, decided in zip(judged["record"], judged["decided"], strict=True)
     ]
     chosen = judged[np.array(rows, dtype=np.bool_)]
-    odds = np.array([record.posterior_log_odds for record in chosen["record"]], dtype=np.float64)
-    return bin_by_probability(odds, chosen["true"].to_numpy())
-
-
-def bin_by_probability(log_odds: FloatArray, is_right: BoolArray) -> dict[str, Any]:
-    """The reliability of N places with posterior ``log_odds`` (N,), of which ``is_right`` (N,).
-
-    ``bins``: number, mean probability (None without any) and number of right ones between two ``EDGES``;
-    ``sure_count``, ``sure_right``: places with a probability of at least :data:`SURE`.
-    """
-    probabilities = expit(log_odds)
+    probabilities = expit(np.array([record.posterior_log_odds for record in chosen["record"]], dtype=np.float64))
+    is_right = chosen["true"].to_numpy()
     bin_of = np.searchsorted(EDGES[1:-1], probabilities, side="right")
     bins = []
     for number, (low, high) in enumerate(pairwise(EDGES)):

@@ -1,4 +1,4 @@
-"""Which keyframes come back to an earlier place by the truth, and which of these revisits were recognised."""
+"""Revisits of a drive by the truth, and the recognised ones among them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from logs.closures import rank_stage
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
-from slam.evaluation.inputs.protocol import SPACING_TOLERANCE, Protocol
+from slam.evaluation.inputs.protocol import OPPOSITE_HEADING_DEG, SAME_HEADING_DEG, SPACING_TOLERANCE, Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.statistics import fraction
 from slam.evaluation.place_recognition.precision_recall import describe_sweep, sweep_scores
@@ -77,7 +77,7 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
     forward = T_world_body[:, :3, 0]
     cosines = np.einsum("ij,ij->i", forward[queries], forward[nearest])
     angles_deg = np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0)))
-    number = np.select([angles_deg <= protocol.same_heading_deg, angles_deg > protocol.opposite_heading_deg], [0, 1], 2)
+    number = np.select([angles_deg <= SAME_HEADING_DEG, angles_deg > OPPOSITE_HEADING_DEG], [0, 1], 2)
     directions = np.where(nearest >= 0, np.array(DIRECTIONS)[number], "")
     return pd.DataFrame(
         {"keyframe": keyframe_ids[rows][queries], "stamp_ns": stamps_ns[rows][queries], "direction": directions}
@@ -88,9 +88,8 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     """How many revisits have an accepted true closure, at which stage the others were lost, and the sweep of scores.
 
     ``missed_by_stage``: the farthest stage that a true candidate of a missed revisit reached, or
-    :data:`NO_TRUE_CANDIDATE`. Of these latter ``missed_at_place_count`` had a candidate at the right place all the same
-    and ``missed_without_candidate_count`` none at all. ``recognised`` includes revisits without a closure whose
-    landmarks are still associated, at the right pose: they need none.
+    :data:`NO_TRUE_CANDIDATE`. ``recognised`` includes revisits without a closure whose landmarks are still associated,
+    at the right pose: they need none.
 
     Args:
         queries: as :func:`find_revisits` returns them.
@@ -101,7 +100,6 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     is_recalled = revisits["keyframe"].isin(true["query"][true["accepted"]])
     recalled, missed = revisits[is_recalled], revisits["keyframe"][~is_recalled]
     farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: rank_stage(pair[1])))
-    lost_early = missed[~missed.isin(true["query"])]
     stages = count_stages(farthest.get(name, NO_TRUE_CANDIDATE) for name in missed)
     ways = {
         name: (int((recalled["direction"] == name).sum()), int((revisits["direction"] == name).sum()))
@@ -114,8 +112,6 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
         **{f"recall_{name}": fraction(*counts) for name, counts in ways.items()},
         **{f"revisit_count_{name}": count for name, (_, count) in ways.items()},
         "missed_by_stage": stages,
-        "missed_at_place_count": int(lost_early.isin(judged["query"][judged["same_place"]]).sum()),
-        "missed_without_candidate_count": int((~lost_early.isin(judged["query"])).sum()),
         **describe_sweep(
             sweep_scores(
                 decided["query"].to_numpy(),
@@ -125,12 +121,6 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
             )
         ),
     }
-
-
-def find_missed(queries: pd.DataFrame, judged: pd.DataFrame) -> tuple[int, ...]:
-    """Stamps [ns] of the revisits without an accepted true closure; arguments as of :func:`describe_revisits`."""
-    recalled = judged["query"][judged["true"] & judged["accepted"]]
-    return tuple(queries["stamp_ns"][(queries["direction"] != "") & ~queries["keyframe"].isin(recalled)])
 
 
 def count_stages(stages: Iterable[str]) -> dict[str, int]:

@@ -1,14 +1,14 @@
 """The figures that people read, as sentences around the values of an evaluation's JSON.
 
-A clause like ``"recall {closures.recall:.2%}"`` names its figures by their dotted keys; where one of these is undefined
-the clause is left out.
+A clause like ``"recall {closures[recall]:.2%}"`` names its figures; where one of these is undefined the clause is left
+out.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,7 +38,6 @@ HEADLINE_FIGURES = (
     Figure("closures.recall", "closures recall", 3),
     Figure("closures.recall_opposite", "closures recall, opposite", 3),
     Figure("closures.average_precision", "average precision", 3),
-    Figure("closures.f1_max", "largest F1", 3),
     Figure("closures.median_translation_error_m", "closures error m", 3, is_error=True),
     Figure("relocalization.success_rate", "relocalizations right", 3),
     Figure("associations.precision", "associations precision", 4),
@@ -51,46 +50,45 @@ HEADLINE_FIGURES = (
 
 SUMMARY = {
     "trajectory": (
-        "ATE {trajectory.ate_m:.3f} m",
-        ", odometry {trajectory.odometry_ate_m:.3f} m",
-        ", online {trajectory.online_ate_m:.3f} m",
-        "; {trajectory.estimate.pose_count} poses over {trajectory.estimate.length_m:.0f} m",
+        "ATE {trajectory[ate_m]:.3f} m",
+        ", odometry {trajectory[odometry_ate_m]:.3f} m",
+        ", online {trajectory[online_ate_m]:.3f} m",
+        "; {trajectory[estimate][pose_count]:d} poses over {trajectory[estimate][length_m]:.0f} m",
     ),
     "landmarks": (
-        "{landmarks.confirmed_count} confirmed",
-        ", median error {landmarks.median_error_m:.3f} m",
-        ", class right {landmarks.class_accuracy:.2%}",
-        ", precision {landmarks.precision:.2%}",
-        ", recall {landmarks.recall:.2%}",
+        "{landmarks[confirmed_count]:d} confirmed",
+        ", median error {landmarks[median_error_m]:.3f} m",
+        ", class right {landmarks[class_accuracy]:.2%}",
+        ", precision {landmarks[precision]:.2%}",
+        ", recall {landmarks[recall]:.2%}",
     ),
     "associations": (
-        "precision {associations.precision:.2%} ({associations.right_count} of {associations.assigned_count})",
-        ", recall {associations.recall:.2%}",
+        "precision {associations[precision]:.2%} ({associations[right_count]:d} of {associations[assigned_count]:d})",
+        ", recall {associations[recall]:.2%}",
     ),
     "closures": (
-        "{closures.accepted_count} of {closures.candidate_count} candidates accepted",
-        ", precision {closures.precision:.2%} ({closures.true_count} true, {closures.false_count} false)",
-        ", recall {closures.recall:.2%} of {closures.revisit_count} revisits",
-        " ({closures.recognised:.2%} with data association)",
-        "; {closures.found_count} retrieved, {closures.followed_count} propagated, {closures.led_back_count} back",
-        ", {closures.descriptor_verdict}",
-        "; {closures.independent_count} independent: at most {closures.largest_false_share:.0%} false",
+        "{closures[accepted_count]:d} of {closures[candidate_count]:d} candidates accepted",
+        ", precision {closures[precision]:.2%} ({closures[true_count]:d} true, {closures[false_count]:d} false)",
+        ", recall {closures[recall]:.2%} of {closures[revisit_count]:d} revisits",
+        " ({closures[recognised]:.2%} with data association)",
+        "; {closures[found_count]:d} retrieved, {closures[followed_count]:d} propagated",
+        ", {closures[led_back_count]:d} back",
+        ", {closures[proposer_counts][descriptor]:d} proposed by the descriptor",
+        "; {closures[independent_count]:d} independent: at most {closures[largest_false_share]:.0%} false",
     ),
     "relocalization": (
-        "a fix after {relocalization.fix_count} of {relocalization.loss_count} losses or starts in a map",
-        ", right {relocalization.right_count}, wrong {relocalization.wrong_count}",
-        "; median travel to a fix {relocalization.median_distance_m:.1f} m",
+        "a fix after {relocalization[fix_count]:d} of {relocalization[loss_count]:d} losses or starts in a map",
+        ", right {relocalization[right_count]:d}, wrong {relocalization[wrong_count]:d}",
+        "; median travel to a fix {relocalization[median_distance_m]:.1f} m",
     ),
     "calibration": (
-        "NEES keyframes {calibration.pose_nees:.3f}",
-        ", landmarks {calibration.landmark_nees:.3f}",
-        ", closures {calibration.closure_nees:.3f}",
+        "NEES keyframes {calibration[pose_nees]:.3f}",
+        ", landmarks {calibration[landmark_nees]:.3f}",
+        ", closures {calibration[closure_nees]:.3f}",
         " (1 is right, more is overconfident)",
     ),
 }
 """The six lines of ``dslam evaluate``, by the part of the JSON that they are about."""
-
-_FIELD = re.compile(r"\{([\w.]+)(:[^}]*)?\}")
 
 
 def value_at(results: Mapping[str, Any], key: str) -> Any:
@@ -112,13 +110,12 @@ def leaves(results: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 def fill(results: Mapping[str, Any], *clauses: str) -> str:
     """The clauses of which all figures are defined; "" where none is defined."""
-    defined = [
-        clause for clause in clauses if all(value_at(results, key) is not None for key, _ in _FIELD.findall(clause))
-    ]
-    if not any(_FIELD.search(clause) for clause in defined):
-        return ""
-    text = _FIELD.sub(lambda found: _format(value_at(results, found[1]), found[2] or ""), "".join(defined))
-    return text.lstrip(",; ")
+    filled = []
+    for clause in clauses:
+        with suppress(KeyError, TypeError):  # a figure that is not there, or that is None
+            filled.append(clause.format_map(results).replace("%", " %"))
+    is_any_defined = len(filled) > sum("{" not in clause for clause in clauses)
+    return "".join(filled).lstrip(",; ") if is_any_defined else ""
 
 
 def summarize(results: Mapping[str, Any]) -> dict[str, str]:
@@ -126,21 +123,21 @@ def summarize(results: Mapping[str, Any]) -> dict[str, str]:
     lines = {}
     for part, clauses in SUMMARY.items():
         text, reason = fill(results, *clauses), results["unavailable"].get(part)
-        is_never_lost = part == "relocalization" and results[part]["loss_count"] == 0
+        is_never_lost = part == "relocalization" and results[part].get("loss_count") == 0
         missing = f"not measured: {reason}" if reason else "" if text else "not measured"
         lines[part] = "never lost" if is_never_lost else "; ".join(each for each in (text, missing) if each)
     return lines
 
 
-def format_number(value: float | None, digits: int = 4) -> str:
-    """``value`` to so many significant digits; whole numbers keep all before the point."""
-    if value is None or not math.isfinite(value):
+def list_figures(results: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Texts of all figures by part and key; parts without any are left out."""
+    parts = {
+        part: dict(leaves(figures)) for part, figures in results.items() if part not in ("unavailable", "protocol")
+    }
+    return {part: {key: _text(value) for key, value in figures.items()} for part, figures in parts.items() if figures}
+
+
+def _text(value: Any) -> str:
+    if value is None or value == "":
         return UNDEFINED
-    if value != 0.0 and not 1e-3 <= abs(value) < 1e6:
-        return f"{value:.{digits - 1}g}"
-    decimals = digits - 1 - (math.floor(math.log10(abs(value))) if value else 0)
-    return f"{value:.{max(decimals, 0)}f}"
-
-
-def _format(value: Any, spec: str) -> str:
-    return format(value, spec.removeprefix(":")).replace("%", " %")
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -12,7 +12,7 @@ from slam.common.geometry import apply, interpolate, invert
 from slam.display.map_layers import MapPicture
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.landmarks import CONFIRMED
+from slam.evaluation.metrics.landmarks import confirmed_rows
 from slam.evaluation.result import Evaluation
 
 
@@ -21,29 +21,34 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
 
     A closure joins the estimated positions of its two keyframes. Without a final trajectory the online poses are drawn.
     Truth that could not be aligned is left out. Paths are broken, by a row of NaN, at discontinuities of the odometry.
-    A robot without a first fix is not marked as lost.
+    The robot is marked as lost where it lost its place, not at its start in a given map.
     """
     estimate = estimated_path(records)
     errors = evaluation.estimate or evaluation.online
     odometry, truth = records.odometry_path, records.true_path
     spans_ns = _discontinuities(records.graph)
     objects = records.object_map
-    rows = [row for row, state in enumerate(objects.states) if state == CONFIRMED] if objects else []
-    losses = evaluation.results["relocalization"]["losses"]
-    start_ns = min((status.stamp_ns for status in records.statuses), default=0)
+    rows = (
+        [row for row in confirmed_rows(objects).tolist() if np.isfinite(objects.positions[row]).all()]
+        if objects
+        else []
+    )
+    losses = evaluation.results["relocalization"].get("losses", ())
+    lost_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
+    found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]
     return MapPicture(
         estimate=_broken(estimate.stamps_ns, estimate.positions, spans_ns),
         odometry=_broken(odometry.stamps_ns, _in_map(odometry, estimate), spans_ns),
         truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns)
         if errors
         else np.zeros((0, 3)),
-        lost=_known(positions_at(estimate, [loss["lost_ns"] for loss in losses if loss["lost_ns"] > start_ns])),
-        found=_known(positions_at(estimate, [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None])),
+        lost=_known(positions_at(estimate, lost_ns)),
+        found=_known(positions_at(estimate, found_ns)),
         landmarks=objects.positions[rows] if objects else np.zeros((0, 3)),
         labels=tuple(objects.labels[row] for row in rows) if objects else (),
         title=title,
-        ate_m=errors.absolute.rmse_m if errors else None,
-        odometry_ate_m=evaluation.odometry.absolute.rmse_m if evaluation.odometry else None,
+        ate_m=errors.ate_m if errors else None,
+        odometry_ate_m=evaluation.odometry.ate_m if evaluation.odometry else None,
         **_closures(evaluation, estimate),
     )
 
@@ -64,7 +69,7 @@ def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArra
 
 
 def _closures(evaluation: Evaluation, estimate: PoseSeries) -> dict[str, FloatArray]:
-    """Ends of the accepted closures by their label, and missed revisits, as :class:`MapPicture` takes them."""
+    """Ends of the accepted closures as :class:`MapPicture` takes them."""
     if evaluation.closures is None:
         return {}
     closures = evaluation.closures[evaluation.closures["accepted"]]
@@ -77,7 +82,6 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> dict[str, FloatAr
         "true_closures": ends[is_known & true],
         "false_closures": ends[is_known & decided & ~true],
         "closures": ends[is_known & ~decided],
-        "missed_revisits": _known(positions_at(estimate, evaluation.missed_ns)),
     }
 
 

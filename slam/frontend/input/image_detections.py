@@ -38,7 +38,7 @@ class ImageLifter:
         self.counters: Counter[str] = Counter()
 
     def add(self, record: CameraModel | DepthImage) -> None:
-        """Take note of how a camera projects, or of depth; it serves detections in its frame from now on."""
+        """Store the projection of a camera, or a depth image, for later detections in its frame."""
         if isinstance(record, CameraModel):
             self._cameras[record.frame_id] = record
         else:
@@ -112,7 +112,7 @@ def ray(camera: CameraModel, u: float, v: float) -> FloatArray:
 
 
 def _distorted(camera: CameraModel, xy: FloatArray) -> FloatArray:
-    """Where a direction is seen: OpenCV's models, by their names in ROS."""
+    """Projection of directions: OpenCV's models, by their names in ROS."""
     x, y = xy.tolist()
     if camera.model in ("equidistant", "fisheye"):
         k = np.concatenate([camera.distortion, np.zeros(4)])[:4]

@@ -93,7 +93,7 @@ class InputRecords:
         """Refuse a log whose objects are all in images and could not be placed.
 
         Raises:
-            InputDataError: tells the most frequent reason and what to do.
+            InputDataError: with the most frequent reason and the remedy.
         """
         if self._lifter.counters and not self._placed:
             ((reason, count),) = self._lifter.counters.most_common(1)

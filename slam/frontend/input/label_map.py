@@ -1,4 +1,4 @@
-"""What the classes of detections are called in the map, by the settings under [labels]."""
+"""Class names of the map for those of the detections, by the settings under [labels]."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 class Scan:
     """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
 
-    ``used`` (M,) says which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
+    ``used`` (M,): which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
     ``sensor`` is the frame that the message named.
     """
 
@@ -48,18 +48,6 @@ class Scan:
             tuple(compress(self.labels, chosen.tolist())),
             self.used,
             self.has_own_covariance[chosen],
-        )
-
-    def joined(self, other: Scan) -> Scan:
-        """These detections and those of another scan, in one frame; ``used`` stays that of this message."""
-        return Scan(
-            self.stamp_ns,
-            self.sensor,
-            np.concatenate([self.positions, other.positions]),
-            np.concatenate([self.covariances, other.covariances]),
-            self.labels + other.labels,
-            self.used,
-            np.concatenate([self.has_own_covariance, other.has_own_covariance]),
         )
 
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
@@ -133,8 +121,8 @@ def make_scan(
 def with_expected_noise(scan: Scan, ranges: FloatArray, config: DetectionCalibration) -> Scan:
     """The scan, in the frame of the body, with the noise by the ``ranges`` (N,) m at which its objects are expected.
 
-    By its own range what was measured too short would seem more precise than what was measured too long, and the map
-    would shrink.
+    With the noise by its own range, a detection that is too near would seem more precise than one that is too far, and
+    the map would shrink.
     """
     measured = np.linalg.norm(scan.positions, axis=1)
     change = _covariances_by_range(scan.positions, ranges, config)

@@ -46,7 +46,7 @@ class ScanPlacer:
         return T_body_sensor
 
     def describe_missing(self) -> str:
-        """Which frames nothing connects with the body, and what they and the body are connected with; empty if none."""
+        """The frames without connection to the body, and the frames connected with either; empty if there are none."""
         if not self._missing or self._odometry is None:
             return ""
         body_frame = self._odometry.child_frame_id

@@ -24,10 +24,6 @@ class ScanQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def __iter__(self) -> Iterator[tuple[int, ObjectDetections]]:
-        """All that wait, with their times [ns] on the clock of the odometry, ascending."""
-        return ((stamp_ns, detections) for stamp_ns, _, detections in sorted(self._waiting, key=lambda each: each[:2]))
-
     def add(self, detections: ObjectDetections) -> None:
         """Let detections wait for their turn."""
         heapq.heappush(self._waiting, (self.time_ns(detections), self._arrivals, detections))
@@ -37,12 +33,9 @@ class ScanQueue:
         """When detections were made, on the clock of the odometry."""
         return detections.stamp_ns + self._offset_ns
 
-    def take(self, until_ns: int, before_ns: int | None = None) -> Iterator[ObjectDetections]:
-        """Those not later than ``until_ns``, one after the other; ``before_ns`` keeps those at or after it waiting."""
-        while self._waiting:
-            stamp_ns = self._waiting[0][0]
-            if stamp_ns > until_ns or (before_ns is not None and stamp_ns >= before_ns):
-                return
+    def take(self, until_ns: int) -> Iterator[ObjectDetections]:
+        """Those not later than ``until_ns``, one after the other."""
+        while self._waiting and self._waiting[0][0] <= until_ns:
             yield heapq.heappop(self._waiting)[2]
 
     def fault_of(self, detections: ObjectDetections) -> str | None:

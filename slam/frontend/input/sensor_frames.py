@@ -1,4 +1,4 @@
-"""Where the sensors sit on the body, from the transforms of a log: at a time, interpolated where they move."""
+"""Poses of the sensors on the body, from the transforms of a log, interpolated in time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SensorFrames:
         self._chains: dict[_Edge, list[str]] = {}
 
     def add(self, transform: Transform) -> None:
-        """Take note of a transform; a later one between the same frames replaces it from its stamp on."""
+        """Store a transform; a later one between the same frames replaces it from its stamp on."""
         parent, child = _plain(transform.parent_frame_id), _plain(transform.child_frame_id)
         if parent == child:
             return

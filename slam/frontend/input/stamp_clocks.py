@@ -2,8 +2,8 @@
 
 A message is made, stamped, and logged some time later. That time is much the same from message to message of a topic,
 whatever the two clocks show. Where it changes and stays changed, either messages take longer, or the clock of the
-stamps was set. Two things tell a clock that was set: stamps begin again before the last one, though messages are logged
-as before, or stamps are suddenly later than when they were logged.
+stamps was set. Two signs reveal a clock that was set: stamps restart before the last one, though messages are logged as
+before, or stamps are suddenly later than their log times.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odome
 from logs.reader import LogItem
 
 LEAST_MESSAGES = 16
-"""Messages of a topic before a step of its clock can be told from how unevenly they come."""
+"""Messages of a topic that are needed to distinguish a step of its clock from jitter."""
 CONFIRMING = 5
 """Messages in a row that show the same step: single stamps are wrong for other reasons."""
 TOLERANCE = 2.0
@@ -137,12 +137,12 @@ class StampClocks:
         self._logged[isinstance(record, Odometry)].append(logged_ns)
 
     def finish(self) -> Iterator[Record]:
-        """What still waits, as it is."""
+        """The waiting records, unchanged."""
         for clock in self._topics.values():
             yield from clock.release()
 
     def drift(self) -> ClockDrift:
-        """How the clock of the detections drifts beside that of the odometry; none where a clock was set."""
+        """Drift of the clock of the detections against that of the odometry; none if a clock was set."""
         if self.steps or len(self._delays[False]) < BLOCKS:
             return NO_DRIFT
         rates = [_rate(self._logged[of_odometry], self._delays[of_odometry]) for of_odometry in (False, True)]
@@ -153,7 +153,9 @@ class StampClocks:
         return ClockDrift(rate, self._logged[False][0] - self._delays[False][0])
 
     def delays(self) -> LoggingDelays:
-        """Those of all messages so far; none where they are longer than the log: its clock counts from elsewhere."""
+        """The delays of all messages so far; empty if they exceed the length of the log, whose clock then has another
+        origin.
+        """
         odometry, detections = (self._delays[of_odometry] for of_odometry in (True, False))
         if not odometry or not detections:
             return LoggingDelays()
@@ -231,7 +233,7 @@ class _TopicClock:
         return self._waiting[0].stamp_ns + self._shift_ns <= self._latest_ns
 
     def release(self) -> list[Stamped]:
-        """What waits, by the clock as it is known by now."""
+        """The waiting records, with stamps by the current estimate of the clock."""
         ready = [self._corrected(record) for record in self._waiting]
         self._waiting, self._waiting_delays = [], []
         return ready

@@ -19,8 +19,8 @@ from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.errors import SimulationError, SlamError
-from slam.simulation.faults.fault import FaultCase
 from slam.simulation.faults.recording import Message, Recording, make_recording
+from slam.simulation.faults.registry import Fault
 
 _NEEDED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS)
 _READ = (
@@ -45,12 +45,12 @@ class FaultSummary:
     left_out: dict[str, int]
 
 
-def apply_faults(log: Recording, cases: Sequence[FaultCase], *, seed: int) -> Recording:
-    """The recording with the faults, one after the other.
+def apply_faults(log: Recording, faults: Sequence[Fault], *, seed: int) -> None:
+    """Change the recording by the faults, one after the other.
 
     Args:
-        log: is not changed.
-        cases: what to do. Random numbers are those of the seed, of the name of the fault, and of how often it came
+        log: what to change.
+        faults: what to do. Random numbers are those of the seed, of the name of the fault, and of how often it came
             before; they do not depend on other faults.
         seed: 0 or more.
 
@@ -60,21 +60,20 @@ def apply_faults(log: Recording, cases: Sequence[FaultCase], *, seed: int) -> Re
     if seed < 0:
         raise SimulationError(f"seed {seed} is negative; give 0 or more")
     times: Counter[str] = Counter()
-    for case in cases:
-        name = case.fault.name
+    for fault in faults:
+        name = fault.function.__name__
         rng = np.random.default_rng([seed, zlib.crc32(name.encode()), times[name]])
         times[name] += 1
         try:
-            log = case.fault.function(log, *case.values, **({"rng": rng} if case.fault.is_random else {}))
+            fault.apply(log, rng)
         except SimulationError as error:
-            raise SimulationError(f"fault {case.name}: {error}") from error
-    return log
+            raise SimulationError(f"fault {fault.name}: {error}") from error
 
 
 def write_faulty(
     source: Path,
     output: Path,
-    cases: Sequence[FaultCase],
+    faults: Sequence[Fault],
     *,
     seed: int,
     topics: Mapping[str, str] | None = None,
@@ -87,7 +86,7 @@ def write_faulty(
     Args:
         source: a log with odometry and detections.
         output: replaced if it is there; written as NAME.part and renamed when finished.
-        cases: what to do, in this order.
+        faults: what to do, in this order.
         seed: the same seed, faults and input give the same bytes.
         topics: kind -> topic, where the log leaves a choice.
         progress: called with the fraction done, in [0, 1].
@@ -101,20 +100,17 @@ def write_faulty(
             if path.exists() and path.samefile(source):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         selection = select_topics(reader.topics(), topics, needed=_NEEDED)
-        before = make_recording(_read(reader, selection))
-        left_out = Counter(reader.counters)
-        after = apply_faults(before, cases, seed=seed)
-        rewritten = _changed_topics(before, after, selection)
+        log = make_recording(_read(reader, selection))
+        left_out = dict(sorted((+Counter(reader.counters)).items()))
+        before, detections_before = Counter(log.messages), _detection_count(log)
+        apply_faults(log, faults, seed=seed)
+        rewritten = _changed_topics(before, Counter(log.messages), selection)
         others = {info.topic for info in reader.topics()} - rewritten
-        if not after.keeps_others:
-            dropped = others - {message.topic for message in after.messages}
-            left_out["irreversible_messages"] += sum(i.message_count for i in reader.topics() if i.topic in dropped)
-            others -= dropped
-        changed: _InOrder = ((m.log_time_ns, m.number, m) for m in after.messages if m.topic in rewritten)
+        changed: _InOrder = ((m.log_time_ns, m.number, m) for m in log.messages if m.topic in rewritten)
         copied: _InOrder = ((raw.log_time_ns, i, raw) for i, raw in enumerate(reader.messages()) if raw.topic in others)
         written, total = Counter[str](), max(sum(info.message_count for info in reader.topics()), 1)
         with LogWriter(output, refusals=(LogError, SlamError)) as writer:
-            _write_metadata(reader, writer, cases, seed)
+            _write_metadata(reader, writer, faults, seed)
             for _, _, message in heapq.merge(changed, copied, key=lambda each: each[:2]):
                 if isinstance(message, RawMessage):
                     writer.write_raw(message)
@@ -123,12 +119,7 @@ def write_faulty(
                 written[message.topic] += 1
                 if progress is not None:
                     progress(min(written.total() / total, 1.0))
-    return FaultSummary(
-        dict(sorted(written.items())),
-        _detection_count(before),
-        _detection_count(after),
-        dict(sorted((+left_out).items())),
-    )
+    return FaultSummary(dict(sorted(written.items())), detections_before, _detection_count(log), left_out)
 
 
 def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:
@@ -139,13 +130,12 @@ def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:
         yield from (Message(item.raw.topic, item.raw.log_time_ns, record, number) for record in item.records)
 
 
-def _changed_topics(before: Recording, after: Recording, selection: Selection) -> set[str]:
+def _changed_topics(old: Counter[Message[Record]], new: Counter[Message[Record]], selection: Selection) -> set[str]:
     """The topics of which a message is new, or gone.
 
     Raises:
         SimulationError: one of them plays several parts, as frames that are the odometry do.
     """
-    old, new = Counter(before.messages), Counter(after.messages)
     changed = {message.topic for message in (old - new) + (new - old)}
     for topic in sorted(changed):
         kinds = selection.kinds[topic]
@@ -157,10 +147,10 @@ def _changed_topics(before: Recording, after: Recording, selection: Selection) -
 
 
 def _detection_count(log: Recording) -> int:
-    return sum(len(scan.detections.labels) for scan in log.scans)
+    return sum(len(scan.seen.labels) for scan in log.scans)
 
 
-def _write_metadata(reader: LogReader, writer: LogWriter, cases: Sequence[FaultCase], seed: int) -> None:
+def _write_metadata(reader: LogReader, writer: LogWriter, faults: Sequence[Fault], seed: int) -> None:
     """The metadata of the input, and how this log was made from it; later faults hide no earlier ones."""
     before = reader.metadata()
     for name, values in before.items():
@@ -172,6 +162,6 @@ def _write_metadata(reader: LogReader, writer: LogWriter, cases: Sequence[FaultC
             "version": version("descriptellation-slam"),
             "seed": str(seed),
             "input_sha256": reader.sha256(),
-            "faults": " ".join(case.name for case in cases),
+            "faults": " ".join(fault.name for fault in faults),
         },
     )

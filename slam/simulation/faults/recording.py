@@ -1,4 +1,4 @@
-"""A log in memory, and the changes that faults are made of; each returns another recording."""
+"""A log in memory, which faults change in place. Messages are replaced, never changed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from logs.messages import (
 )
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
-from slam.common.geometry import apply, interpolate, invert
+from slam.common.geometry import interpolate, invert
 from slam.frontend.input.sensor_frames import SensorFrames
 
 RecordT = TypeVar("RecordT", bound=Record, covariant=True)
@@ -36,13 +36,13 @@ class Message(Generic[RecordT]):
     record: RecordT
     number: int = 0
 
-    def with_fields(self, **fields: Any) -> Message[RecordT]:
+    def having(self, **fields: Any) -> Message[RecordT]:
         """The message with other fields of its record."""
         record: Any = self.record
         return replace(self, record=replace(record, **fields))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Scan:
     """A message of detections and, where the log has it, the one of their true ids."""
 
@@ -50,54 +50,52 @@ class Scan:
     truth: Message[DetectionTruth] | None = None
 
     @property
-    def detections(self) -> ObjectDetections:
+    def seen(self) -> ObjectDetections:
         """What was detected."""
         return self.message.record
 
     @property
     def stamp_ns(self) -> int:
         """Stamp of the detections."""
-        return self.detections.stamp_ns
+        return self.seen.stamp_ns
 
     @property
     def ids(self) -> tuple[str, ...]:
         """The true id of each detection; () where they are not known."""
         return () if self.truth is None else self.truth.record.object_ids
 
-    def having(self, detections: ObjectDetections, ids: Sequence[str] | None = None) -> Scan:
-        """The scan with other detections, and other true ids where these are given."""
-        truth = self.truth and self.truth.with_fields(
-            stamp_ns=detections.stamp_ns, object_ids=self.ids if ids is None else tuple(ids)
-        )
-        return Scan(replace(self.message, record=detections), truth)
+    def change(self, ids: Sequence[str] | None = None, **fields: Any) -> None:
+        """Give the detections other fields, and true ids where their number changes."""
+        self.message = self.message.having(**fields)
+        if self.truth is not None:
+            object_ids = self.ids if ids is None else tuple(ids)
+            self.truth = self.truth.having(stamp_ns=self.stamp_ns, object_ids=object_ids)
 
-    def with_fields(self, **fields: Any) -> Scan:
-        """The scan with other fields of its detections."""
-        return self.having(replace(self.detections, **fields))
+    def move(self, T: FloatArray) -> None:
+        """Move positions and covariances by a transform (4, 4)."""
+        R, t, seen = T[:3, :3], T[:3, 3], self.seen
+        covariances = None if seen.covariances is None else R @ seen.covariances @ R.T
+        self.change(positions=seen.positions @ R.T + t, covariances=covariances)
 
-    def select(self, rows: NDArray[np.bool_]) -> Scan:
-        """The detections ``rows`` (N,), with their true ids."""
-        ids = [name for name, is_kept in zip(self.ids, rows.tolist(), strict=False) if is_kept]
-        return self.having(take_detections(self.detections, np.flatnonzero(rows)), ids)
+    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+        """Keep the detections of a mask (N,), with their true ids."""
+        ids = [name for name, kept in zip(self.ids, is_kept.tolist(), strict=False) if kept]
+        self.change(ids, **taken(self.seen, np.flatnonzero(is_kept)))
 
-    def join(self, false: ObjectDetections) -> Scan:
-        """The scan with detections of nothing that is in the truth."""
-        return self.having(join_detections(self.detections, false), (*self.ids, *[""] * len(false.labels)))
+    def add(self, false: ObjectDetections) -> None:
+        """Add detections of nothing that is in the truth; they have no tracks."""
+        self.change((*self.ids, *[""] * len(false.labels)), **joined([self.seen, false]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Recording:
-    """What faults read and change of a log, each kind in its order; ``odometry`` has one message at least.
+    """What faults read and change of a log, each kind in its order; ``odometry`` has one message at least."""
 
-    ``keeps_others``: whether topics of other kinds belong to it.
-    """
-
-    odometry: tuple[Message[Odometry], ...]
-    scans: tuple[Scan, ...] = ()
-    transforms: tuple[Message[Transform], ...] = ()
-    true_poses: tuple[Message[GroundTruthPose], ...] = ()
-    true_objects: tuple[Message[ObjectMapRecord], ...] = ()
-    keeps_others: bool = True
+    odometry: list[Message[Odometry]]
+    scans: list[Scan]
+    transforms: list[Message[Transform]]
+    true_poses: list[Message[GroundTruthPose]]
+    true_objects: list[Message[ObjectMapRecord]]
 
     @property
     def messages(self) -> list[Message[Record]]:
@@ -106,40 +104,47 @@ class Recording:
         found = [*self.odometry, *scans, *self.transforms, *self.true_poses, *self.true_objects]
         return sorted(found, key=lambda message: (message.log_time_ns, message.number))
 
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """First and last stamp of odometry and detections."""
-        stamps = [*self.stamps_ns.tolist(), *(scan.stamp_ns for scan in self.scans)]
-        return min(stamps), max(stamps)
-
     def stamp_at(self, fraction: float) -> int:
         """The stamp at a part of the time of the drive, in [0, 1]."""
-        first_ns, last_ns = self.span_ns
-        return first_ns + round(fraction * (last_ns - first_ns))
-
-    @property
-    def half_ns(self) -> int:
-        """The stamp at half time."""
-        return self.stamp_at(0.5)
+        stamps: list[int] = [*self.stamps_ns.tolist(), *(scan.stamp_ns for scan in self.scans)]
+        return min(stamps) + round(fraction * (max(stamps) - min(stamps)))
 
     def from_half(self, seconds: float) -> tuple[int, int]:
         """The stamp at half time, and so long after it."""
-        return self.half_ns, self.half_ns + seconds_ns(seconds)
+        half_ns = self.stamp_at(0.5)
+        return half_ns, half_ns + seconds_ns(seconds)
 
     @property
     def stamps_ns(self) -> IntArray:
         """Stamps (N,) of the odometry."""
         return np.array([message.record.stamp_ns for message in self.odometry], dtype=np.int64)
 
+    @stamps_ns.setter
+    def stamps_ns(self, stamps_ns: IntArray) -> None:
+        pairs = zip(self.odometry, stamps_ns.tolist(), strict=True)
+        self.odometry = [message.having(stamp_ns=stamp_ns) for message, stamp_ns in pairs]
+
     @property
     def poses(self) -> FloatArray:
         """Poses T_odom_body (N, 4, 4) of the odometry."""
         return np.array([message.record.T_odom_body for message in self.odometry])
 
+    @poses.setter
+    def poses(self, T_odom_body: FloatArray) -> None:
+        pairs = zip(self.odometry, T_odom_body, strict=True)
+        self.odometry = [message.having(T_odom_body=T) for message, T in pairs]
+
     @property
     def steps(self) -> FloatArray:
         """T_previous_next (N - 1, 4, 4) of the odometry."""
-        return steps_of(self.poses)
+        return invert(self.poses[:-1]) @ self.poses[1:]
+
+    @steps.setter
+    def steps(self, steps: FloatArray) -> None:
+        poses = [self.poses[0]]
+        for step in steps:
+            poses.append(poses[-1] @ step)
+        self.poses = np.array(poses)
 
     def row_at(self, fraction: float) -> int:
         """The first pose after a part of the time of the drive, N where there is none."""
@@ -147,79 +152,31 @@ class Recording:
 
     def poses_at(self, stamps_ns: Sequence[int] | IntArray) -> FloatArray:
         """Poses T_odom_body (M, 4, 4) at the stamps (M,), those of the ends outside of the odometry."""
-        return _interpolate(self.stamps_ns, self.poses, stamps_ns)
+        ordered, first = np.unique(self.stamps_ns, return_index=True)
+        at = np.clip(np.asarray(stamps_ns, dtype=np.int64), ordered[0], ordered[-1])
+        return interpolate(ordered, self.poses[first], at)
 
-    def true_poses_at(self, stamps_ns: Sequence[int] | IntArray) -> FloatArray:
-        """True poses T_world_body (M, 4, 4) at the stamps (M,), those of the ends outside of the truth.
+    def scan_poses(self) -> FloatArray:
+        """Poses T_odom_body (S, 4, 4) at the scans."""
+        return self.poses_at([scan.stamp_ns for scan in self.scans])
 
-        Raises:
-            SimulationError: there is no true pose.
-        """
-        found = [message.record for message in self.true_poses]
-        if not found:
-            raise SimulationError("the log holds no true poses, which this fault needs: record /ground_truth")
-        known_ns = np.array([pose.stamp_ns for pose in found], dtype=np.int64)
-        return _interpolate(known_ns, np.array([pose.T_world_body for pose in found]), stamps_ns)
-
-    def with_poses(self, T_odom_body: FloatArray) -> Recording:
-        """Other poses (N, 4, 4) of the odometry."""
-        pairs = zip(self.odometry, T_odom_body, strict=True)
-        return replace(self, odometry=tuple(message.with_fields(T_odom_body=T) for message, T in pairs))
-
-    def with_steps(self, steps: FloatArray) -> Recording:
-        """Poses from the first one on by other steps (N - 1, 4, 4)."""
-        poses = [self.poses[0]]
-        for step in steps:
-            poses.append(poses[-1] @ step)
-        return self.with_poses(np.array(poses))
-
-    def redirected(self, row: int, T_jump: FloatArray) -> Recording:
-        """Poses from ``row`` on moved rigidly, by ``T_jump`` (4, 4) in the axes of the body at ``row``."""
+    def redirect(self, row: int, T_jump: FloatArray) -> None:
+        """Move the poses from ``row`` on rigidly, by ``T_jump`` (4, 4) in the axes of the body at ``row``."""
         poses = self.poses
         if row < len(poses):
             poses[row:] = poses[row] @ T_jump @ invert(poses[row]) @ poses[row:]
-        return self.with_poses(poses)
+        self.poses = poses
 
-    def with_scans(self, scans: Iterable[Scan]) -> Recording:
-        """Other scans."""
-        return replace(self, scans=tuple(scans))
-
-    def with_detections(self, alter: Callable[[ObjectDetections], ObjectDetections]) -> Recording:
-        """Each message of detections altered, which keeps their number and their stamp."""
-        return self.with_scans(scan.having(alter(scan.detections)) for scan in self.scans)
-
-    def restamped(self, new_stamp_ns: Callable[[int], int]) -> Recording:
-        """Other stamps of the scans, without those whose stamp would be before zero."""
-        stamps = [new_stamp_ns(scan.stamp_ns) for scan in self.scans]
-        pairs = zip(self.scans, stamps, strict=True)
-        return self.with_scans(scan.with_fields(stamp_ns=stamp_ns) for scan, stamp_ns in pairs if stamp_ns >= 0)
-
-    def select_scans(self, is_kept: Callable[[int], bool]) -> Recording:
-        """The scans of some stamps."""
-        return self.with_scans(scan for scan in self.scans if is_kept(scan.stamp_ns))
-
-    def select_detections(self, choose: Callable[[ObjectDetections], NDArray[np.bool_]]) -> Recording:
-        """The detections that are chosen."""
-        return self.with_scans(scan.select(choose(scan.detections)) for scan in self.scans)
-
-    @property
-    def scans_with_ids(self) -> list[Scan]:
-        """The scans whose true ids are known.
-
-        Raises:
-            SimulationError: there is none.
-        """
-        found = [scan for scan in self.scans if scan.truth is not None]
-        if not found:
-            raise SimulationError(
-                "the log holds no true ids of its detections (/ground_truth/detections), which this fault needs"
-            )
-        return found
+    def restamp_scans(self, new_stamp_ns: Callable[[int], int]) -> None:
+        """Give the scans other stamps; those whose stamp would be before zero are left out."""
+        self.scans = [scan for scan in self.scans if new_stamp_ns(scan.stamp_ns) >= 0]
+        for scan in self.scans:
+            scan.change(stamp_ns=new_stamp_ns(scan.stamp_ns))
 
     @property
     def labels(self) -> list[str]:
         """All labels of the detections, sorted."""
-        return sorted({label for scan in self.scans for label in scan.detections.labels})
+        return sorted({label for scan in self.scans for label in scan.seen.labels})
 
     def body_frames(self) -> Callable[[str], FloatArray]:
         """A function from a sensor's frame to T_body_sensor (4, 4); the identity without a transform."""
@@ -232,20 +189,6 @@ class Recording:
             return np.eye(4) if found is None else found
 
         return T_body_sensor
-
-    def bearing_frames(self) -> Callable[[str], FloatArray]:
-        """As :meth:`body_frames`, where it matters from which place an object was seen.
-
-        Raises:
-            SimulationError: detections are in the frame of the odometry.
-        """
-        odometry = self.odometry[0].record
-        if odometry.frame_id in {scan.detections.frame_id for scan in self.scans} - {"", odometry.child_frame_id}:
-            raise SimulationError(
-                f"detections are in {odometry.frame_id!r}, the frame of the odometry, which gives neither their range "
-                "nor their bearing: record them in a sensor's frame"
-            )
-        return self.body_frames()
 
 
 def make_recording(messages: Iterable[Message[Record]]) -> Recording:
@@ -268,15 +211,7 @@ def make_recording(messages: Iterable[Message[Record]]) -> Recording:
         truth = waiting.popleft() if waiting else None
         fits = truth is not None and len(truth.record.object_ids) == len(message.record.labels)
         scans.append(Scan(message, truth if fits else None))
-    transforms, true_poses, true_objects = (
-        tuple(by_kind[kind]) for kind in (Transform, GroundTruthPose, ObjectMapRecord)
-    )
-    return Recording(tuple(by_kind[Odometry]), tuple(scans), transforms, true_poses, true_objects)
-
-
-def by_log_time(messages: Iterable[Message[RecordT]]) -> tuple[Message[RecordT], ...]:
-    """The messages in the order of log time; those of equal time keep theirs."""
-    return tuple(sorted(messages, key=lambda message: message.log_time_ns))
+    return Recording(by_kind[Odometry], scans, by_kind[Transform], by_kind[GroundTruthPose], by_kind[ObjectMapRecord])
 
 
 def seconds_ns(seconds: float) -> int:
@@ -284,62 +219,35 @@ def seconds_ns(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-def steps_of(poses: FloatArray) -> FloatArray:
-    """T_previous_next (N - 1, 4, 4) of N poses."""
-    return invert(poses[:-1]) @ poses[1:]
-
-
-def _interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: Sequence[int] | IntArray) -> FloatArray:
-    """Poses (M, 4, 4) at ``at_ns`` (M,) of the poses (N, 4, 4) at ``stamps_ns`` (N,) in any order."""
-    ordered, first = np.unique(stamps_ns, return_index=True)
-    at = np.clip(np.asarray(at_ns, dtype=np.int64), ordered[0], ordered[-1])
-    return interpolate(ordered, T_a_b[first], at)
-
-
-def take_detections(detections: ObjectDetections, rows: IntArray) -> ObjectDetections:
-    """The detections ``rows`` (M,)."""
-    taken: dict[str, Any] = {
-        name: None if (values := getattr(detections, name)) is None else values[rows]
-        for name in ("positions", "scores", "covariances", "sizes")
+def taken(seen: ObjectDetections, rows: IntArray) -> dict[str, Any]:
+    """The fields of the detections ``rows`` (M,)."""
+    arrays = {name: getattr(seen, name) for name in ("positions", "scores", "covariances", "sizes")}
+    tuples = {name: getattr(seen, name) for name in ("labels", "track_ids")}
+    return {
+        **{name: None if array is None else array[rows] for name, array in arrays.items()},
+        **{name: None if texts is None else tuple(texts[i] for i in rows) for name, texts in tuples.items()},
     }
-    ids = detections.track_ids
-    return replace(
-        detections,
-        labels=tuple(detections.labels[i] for i in rows),
-        track_ids=None if ids is None else tuple(ids[i] for i in rows),
-        **taken,
-    )
 
 
-def move_detections(detections: ObjectDetections, T: FloatArray) -> ObjectDetections:
-    """The detections with positions and covariances moved by a transform (4, 4)."""
-    R, covariances = T[:3, :3], detections.covariances
-    return replace(
-        detections,
-        positions=apply(T, detections.positions),
-        covariances=None if covariances is None else R @ covariances @ R.T,
-    )
-
-
-def join_detections(first: ObjectDetections, *more: ObjectDetections) -> ObjectDetections:
-    """All detections in one message like ``first``; covariances and sizes that only some have are zero for the others,
-    and track ids "".
+def joined(every: Sequence[ObjectDetections]) -> dict[str, Any]:
+    """The fields of all detections together; covariances and sizes that only some have are zero for the others, and
+    track ids "".
     """
-    parts = [part for part in (first, *more) if part.labels] or [first]
+    parts = [part for part in every if part.labels] or every[:1]
 
-    def stack(arrays: list[FloatArray | None], shape: tuple[int, ...]) -> FloatArray | None:
+    def stack(name: str, shape: tuple[int, ...]) -> FloatArray | None:
+        arrays = [getattr(part, name) for part in parts]
         if all(array is None for array in arrays):
             return None
         zeros = [np.zeros((len(part.labels), *shape)) for part in parts]
         return np.concatenate([zero if array is None else array for array, zero in zip(arrays, zeros, strict=True)])
 
     has_ids = any(part.track_ids is not None for part in parts)
-    return replace(
-        first,
-        positions=np.concatenate([part.positions for part in parts]),
-        labels=tuple(label for part in parts for label in part.labels),
-        scores=np.concatenate([part.scores for part in parts]),
-        covariances=stack([part.covariances for part in parts], (3, 3)),
-        sizes=stack([part.sizes for part in parts], (3,)),
-        track_ids=tuple(i for part in parts for i in part.track_ids or ("",) * len(part.labels)) if has_ids else None,
-    )
+    return {
+        "positions": stack("positions", (3,)),
+        "labels": tuple(label for part in parts for label in part.labels),
+        "scores": stack("scores", ()),
+        "covariances": stack("covariances", (3, 3)),
+        "sizes": stack("sizes", (3,)),
+        "track_ids": tuple(i for p in parts for i in p.track_ids or ("",) * len(p.labels)) if has_ids else None,
+    }

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import tarfile
+
 import numpy as np
 import pytest
 
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.objects import find_objects
+from logs.clouds.objects import CloudObjects, find_objects
+from tests.helpers.data import KITTI, SCANS, needs_scans
 from tests.logs.clouds.clouds import FAR, cloud, post
 
 ORIGIN = np.zeros(3)
@@ -35,12 +38,11 @@ def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:
     assert len(tilted.labels) > 1
 
 
-def test_what_has_too_few_points_or_is_too_long_is_left_out_and_counted() -> None:
+def test_too_small_and_too_long_objects_are_left_out() -> None:
     wall = np.concatenate([post(6.0, y) for y in np.arange(-10.0, 10.0, 0.25)])
     found = find_objects(cloud([(80, 0, post(9.0, 0.0)), (10, 0, post(5.0, 0.0)[:3])]), NAMES)
-    assert found.left_out == {"small": 1}
     seen = find_objects(cloud([(80, 0, post(9.0, 0.0)), (71, 0, wall), FAR]), NAMES, viewpoint=ORIGIN)
-    assert (seen.labels, seen.left_out) == (("pole",), {"long": 1})
+    assert found.labels == seen.labels == ("pole",)
 
 
 def test_lengths_follow_the_reach_of_the_sensor() -> None:
@@ -62,3 +64,31 @@ def test_beams_that_hit_nothing_and_empty_clouds_are_no_objects() -> None:
     assert find_objects(nothing, NAMES, viewpoint=ORIGIN).positions.shape == (0, 3)
     empty = LabelledCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
     assert find_objects(empty, viewpoint=ORIGIN).detections(0, "lidar").labels == ()
+
+
+def real_objects(name: str) -> CloudObjects:
+    points = np.fromfile(SCANS / f"{name}.bin", np.float32).reshape(-1, 4)[:, :3].astype(np.float64)
+    tags = np.fromfile(SCANS / f"{name}.label", np.uint32).astype(np.int64)
+    return find_objects(LabelledCloud(points, tags & 0xFFFF, tags >> 16), NAMES, viewpoint=ORIGIN)
+
+
+@needs_scans
+def test_objects_of_real_scans_are_those_that_were_published() -> None:
+    with tarfile.open(KITTI / "gosmatch_00.tar.xz") as archive:
+
+        def lines(name: str) -> list[str]:
+            member = archive.extractfile(f"00/{name}")
+            assert member is not None
+            return member.read().decode().split("\n")
+
+        counts = lines("bow.txt")
+        for name in ("000052", "004501"):
+            vehicles, trunks, poles = (int(n) for n in counts[int(name)].split(","))
+            centroids = np.array([[float(v) for v in line.split()] for line in lines(f"centroids/{name}.txt") if line])
+            objects = real_objects(name)
+            published = {"trunk": centroids[vehicles : vehicles + trunks], "pole": centroids[-poles:]}
+            for label, theirs in published.items():
+                ours = objects.positions[[found == label for found in objects.labels]]
+                apart = np.linalg.norm(theirs[:, None] - ours[None], axis=2)
+                assert np.mean(apart.min(axis=1) < 0.5) >= 0.9
+                assert np.mean(apart.min(axis=0) < 0.5) >= 0.9

@@ -8,8 +8,6 @@ from logs.importers.text_files import SourceText
 from logs.importers.trajectory_files import read_trajectory
 
 TUM = "0.1 1 2 3 0 0 0.6 0.8\n0.2 1 2 4 0 0 0 1\n"
-EUROC_HEADER = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
-EUROC = "100000000, 1, 2, 3, 0.8, 0, 0, 0.6, 0.1, 0.2\n200000000, 1, 2, 4, 1, 0, 0, 0, 0.1, 0.2\n"
 HALF_TURN = np.array([[0.28, -0.96, 0.0], [0.96, 0.28, 0.0], [0.0, 0.0, 1.0]])
 """Rotation of the quaternion (0, 0, 0.6, 0.8)."""
 
@@ -21,23 +19,13 @@ def source(text: str, name: str = "poses.txt") -> SourceText:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (TUM, "tum"),
         (f"# a comment, with a comma\n\n{TUM}", "tum"),
-        (TUM.replace(" ", ","), "tum"),
         (TUM.replace(" ", ", "), "tum"),
         (f"timestamp tx ty tz qx qy qz qw\n{TUM}", "csv"),
-        (f"stamp_s;x_m;y_m;z_m;qx;qy;qz;qw\n{TUM.replace(' ', ';')}", "csv"),
-        (EUROC, "euroc"),
-        (f"{EUROC_HEADER}\n{EUROC}", "euroc"),
-        (f"{EUROC_HEADER[1:]}\n{EUROC}", "euroc"),
-        ("stamp_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.1,1,2,3,0,0,0.6,0.8\n0.2,1,2,4,0,0,0,1\n", "csv"),
-        ("# stamp_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.1,1,2,3,0,0,0.6,0.8\n0.2,1,2,4,0,0,0,1\n", "csv"),
         ("qw;qz;qy;qx;z [mm];y [mm];x [mm];t [ms]\n.8;.6;0;0;3000;2000;1000;100\n1;0;0;0;4000;2000;1000;200\n", "csv"),
-        ('{"t": 0.1, "x": 1, "y": 2, "z": 3, "qx": 0, "qy": 0, "qz": 0.6, "qw": 0.8}\n'
-         '{"t": 0.2, "x": 1, "y": 2, "z": 4, "qx": 0, "qy": 0, "qz": 0, "qw": 1}\n', "csv"),
     ],
-)  # fmt: skip
-def test_every_format_gives_the_same_poses(text: str, expected: str) -> None:
+)
+def test_formats_give_same_poses(text: str, expected: str) -> None:
     trajectory = read_trajectory(source(text))
     assert trajectory.format == expected
     np.testing.assert_array_equal(trajectory.stamps.stamps_ns, [100_000_000, 200_000_000])
@@ -48,15 +36,14 @@ def test_every_format_gives_the_same_poses(text: str, expected: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "scale"), [("yaw", 1.0), ("yaw_rad", 1.0), ("yaw_deg", 180.0 / np.pi)])
-def test_a_heading_is_in_the_unit_of_its_column(name: str, scale: float) -> None:
+def test_heading_by_unit_of_column(name: str, scale: float) -> None:
     angles = np.array([3.1, -3.1, 0.2])
     rows = "".join(f"{i},{i},0,{angle * scale!r}\n" for i, angle in enumerate(angles.tolist()))
-    trajectory = read_trajectory(source(f"t,x,y,{name}\n{rows}"))
-    R = trajectory.T_world_body[:, :3, :3]
+    R = read_trajectory(source(f"t,x,y,{name}\n{rows}")).T_world_body[:, :3, :3]
     np.testing.assert_allclose(np.arctan2(R[:, 1, 0], R[:, 0, 0]), angles, atol=1e-12)
 
 
-def test_kitti_takes_its_stamps_from_the_times_and_the_body_from_the_calibration() -> None:
+def test_kitti_poses_with_times_and_calibration() -> None:
     # The camera moves along its z, which is forward: x of the body.
     poses = source("".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)))
     times = source("0.0\n1.037359e-01\n0.2\n", "times.txt")
@@ -65,6 +52,8 @@ def test_kitti_takes_its_stamps_from_the_times_and_the_body_from_the_calibration
     np.testing.assert_array_equal(trajectory.stamps.stamps_ns, [0, 103_735_900, 200_000_000])
     np.testing.assert_allclose(trajectory.T_world_body[:, :3, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], atol=1e-12)
     np.testing.assert_allclose(read_trajectory(poses, times=times).T_world_body[2, :3, 3], [0, 0, 2], atol=1e-12)
+    with pytest.raises(DatasetError, match=r"poses\.txt has 3 poses, times\.txt 2 times"):
+        read_trajectory(poses, times=source("0\n1\n", "times.txt"))
 
 
 def test_stamps_keep_every_digit() -> None:
@@ -76,57 +65,25 @@ def test_stamps_keep_every_digit() -> None:
     ("text", "message"),
     [
         ("", r"poses\.txt is empty"),
-        ("1 2 3\n", r"poses\.txt, line 1: 3 values .*expected 8 .TUM.*names the columns"),
-        (TUM + "0.3 1 2 3 0 0 1\n", r"poses\.txt, line 3: 7 values where 8 are expected .stamp, x"),
+        ("1 2 3\n", r"poses\.txt: 3 values .*expected 8 .TUM.*names the columns"),
+        (TUM + "0.3 1 2 3 0 0 1\n", r"poses\.txt, line 3: 7 values where 8 are expected .stamp_s, x"),
         (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number"),
-        (TUM + "0.3 1 nan 3 0 0 0 1\n", r"poses\.txt, line 3, column y: 'nan' is not a finite number"),
-        (TUM + "# pause\nnow 1 2 3 0 0 0 1\n", r"poses\.txt, line 4, column stamp: 'now' is not a time"),
-        (
-            TUM + "0.3 1 -1e308 3 0 0 0 1\n",
-            r"poses\.txt, line 3, column y: -1e308 m is too far away; correct it",
-        ),
-        (TUM + "0.3 1 2 3 0 0 0 0.5\n", r"poses\.txt, line 3, column qx qy qz qw: a quaternion of norm 0\.5"),
-        (TUM + "0.15 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.15 comes after a later stamp; sort"),
-        (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.2 occurs twice; remove"),
-        ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp: '-1' is before 0"),
+        (TUM + "# pause\nnow 1 2 3 0 0 0 1\n", r"poses\.txt, line 4, column stamp_s: 'now' is not a time"),
+        (TUM + "0.3 1 -1e308 3 0 0 0 1\n", r"poses\.txt, line 3, column y: -1e308 m is too far away; correct it"),
+        (TUM + "0.3 1 2 3 0 0 0 0.5\n", r"poses\.txt, line 3, column qw: the norm of the quaternion is not 1"),
+        (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp_s: 0\.2 occurs twice; remove"),
+        ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp_s: '-1' is before 0"),
         ("0.1 0 0 0 0 0 0 1\n", r"poses\.txt: one pose only"),
-        (
-            "stamp_s,x_m,z_m,yaw\n0,1,2,3\n",
-            r"poses\.txt: no column for y in metres among .*; call .* y_m",
-        ),
+        ("stamp_s,x_m,z_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for y in metres among .*; call .* y_m"),
         ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no column for the quaternion's qx"),
-        ("when,x_m,y_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for the stamp among when, .*call .*stamp_s"),
-        ("stamp_s,x,x_m,y,yaw\n0,1,1,2,3\n", r"poses\.txt: columns x and x_m have the same meaning"),
-        ("0.1,1,2,3,1,0,0,0,9\n0.2,1,2,3,1,0,0,0,9\n", r"line 1, column stamp_ns: '0\.1' is not whole nanoseconds"),
-        ("t;x;y;yaw\n0,1;1;2;3\n", r"line 2, column t: '0,1' is not a time"),
         ("t;x;y;yaw\n0;1,5;2;3\n", r"line 2, column x: '1,5' is not a finite number; write .* decimal point"),
-        ("t,latitude,lon,yaw\n0,60,24,3\n", r"no column for x in metres among t, latitude"),
-        ("t,x,y,yaw\n0,1,2,359\n1,1,2,1\n", r"line 3, column yaw: the heading changes by 358 rad .*yaw_deg"),
-        ("0,1,2,3,1,0,0,0\n1,1,2,3,1,0,0,0\n", r"line 2, column stamp_ns: poses are 1e-09 s apart"),
+        ("t,x,y,yaw\n0,1,2,359\n1,1,2,1\n", r"line 3, column yaw: 1 is more than a whole turn .*yaw_deg"),
+        ("0e9 0 0 0 0 0 0 1\n1e8 1 0 0 0 0 0 1\n", r"column stamp_s: poses are 1e\+08 s apart .*by its unit"),
+        ("0.0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n0.2 100 0 0 0 0 0 1\n", r"moves at 1000 m/s .*divide them by 1000"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", r"poses\.txt: poses in KITTI's format have no stamps; .*--times"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(text: str, message: str) -> None:
+def test_read_trajectory_refuses(text: str, message: str) -> None:
     with pytest.raises(DatasetError, match=message) as caught:
         read_trajectory(source(text))
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("start_s", "told"), [(0.0, r"poses are 1.*0.* s apart"), (1_700_000_000.0, "is a time after the year 2262")]
-)
-def test_tum_stamps_that_are_not_seconds_are_refused(start_s: float, told: str) -> None:
-    text = "".join(f"{(start_s + 0.1 * i) * 1e9:.0f} {i} 0 0 0 0 0 1\n" for i in range(5))
-    with pytest.raises(DatasetError, match=rf"line \d, column stamp: .*{told}.*call the column by its unit"):
-        read_trajectory(source(text))
-
-
-def test_positions_in_millimetres_are_refused_where_the_body_first_moves() -> None:
-    text = "".join(f"{0.1 * i:.1f} {100 * max(i - 2, 0)} 0 0 0 0 0 1\n" for i in range(9))
-    with pytest.raises(DatasetError, match=r"line 4, columns x y z: the body moves at 1000 m/s .*divide them by 1000"):
-        read_trajectory(source(text))
-
-
-def test_numbers_of_poses_and_times_must_agree() -> None:
-    with pytest.raises(DatasetError, match=r"poses\.txt has 1 poses, times\.txt 2 times"):
-        read_trajectory(source("1 0 0 0 0 1 0 0 0 0 1 0\n"), times=source("0\n1\n", "times.txt"))

@@ -92,14 +92,9 @@ def find(seen: list[tuple[int, list[int]]], travel_m: list[float], **limits: lis
 
 def test_a_keyframe_is_attached_to_the_one_of_the_second_traversal_that_saw_most_of_its_landmarks():
     first = [(1, [1, 2, 3, 4, 5, 6])]
-    second = [(4, [1, 2, 3]), (5, [2, 3, 4, 5]), (6, [7, 8, 9])]
-    seen = [*first, *second, (20, [2, 3, 4, 6])]
-    assert find(seen, [0.0, 100.0, 110.0, 120.0, 200.0]) == {20: 5}
-
-
-def test_of_several_that_saw_as_many_the_first_one_is_taken():
-    seen = [(number, [1, 2, 3]) for number in (0, 1, 2, 9)]
-    assert find(seen, [0.0, 100.0, 101.0, 200.0]) == {9: 1}
+    second = [(4, [1, 2, 3]), (5, [2, 3, 4, 5]), (6, [2, 3, 4]), (7, [7, 8, 9])]
+    seen = [*first, *second, (20, [2, 3, 4, 6])]  # 5 and 6 have three of them each
+    assert find(seen, [0.0, 100.0, 110.0, 115.0, 120.0, 200.0]) == {20: 5}
 
 
 def test_keyframes_of_one_traversal_are_not_attached():
@@ -179,25 +174,6 @@ def test_the_drive_goes_on_from_a_condensed_graph():
     graph.condense(anchors_of(graph, settled=5 * ROUND))
     assert len(graph.keyframe_variables) < 2.5 * ROUND
     assert np.linalg.norm(graph.poses()[:, :3, 3] - T[:, :3, 3], axis=1).max() < 0.1
-
-
-def test_an_attached_keyframe_moves_with_its_anchor():
-    graph = condensed(3)
-    anchors = anchors_of(driven(3), settled=3 * ROUND)
-    before = {k: relative(graph.pose(a), graph.pose(k)) for k, a in anchors.items()}
-    graph.add_edge(Edge(0, 6, np.eye(4), 1e-6 * np.eye(6), "odometry"))
-    graph.optimize()
-    assert anchors
-    for k, a in anchors.items():
-        np.testing.assert_allclose(relative(graph.pose(a), graph.pose(k)), before[k], atol=1e-9)
-
-
-def test_positions_of_all_keyframes_are_known_while_the_drive_goes_on():
-    graph = condensed(3)
-    estimates = graph.estimates()
-    order = np.argsort(estimates.keyframes)
-    np.testing.assert_array_equal(estimates.keyframes[order], np.arange(3 * ROUND))
-    np.testing.assert_allclose(estimates.keyframe_positions[order], graph.poses()[:, :3, 3], atol=1e-9)
 
 
 def test_closures_to_an_attached_keyframe_pull_at_its_anchor():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Observation
+from slam.backend.factors import Observation
 from slam.common.errors import FactorGraphError
 from tests.slam.backend.graphs import (
     KEYFRAMES,
@@ -27,17 +27,10 @@ HERE = np.eye(4)
 AHEAD = np.array([5.0, 0.0, 0.0])
 UNKNOWN_KEYFRAME, UNKNOWN_LANDMARK = KEYFRAMES + 28, 77
 REFUSED: dict[str, tuple[Callable[[FactorGraph], object], str]] = {
-    "no transform": (lambda graph: graph.add_edge(edge(3, 8, NOWHERE)), "3 -> 8"),
     "no transform to the next keyframe": (lambda graph: graph.add_next_keyframe(edge(11, 12, NOWHERE)), "11 -> 12"),
-    "no covariance": (lambda graph: graph.add_edge(Edge(3, 8, HERE, -np.eye(6), "odometry")), "3 -> 8"),
-    "a covariance of another size": (lambda graph: graph.add_edge(Edge(3, 8, HERE, np.eye(3), "odometry")), "6 x 6"),
     "no covariance of the next keyframe": (
         lambda graph: graph.add_next_keyframe(replace(edge(11, 12, HERE), covariance=-np.eye(6))),
         "11 -> 12",
-    ),
-    "no covariance of an observation": (
-        lambda graph: graph.add_observations([Observation(2, UNKNOWN_LANDMARK, AHEAD, -np.eye(3))]),
-        "landmark 77 from keyframe 2",
     ),
     "no position": (
         lambda graph: graph.add_observations([Observation(2, UNKNOWN_LANDMARK, AHEAD * np.nan, SEEN_COVARIANCE)]),

@@ -10,7 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
-from slam.backend.factors import Edge, EdgeKind, Observation, between_factor, observation_factors
+from slam.backend.factors import Edge, Observation, between_factor, observation_factors
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
@@ -30,7 +30,7 @@ def values(pose: FloatArray, point: FloatArray = FAR) -> gtsam.Values:
 
 def edge(kind: str, **changed: FloatArray) -> Edge:
     parts = {"T_from_to": np.eye(4), "covariance": SIGMA_M**2 * np.eye(6)} | changed
-    return Edge(0, 1, parts["T_from_to"], parts["covariance"], EdgeKind(kind))
+    return Edge(0, 1, parts["T_from_to"], parts["covariance"], kind)
 
 
 def observed(position: FloatArray = FAR, inflation: float = 1.0, sigma_m: float = SIGMA_M) -> Observation:
@@ -111,3 +111,13 @@ def test_what_is_no_covariance_becomes_no_factor(variance):
     observation = replace(observed(), covariance=np.diag([1.0, variance, 1.0]))
     with pytest.raises(FactorGraphError, match="landmark 0 from keyframe 0"):
         observation_factors([observation], FactorGraphConfig(), sensor_range_m=30.0)
+
+
+def test_a_covariance_of_another_size_is_refused():
+    with pytest.raises(FactorGraphError, match="6 x 6"):
+        between_factor(edge("odometry", covariance=np.eye(5)))
+
+
+def test_an_edge_of_an_unknown_kind_is_refused():
+    with pytest.raises(ValueError, match="guess"):
+        edge("guess")

@@ -28,14 +28,6 @@ def test_union_find_agrees_with_lists(pairs):
     assert sorted(sets.dropped) == [item for item, name in enumerate(names) if name != item]
 
 
-def test_kept_item_stands_for_both_sets_of_any_size():
-    sets = UnionFind()
-    for item in (1, 2, 3):
-        sets.merge(0, item)
-    sets.merge(9, 2)
-    assert {sets.find(item) for item in (0, 1, 2, 3, 9)} == {9}
-
-
 @pytest.mark.slow
 def test_long_chain_of_merges_is_searched_fast():
     sets = UnionFind()

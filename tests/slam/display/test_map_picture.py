@@ -1,13 +1,10 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from matplotlib.font_manager import fontManager
 from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
@@ -29,30 +26,19 @@ def full_picture() -> MapPicture:
         closures=np.stack([path[:3], path[-3:]], axis=1),
         true_closures=np.stack([path[3:9], path[-9:-3]], axis=1),
         false_closures=np.stack([path[9:10], path[-99:-98]], axis=1),
-        missed_revisits=path[-30:-10],
         ate_m=0.5,
         odometry_ate_m=3.0,
     )
 
 
-def test_picture_has_given_width_and_same_bytes(tmp_path: Path) -> None:
+def test_same_picture_has_same_bytes(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
-        draw_map(tmp_path / name, full_picture(), width_px=800)
+        draw_map(tmp_path / name, full_picture())
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.png"]
     pixels = imread(tmp_path / "a.png")
-    assert pixels.shape[1] == 800
+    assert pixels.shape[1] == 1600
     assert pixels[..., :3].std() > 0.05
-
-
-def test_a_font_that_was_installed_since_matplotlib_listed_them_is_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    chinese = MapPicture(np.zeros((0, 3)), landmarks=np.eye(3), labels=("路灯",) * 3)
-    draw_map(tmp_path / "a.png", chinese)
-    monkeypatch.setattr(fontManager, "ttflist", [each for each in fontManager.ttflist if "DejaVu" in each.name])
-    draw_map(tmp_path / "b.png", chinese)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None:
@@ -64,11 +50,11 @@ def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None
     }
     red = {}
     for name, picture in pictures.items():
-        draw_map(tmp_path / f"{name}.png", picture, width_px=800)
+        draw_map(tmp_path / f"{name}.png", picture)
         pixels = imread(tmp_path / f"{name}.png")[..., :3]
         red[name] = int(((pixels[..., 0] > 0.95) & (pixels[..., 1:].max(axis=-1) < 0.05)).sum())
     assert red["true"] < 10
-    assert red["false"] > 500
+    assert red["false"] > 2000
 
 
 @pytest.mark.parametrize(
@@ -82,10 +68,10 @@ def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None
     ],
 )
 def test_little_to_draw(tmp_path: Path, picture: MapPicture) -> None:
-    draw_map(tmp_path / "a.png", picture, width_px=400)
+    draw_map(tmp_path / "a.png", picture)
     shape = imread(tmp_path / "a.png").shape
-    assert shape[1] == 400
-    assert 150 <= shape[0] <= 400
+    assert shape[1] == 1600
+    assert 600 <= shape[0] <= 1600
 
 
 @pytest.mark.parametrize(
@@ -114,12 +100,6 @@ def test_most_frequent_classes_have_a_layer_each() -> None:
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnwritableLogError, match="No such file"):
         draw_map(tmp_path / "missing" / "a.png", full_picture())
-
-
-@pytest.mark.slow
-def test_pictures_need_no_global_plotting_state() -> None:
-    code = "import sys, slam.display.map_picture; sys.exit('matplotlib.pyplot' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_class_colors_differ_from_each_other_and_from_paths() -> None:

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from logs.reader import LogReader
-from logs.writer import LogWriter
 from slam.common.errors import ViewerError
-from slam.display.map_topics import LANDMARK_POINTS, PATH_COLOR, SUBMAP
+from slam.display.map_topics import PATH_COLOR
 from slam.replay import replay
 from tests.helpers.short_drives import drive, write_log
 
@@ -104,22 +103,6 @@ def test_the_view_of_a_drive_is_not_empty_at_any_time(output, tmp_path):
             assert path > shorter
             assert colorful(picture) > path + 50
             shorter = path
-
-
-def test_rerun_draws_the_log_itself(output):
-    with opened(output) as client:
-        picture = screenshot(client, times(output)[2], lambda drawn: colorful(drawn) > 50)
-    assert colorful(picture) > 50
-
-
-def test_a_log_without_the_map_fails_these_tests(output, tmp_path):
-    empty = tmp_path / "empty.mcap"
-    with LogReader(output) as reader, LogWriter(empty) as writer:
-        for raw in reader.messages():
-            if not raw.topic.endswith("_points") and raw.topic not in (LANDMARK_POINTS, SUBMAP):
-                writer.write_raw(raw)
-    with opened(empty) as client:
-        assert maps_of(client) == []
 
 
 def test_a_log_that_was_not_mapped_is_refused(output, tmp_path, capsys):

@@ -8,8 +8,6 @@ import numpy as np
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
-from slam.evaluation.report.figures import summarize
-from slam.evaluation.report.tables import make_tables
 from slam.evaluation.result import Evaluation
 
 
@@ -38,10 +36,3 @@ def at_json(evaluation: Evaluation, path: str) -> object:
         assert isinstance(value, dict)
         value = value[key]
     return value
-
-
-def printed(evaluation: Evaluation) -> str:
-    """The six lines and all tables."""
-    results = evaluation.to_json_dict()
-    tables = "\n".join(frame.to_string() for frame in make_tables(results).values())
-    return "\n".join(f"{name}: {line}" for name, line in summarize(results).items()) + "\n" + tables

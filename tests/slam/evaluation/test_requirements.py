@@ -5,7 +5,8 @@ import pytest
 from slam.common.errors import EvaluationError
 from slam.evaluation.requirements import Requirement, parse_requirement
 
-RESULTS = {"trajectory": {"ate_m": 4.0, "online_ate_m": None, "note": "text"}, "counters": {"keyframes": 12}}
+RESULTS = {"trajectory": {"ate_m": 4.0, "online_ate_m": None, "note": "text"}, "counters": {"keyframes": 12},
+           "unavailable": {"closures": "no candidate"}}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -31,7 +32,7 @@ def test_what_is_no_requirement(text: str) -> None:
     "text", ["trajectory.ate_m<=4", "trajectory.ate_m>=4", "trajectory.ate_m==4", "counters.keyframes>11"]
 )
 def test_bars_that_are_met(text: str) -> None:
-    assert parse_requirement(text).shortfall(RESULTS) == ""
+    assert parse_requirement(text).check(RESULTS)[0]
 
 
 @pytest.mark.parametrize(
@@ -39,11 +40,14 @@ def test_bars_that_are_met(text: str) -> None:
     [
         ("trajectory.ate_m<4", "trajectory.ate_m is 4, where < 4 was required"),
         ("trajectory.ate_m>4", "trajectory.ate_m is 4, where > 4 was required"),
-        ("trajectory.online_ate_m<=4", "undefined"),
+        ("trajectory.online_ate_m<=4", "online_ate_m is undefined, where"),
+        ("closures.recall>=1", "closures.recall is undefined (no candidate), where"),
         ("trajectory.ate<=4", "did you mean trajectory.ate_m?"),
-        ("trajectory.note<=4", "there is no such value"),
-        ("trajectory<=4", "there is no such value"),
+        ("trajectory.note<=4", "undefined"),
+        ("trajectory<=4", "undefined"),
     ],
 )
 def test_bars_that_are_not_met(text: str, told: str) -> None:
-    assert told in parse_requirement(text).shortfall(RESULTS)
+    is_met, found = parse_requirement(text).check(RESULTS)
+    assert not is_met
+    assert told in found

@@ -29,7 +29,7 @@ def random_covariances(count: int, size: int, rng: np.random.Generator) -> Float
 
 def trajectory(count: int) -> TrajectoryRecord:
     rng = np.random.default_rng(2)
-    stamps_ns = 1_700_000_000_000_000_001 + np.cumsum(rng.integers(1, 10**9, count))
+    stamps_ns = 5 + np.cumsum(rng.integers(1, 10**9, count))
     return TrajectoryRecord(0, "map", stamps_ns, random_poses(count, rng) if count else np.zeros((0, 4, 4)))
 
 
@@ -61,21 +61,13 @@ def test_tum_comes_back_exactly(tmp_path: Path, count: int) -> None:
     path = tmp_path / "a.tum"
     write_tum(path, record)
     lines = [line.split(" ") for line in path.read_text().splitlines()]
-    assert [int(line[0].replace(".", "")) for line in lines] == record.stamps_ns.tolist()
-    assert all(len(line[0].split(".")[1]) == 9 for line in lines)
+    assert [line[0] for line in lines] == [f"{ns // 10**9}.{ns % 10**9:09d}" for ns in record.stamps_ns.tolist()]
     numbers = np.array([line[1:] for line in lines], dtype=np.float64).reshape(-1, 7)
     np.testing.assert_array_equal(numbers[:, :3], record.T_map_body[:, :3, 3])
     if count:
         R = Rotation.from_quat(numbers[:, 3:]).as_matrix()
         np.testing.assert_allclose(R, record.T_map_body[:, :3, :3], atol=1e-14)
     assert [p.name for p in tmp_path.iterdir()] == ["a.tum"]
-
-
-def test_stamps_below_a_second_keep_their_zeros(tmp_path: Path) -> None:
-    record = TrajectoryRecord(0, "map", np.array([5, 1_000_000_000]), np.tile(np.eye(4), (2, 1, 1)))
-    write_tum(tmp_path / "a.tum", record)
-    lines = (tmp_path / "a.tum").read_text().splitlines()
-    assert [line.split(" ")[0] for line in lines] == ["0.000000005", "1.000000000"]
 
 
 def test_kitti_comes_back_exactly(tmp_path: Path) -> None:
@@ -144,18 +136,6 @@ def test_an_empty_graph_is_an_empty_file(tmp_path: Path) -> None:
     names = FactorGraphRecord.__dataclass_fields__.keys() - {"stamp_ns"}
     write_g2o(tmp_path / "a.g2o", changed(**{name: getattr(graph(), name)[:0] for name in names}))
     assert (tmp_path / "a.g2o").read_text() == ""
-
-
-def test_edges_without_observations(tmp_path: Path) -> None:
-    record = changed(
-        observation_keyframe_ids=np.zeros(0, dtype=np.int64),
-        observation_landmark_ids=(),
-        observation_positions=np.zeros((0, 3)),
-        observation_covariances=np.zeros((0, 3, 3)),
-    )
-    write_g2o(tmp_path / "a.g2o", record)
-    tags = {line.split(" ")[0] for line in (tmp_path / "a.g2o").read_text().splitlines()}
-    assert tags == {"VERTEX_SE3:QUAT", "FIX", "EDGE_SE3:QUAT"}
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:

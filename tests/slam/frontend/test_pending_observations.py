@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.scan import Scan
-from slam.frontend.pending_observations import PendingObservations
+from slam.frontend.pending_observations import MAX_MEASUREMENTS, PendingObservations
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
+from tests.logs.examples import random_covariance
 
 PRECISE = {"translation_sigma": 1e-4, "yaw_sigma": 1e-5, "min_translation_sigma_m": 1e-4}
 NOISY = {"translation_sigma": 1.0, "yaw_sigma": 0.1}
@@ -82,3 +84,53 @@ def test_what_is_held_back_can_be_dropped():
     drive.pending.drop(0)
     drive.map.confirm(drive.rows)
     assert drive.close(2, ends_group=True) == [(0, 2), (1, 1), (1, 2)]
+
+
+# The measurements since the last keyframe
+
+
+def summed(scans, *, own: bool = True):
+    """The observations of keyframe 7, of confirmed landmarks, by (rows, positions, covariances) of each scan."""
+    object_map = ObjectMap(ObjectCalibration())
+    labels = object_map.label_indices(("tree",) * 5)
+    rows = object_map.add(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)), labels, stamp_ns=0, scan=0, travel_m=0.0)
+    object_map.confirm(rows)
+    detection = {"common_sigma_m": 0.3, "covariance_inflation": 25.0}
+    pending = PendingObservations(Config.model_validate({"calibration": {"detection": detection}}), object_map)
+    for rows, positions, covariances in scans:
+        used, flags = np.ones(len(rows), dtype=np.bool_), np.full(len(rows), own)
+        pending.add(rows, Scan(0, "lidar", positions, covariances, ("tree",) * len(rows), used, flags))
+    return {each.landmark: each for each in pending.close(keyframe(7), np.eye(4), ends_group=True)}
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_measurements_of_a_keyframe_are_averaged_by_their_information(own):
+    """Where messages have no covariance, the error that all share is added."""
+    rng = np.random.default_rng(0)
+    scans = list[tuple[IntArray, FloatArray, FloatArray]]()
+    for _ in range(8):
+        rows = np.flatnonzero(rng.random(5) < 0.7)
+        scans.append((rows, rng.normal(size=(len(rows), 3)), np.array([random_covariance(rng, 3) for _ in rows])))
+    found = summed(scans, own=own)
+    assert sorted(found) == [0, 1, 2, 3, 4]
+    for row, observation in found.items():
+        seen = [(p[rows == row][0], P[rows == row][0]) for rows, p, P in scans if row in rows]
+        weights = [np.linalg.inv(P) for _, P in seen]
+        covariance = np.linalg.inv(np.sum(weights, axis=0))
+        mean = covariance @ np.sum([W @ p for W, (p, _) in zip(weights, seen, strict=True)], axis=0)
+        np.testing.assert_allclose(observation.position, mean, atol=1e-10)
+        shared = 0.0 if own else 0.3**2 * np.eye(3)
+        np.testing.assert_allclose(observation.covariance, covariance + shared, atol=1e-10)
+        assert observation.keyframe == 7
+        assert observation.covariance_inflation == (1.0 if own else 25.0)
+
+
+def test_robot_that_waits_measures_no_better_than_often():
+    one = (np.array([0]), np.zeros((1, 3)), 0.5**2 * np.eye(3)[None])
+    (found,) = summed([one] * 1000).values()
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.5 / np.sqrt(MAX_MEASUREMENTS))
+
+
+def test_keyframe_that_saw_nothing_has_no_observation():
+    assert summed([]) == {}
+    assert summed([(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))]) == {}

@@ -26,10 +26,9 @@ def evidence(
     segment: int = 0,
     log_prior: float = PRIOR,
     log_uniform: float = -100.0,
-    log_aligned: float = 0.0,
 ) -> PoseEvidence:
     rows, ratios = np.array(list(llrs)), np.array(list(llrs.values()))
-    return PoseEvidence(T, segment, log_prior, log_uniform, log_aligned, rows, ratios)
+    return PoseEvidence(T, segment, log_prior, log_uniform, rows, ratios)
 
 
 class Robot:
@@ -89,10 +88,8 @@ def test_a_place_unlike_all_others_may_be_new_where_others_are_alike():
     alike, _ = Robot().measure(best, evidence(pose(80.0), {1: 40.0}, **other)).posterior_log_odds
     assert alone == pytest.approx(48.0 + PRIOR)
     assert by_chance == pytest.approx(alone, abs=0.01)
-    # Half of what is new is like the other place, half is clutter.
-    assert alike == pytest.approx(48.0 + PRIOR - np.logaddexp(40.0 - np.log(2.0), 10.0), abs=1e-3)
-    aligned, _ = Robot().measure(best, evidence(pose(80.0), {1: 40.0}, log_aligned=-4.0, **other)).posterior_log_odds
-    assert aligned == pytest.approx(48.0 + PRIOR - np.logaddexp(36.0 - np.log(2.0), 10.0), abs=1e-3)
+    # What is new looks like the other place at 1 of exp(25) poses.
+    assert alike == pytest.approx(48.0 + PRIOR - np.logaddexp(40.0 - 25.0, 10.0))
     both, _ = Robot().measure(best, evidence(pose(80.0), {1: 40.0}, **other), together=True).posterior_log_odds
     assert both == pytest.approx(np.logaddexp(48.0 + PRIOR, 10.0))
 

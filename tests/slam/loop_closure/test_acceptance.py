@@ -59,10 +59,10 @@ def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
 
 
 def test_a_place_that_the_odometry_rules_out_shows_that_places_are_alike(acceptance):
-    elsewhere = replace(candidate(200.0, SURE_LLR + 9.0), odometry_penalty=PENALTY + 20.0)
+    elsewhere = replace(candidate(200.0, SURE_LLR + 15.0), odometry_penalty=PENALTY + 40.0)
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), elsewhere]).accepted is None
     acceptance.reset()
-    by_chance = replace(elsewhere, unpredicted_penalty=SURE_LLR + 9.0)
+    by_chance = replace(elsewhere, unpredicted_penalty=SURE_LLR + 15.0)
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), by_chance]).accepted is not None
 
 

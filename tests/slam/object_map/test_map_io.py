@@ -69,7 +69,7 @@ def elsewhere(known: SavedMap) -> tuple[Slam, FinalMap]:
 @pytest.fixture
 def path(first: FinalMap, tmp_path: Path) -> Path:
     target = tmp_path / "map.mcap"
-    save_map(target, first.object_map, first.graph, first.markers, PROVENANCE)
+    save_map(target, first.object_map, first.graph, PROVENANCE)
     return target
 
 
@@ -128,7 +128,7 @@ def test_the_same_drive_in_the_same_map_gives_the_same_bytes(path: Path, tmp_pat
 def test_an_empty_map_is_refused(first: FinalMap, tmp_path: Path) -> None:
     nothing = replace(first.object_map, states=("retired",) * len(first.object_map.ids))
     with pytest.raises(SavedMapError, match="without landmarks"):
-        save_map(tmp_path / "empty.mcap", nothing, first.graph, first.markers, PROVENANCE)
+        save_map(tmp_path / "empty.mcap", nothing, first.graph, PROVENANCE)
     assert not (tmp_path / "empty.mcap").exists()
     path = write_map(tmp_path / "empty.mcap", confirmed(nothing), first.graph)
     with pytest.raises(SavedMapError, match="without landmarks"):
@@ -163,7 +163,7 @@ def test_a_map_that_stays_as_it_is_cannot_be_saved_again(
         replay(log, tmp_path / "out.mcap", Config(), prior_map=known, extend=False, map_path=target)
     final = kept[1]
     with pytest.raises(SavedMapError, match="no edge ties keyframe 1 to the first one"):
-        save_map(target, final.object_map, final.graph, final.markers, PROVENANCE, earlier_drives=known.drives)
+        save_map(target, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
     assert not target.exists()
 
 
@@ -173,7 +173,7 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     """The second drive is in another town: nobody knows where its landmarks are in the first one's map."""
     _, final = elsewhere
     path = tmp_path / "both.mcap"
-    left_out = save_map(path, final.object_map, final.graph, final.markers, PROVENANCE, earlier_drives=known.drives)
+    left_out = save_map(path, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
     loaded = load_map(path)
     assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
     assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")
@@ -199,4 +199,4 @@ def test_a_discontinuity_is_known_by_its_kind_and_not_by_its_covariance(
     covariances = graph.edge_covariances.copy()
     covariances[row] *= scale
     graph = replace(graph, edge_kinds=kinds, edge_covariances=covariances)
-    assert save_map(tmp_path / "m.mcap", first.object_map, graph, first.markers, PROVENANCE) == left_out
+    assert save_map(tmp_path / "m.mcap", first.object_map, graph, PROVENANCE) == left_out

@@ -1,11 +1,11 @@
-"""How many detections are of no object, and how densely they lie."""
+"""How densely detections lie that are of no object."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from slam.self_calibration.clutter import measure_clutter
+from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.object_tracks import SurveyScan
 
 
@@ -25,24 +25,23 @@ def scans_of(each: float, *, half_angle: float = np.pi, range_m: float = 25.0, h
 def test_the_density_is_that_of_what_is_not_tracked(each, half_angle):
     scans = scans_of(each, half_angle=half_angle, height_m=4.0)
     count = sum(len(scan.positions) for scan in scans)
-    found = measure_clutter(scans, count // 4, 0.0)
-    assert found.share == pytest.approx(0.75, abs=0.01)
-    assert found.per_scan == pytest.approx(0.75 * each, rel=0.05)
     layer_m = 4.0 * np.sqrt(2.0 * np.pi * np.e / 12.0)  # of a Gaussian with the same variance
-    assert found.per_m3 == pytest.approx(0.75 * each / (half_angle * 25.0**2 * layer_m), rel=0.2)
+    assert clutter_density(scans, count // 4, 0.0) == pytest.approx(
+        0.75 * each / (half_angle * 25.0**2 * layer_m), rel=0.2
+    )
 
 
 def test_detections_of_one_height_are_spread_by_their_noise():
     scans = scans_of(45.0)
-    thin, thick = (measure_clutter(scans, 0, sigma_m).per_m3 for sigma_m in (0.1, 0.2))
+    thin, thick = (clutter_density(scans, 0, sigma_m) for sigma_m in (0.1, 0.2))
     assert thin == pytest.approx(2.0 * thick)
-    assert measure_clutter(scans, 0, 0.0).per_m3 == 0.0, "no volume to tell a density of"
+    assert clutter_density(scans, 0, 0.0) == 0.0, "no volume to tell a density of"
 
 
 def test_where_all_is_tracked_there_is_no_clutter():
     scans = scans_of(20.0)
-    assert measure_clutter(scans, sum(len(scan.positions) for scan in scans), 0.1).per_m3 == 0.0
+    assert clutter_density(scans, sum(len(scan.positions) for scan in scans), 0.1) == 0.0
 
 
 def test_objects_that_are_alone_in_their_scans_have_no_density():
-    assert measure_clutter(scans_of(0.5)[:50], 0, 0.1).per_m3 == 0.0
+    assert clutter_density(scans_of(0.5)[:50], 0, 0.1) == 0.0

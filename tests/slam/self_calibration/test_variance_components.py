@@ -240,20 +240,6 @@ def test_a_motion_that_never_was_tells_nothing_of_its_noise():
     assert found.variances.heading_by_turn == found.standard_errors.heading_by_turn == 0.0
 
 
-@pytest.mark.parametrize("times", [1, 4, pytest.param(8, marks=pytest.mark.slow)])
-def test_errors_that_scans_repeat_are_found(times):
-    drive = SurveyedDrive(0, DETECTOR, scans=400)
-    tracks, motion = drive.tracks, drive.motion
-    rows = np.repeat(np.arange(len(tracks.track)), times)
-    again = tracks.of(rows)
-    again = replace(again, scan=again.scan * times + np.tile(np.arange(times), len(tracks.track)))
-    motion = Motion(*(np.repeat(each, times) for each in (motion.travel_m, motion.heading_rad, motion.time_s)))
-    found = estimate_components(again, motion, most_repeated=16)
-    assert found is not None
-    assert found.repeated == times
-    assert np.sqrt(found.white(100.0)[0]) == pytest.approx(DETECTOR["radial"], rel=0.25)
-
-
 def tilting(seed: int, *, tilt: float, rise: float, height: float) -> tuple[ObjectTracks, Motion]:
     """A drive with heights: an odometry that tilts and rises at random by travel, detections with noise of height."""
     drive, rng = SurveyedDrive(seed, DETECTOR), np.random.default_rng(seed)
@@ -271,9 +257,9 @@ def test_heights_count_from_the_body() -> None:
     """On a mountain they are what they are at sea level."""
     tracks, motion = tilting(0, tilt=0.01, rise=0.1, height=0.1)
     body_m = np.linspace(90.0, 110.0, len(motion.time_s))
-    low = _displacements(tracks, motion, 1)
+    low = _displacements(tracks, motion)
     high = _displacements(
-        replace(tracks, heights=tracks.heights + body_m[tracks.scan]), replace(motion, height_m=body_m), 1
+        replace(tracks, heights=tracks.heights + body_m[tracks.scan]), replace(motion, height_m=body_m)
     )
     assert low is not None
     assert high is not None

@@ -13,7 +13,7 @@ from logs.reader import LogReader
 from logs.selection import select_topics
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
-from slam.simulation.config import SimulationConfig, kidnap_overrides
+from slam.simulation.config import SimulationConfig
 from slam.simulation.drive import START_NS
 from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.world import World
@@ -84,13 +84,8 @@ def test_true_ids_match_the_detections_within_the_noise(heading_rad: float) -> N
     assert 0.90 < np.mean(right) < 0.98
 
 
-def test_covariances_can_be_left_out(street: World) -> None:
-    drive = _records(street, _config(sensor={"covariances": False}))
-    assert all(detections.covariances is None for detections in drive["/detections"])
-
-
 def test_same_seed_same_bytes_other_seed_other_bytes(tmp_path: Path, street: World) -> None:
-    config = _config(traffic={"vehicles": 2}, kidnap={"from_m": 50, "to_m": 120})
+    config = _config(traffic={"vehicles": 2}, kidnap={"from_m": 50, "to_m": 120}, sensor={"covariances": False})
     contents = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_simulation(tmp_path / name, street, config, seed=seed)
@@ -111,12 +106,6 @@ def test_odometry_does_not_change_with_the_sensor(
         np.testing.assert_array_equal(mine.T_odom_body, other.T_odom_body)
 
 
-def test_odometry_starts_at_the_identity_and_drifts(drive: dict[str, list[Any]]) -> None:
-    np.testing.assert_array_equal(drive["/odom"][0].T_odom_body, np.eye(4))
-    travelled = drive["/odom"][-1].T_odom_body[:3, 3]
-    assert 0.01 < np.linalg.norm(travelled - [200.0, 0.0, 0.0]) < 10.0
-
-
 def test_kidnapping_is_a_gap_after_which_odometry_starts_anew(street: World) -> None:
     drive = _records(street, _config(kidnap={"from_m": 60, "to_m": 150, "gap_s": 7.5}))
     stamps_ns = np.array([record.stamp_ns for record in drive["/odom"]])
@@ -129,19 +118,6 @@ def test_kidnapping_is_a_gap_after_which_odometry_starts_anew(street: World) -> 
     assert not np.allclose(drive["/odom"][before].T_odom_body, np.eye(4))
     np.testing.assert_array_equal(drive["/odom"][before + 1].T_odom_body, np.eye(4))
     assert len(drive["/detections"]) == len(stamps_ns)
-
-
-@pytest.mark.parametrize("kidnap", [{"from_m": 300, "to_m": 0}, {"from_m": 50, "to_m": 200}])
-def test_kidnapping_outside_the_tour_is_refused_at_the_call(street: World, kidnap: dict[str, float]) -> None:
-    with pytest.raises(SimulationError, match=r"from 0 to 200\.0 m"):
-        simulate(street, _config(kidnap=kidnap), seed=0)
-
-
-def test_kidnapping_as_text() -> None:
-    assert kidnap_overrides("12.5:300") == ["kidnap.from_m=12.5", "kidnap.to_m=300.0"]
-    for text in ("12", "1:2:3", "a:b", "0:5", "5:-1", "nan:1", ""):
-        with pytest.raises(SimulationError, match="FROM_M:TO_M"):
-            kidnap_overrides(text)
 
 
 @pytest.mark.parametrize(
@@ -168,21 +144,13 @@ def test_moving_vehicles_are_detected_under_their_own_ids(street: World) -> None
         sensor={"dropout": 0, "misclassification": 0, "occlusion": False, "false_positives_per_scan": 0},
     )
     drive = _records(street, config)
-    places: dict[str, list[np.ndarray]] = {}
-    for detections, truth, pose in zip(
-        drive["/detections"], drive["/ground_truth/detections"], drive["/ground_truth"], strict=True
-    ):
-        world_positions = apply(pose.T_world_body, detections.positions)
-        for object_id, label, place in zip(truth.object_ids, detections.labels, world_positions, strict=True):
-            assert (label == "vehicle") == object_id.startswith("moving-")
-            if label == "vehicle":
-                places.setdefault(object_id, []).append(np.append(place, pose.stamp_ns * 1e-9))
-    assert places.keys() <= {"moving-0", "moving-1", "moving-2"}
-    (name, seen) = max(places.items(), key=lambda item: len(item[1]))
-    track = np.array(seen)
-    assert np.abs(np.abs(track[:, 1]) - 2.0).max() < 2.0, name
-    speed = abs(track[-1, 0] - track[0, 0]) / (track[-1, 3] - track[0, 3])
-    assert 2.0 < speed < 11.0
+    seen = [
+        (label, object_id)
+        for detections, truth in zip(drive["/detections"], drive["/ground_truth/detections"], strict=True)
+        for label, object_id in zip(detections.labels, truth.object_ids, strict=True)
+    ]
+    vehicles = {object_id for label, object_id in seen if label == "vehicle"}
+    assert vehicles == {object_id for _, object_id in seen if object_id.startswith("moving-")} != set()
     (objects,) = drive["/ground_truth/objects"]
     assert "vehicle" not in objects.vocabulary
 
@@ -201,13 +169,7 @@ def test_log_reads_back_with_its_configuration(tmp_path: Path, street: World) ->
         (type(record), record.stamp_ns) for record in expected
     ]
     assert sum(summary.message_counts.values()) == len(expected)
-    assert summary.driven_m == pytest.approx(200.0, abs=0.8)
     assert summary.duration_s == pytest.approx(25.0)
-    detections = [(a, b) for a, b in zip(records, expected, strict=True) if isinstance(a, ObjectDetections)]
-    for mine, other in detections:
-        assert isinstance(other, ObjectDetections)
-        np.testing.assert_allclose(mine.positions, other.positions, atol=1e-9)
-        assert mine.labels == other.labels
 
 
 @pytest.mark.parametrize(

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import typer
 
-from tools.lab.commands.ablation import ablation
 from tools.lab.commands.descriptors import descriptors
 from tools.lab.commands.fleet import fleet
-from tools.lab.commands.kidnapping import kidnapping
-from tools.lab.commands.live import live
 from tools.lab.commands.recall import recall
 from tools.lab.commands.relocalization import relocalization
 from tools.lab.commands.retrieval import retrieval
 from tools.lab.commands.robots import robots
 
 app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
-for command in (*(descriptors, fleet, kidnapping, ablation, live, recall, relocalization, retrieval, robots),):
+for command in (descriptors, fleet, recall, relocalization, retrieval, robots):
     app.command()(command)
-
-
-@app.callback()
-def _benchmark() -> None:
-    """Measure accuracy, recall, speed and memory."""

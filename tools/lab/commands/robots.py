@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import Columns, Markdown, figures_of, number, percent, report, with_progress
+from tools.lab.tables import Markdown, number, percent, report
 from tools.replay import noted_counters
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slam.sweeps.mapped_drive import MappedDrive
     from tools.lab.drives.robot_drives import RobotDrive
 
-COLUMNS: Columns = {
+COLUMNS = {
     "odom. m": ("trajectory.odometry_ate_m", 3, 1.0),
     "ATE m": ("trajectory.ate_m", 3, 1.0),
     "landmarks": ("counters.landmarks_confirmed", 0, 1.0),
@@ -29,6 +29,7 @@ COLUMNS: Columns = {
     "recall %": ("closures.recall", 1, 100.0),
     "known %": ("closures.recognised", 1, 100.0),
 }
+"""Heading -> key of a figure in an evaluation's JSON, digits, and factor."""
 
 
 def robots(
@@ -60,12 +61,18 @@ def robots(
 
     config = load_config(config_file, settings or ())
     drives = find_drives(data, drive or ())
-    runs = list(with_progress((map_robot(each, config) for each in drives), len(drives)))
+    runs: dict[str, MappedDrive] = {}
+    for each in drives:
+        run = runs[each.name] = map_robot(each, config)
+        how = f"failed: {run.error}" if run.error else f"{run.replay_s:.0f} s"
+        typer.echo(f"{len(runs)} of {len(drives)}: {each.name}, {how}", err=True)
     report(
-        [_row(run) for run in runs],
-        *(f"{run.name}: {', '.join(notes)}" for run in runs if (notes := notes_of(run))),
+        [_row(name, run) for name, run in runs.items()],
+        *(f"{name}: {', '.join(notes)}" for name, run in runs.items() if (notes := notes_of(run))),
         markdown=markdown,
-        json={"drives": [{**asdict(run), "notes": notes_of(run)} for run in runs]} if json else None,
+        json={"drives": [{"name": name, **asdict(run), "notes": notes_of(run)} for name, run in runs.items()]}
+        if json
+        else None,
     )
 
 
@@ -75,7 +82,8 @@ def map_robot(drive: RobotDrive, config: Config) -> MappedDrive:
 
     from logs.errors import LogError
     from slam.common.errors import SlamError
-    from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drives
+    from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
+    from slam.sweeps.workers import Death, compute_all
     from tools.lab.drives.robot_drives import import_drive
 
     with TemporaryDirectory() as folder:
@@ -83,23 +91,23 @@ def map_robot(drive: RobotDrive, config: Config) -> MappedDrive:
         try:
             import_drive(drive, log)
         except (LogError, SlamError) as error:
-            return MappedDrive(drive.name, error=str(error))
-        (run,) = map_drives([DriveTask(drive.name, log, config, Path(folder))])
-    return run
+            return MappedDrive(error=str(error))
+        ((_, outcome),) = compute_all(map_drive, [DriveTask(log, config)], jobs=1, fresh=True)
+    return MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
 
 
 def notes_of(run: MappedDrive) -> list[str]:
     """The reason of a failure, what was counted, and a final status other than that all is well."""
-    if run.summary is None:
+    if run.error:
         return [run.error]
-    doubts = run.summary.final_status.removeprefix("optimised").removeprefix("; ")
-    return [*noted_counters(run.summary.counters), *filter(None, [doubts])]
+    doubts = run.reported[0].removeprefix("optimised").removeprefix("; ")
+    return [*noted_counters(run.evaluation["counters"]), *filter(None, [doubts])]
 
 
-def _row(run: MappedDrive) -> dict[str, str]:
-    cells = figures_of(run, COLUMNS)
+def _row(name: str, run: MappedDrive) -> dict[str, str]:
+    cells = {heading: number(run.figure(key), digits, factor) for heading, (key, digits, factor) in COLUMNS.items()}
     if (false_share := run.figure("closures.largest_false_share")) is not None:
         cells["indep."] += f": {percent(false_share, 0)}"
-    speed = run.summary.log_s / run.seconds if run.summary else None
-    gigabytes = number(run.peak_memory_bytes if run.summary else None, 2, 1e-9)
-    return {"drive": run.name, **cells, "x real": number(speed, 1), "GB": gigabytes}
+    speed = None if run.error else run.log_s / run.replay_s
+    gigabytes = number(None if run.error else run.peak_memory_bytes, 2, 1e-9)
+    return {"drive": name, **cells, "x real": number(speed, 1), "GB": gigabytes}

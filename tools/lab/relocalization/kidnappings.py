@@ -1,35 +1,40 @@
-"""How soon a robot finds out where it is in a map, at places of a drive with truth.
+"""Time to relocalization in a map, at places of a drive with truth.
 
 ``benchmark_relocalization`` is where to begin reading.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from logs.container.limits import RESULT_LIMITS
-from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, Transform
+from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.topics import RecordKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
+from slam.common.geometry import interpolate, invert, yaw_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.object_map.map_io import SavedMap
+from slam.evaluation.metrics.statistics import percentile
 from slam.place_recognition.imported_map import ImportedMap
 from slam.prepared_log import calibrate_logs
-from tools.lab.relocalization.figures import sum_up
+from slam.system import Slam
 from tools.lab.relocalization.known_map import KnownMap, known_imported, map_drive, truth_of
-from tools.lab.relocalization.trial import RECOVERED_WITHIN_M, Drive, put_down
 
+RECOVERED_WITHIN_M = 40.0
+"""Travel within which a right fix is a success."""
+OBJECTS = (0, 5, 10, 20)
+"""Places are grouped by the number of objects in the first scan, from these numbers on."""
 _KINDS = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
 _Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
 
@@ -47,8 +52,6 @@ def benchmark_relocalization(
 ) -> dict[str, Any]:
     """Relocalize at places of a drive with truth, evenly spread over it.
 
-    The figures are of places in the map. At places far from it (``elsewhere_...``) any fix is false.
-
     Args:
         path: the log.
         config: of the estimator; what it leaves open is estimated from the log.
@@ -60,12 +63,18 @@ def benchmark_relocalization(
         topics: kind -> topic, where the log leaves a choice.
         on_progress: called with the fraction done, in [0, 1].
 
+    Returns:
+        ``drive``, ``landmarks`` and ``map_ate_m``; ``groups``: :func:`figures` of places in the map, everywhere and by
+        the number of objects in view; ``outcomes`` there and, far from the map, where any fix is false, ``elsewhere``.
+
     Raises:
         LogError: the log cannot be read.
         SlamError: it holds no truth, or no place of it is in the map.
     """
     protocol = protocol or Protocol()
-    records = _read(path, topics)
+    with LogReader(path, RESULT_LIMITS) as reader:
+        selection = select_topics(reader.topics(), topics, needed=_KINDS)
+        records = [entry.record for entry in reader.records(selection) if isinstance(entry.record, _Kept)]
     truth = truth_of(records)
     if not len(truth):
         raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
@@ -87,20 +96,23 @@ def benchmark_relocalization(
         inside, outside = _spread(inside, kidnaps), _spread(outside, kidnaps)
         outcomes = list[dict[str, Any]]()
         for row in (*inside, *outside):
-            drive = _drive(known, records, truth, int(row), max_travel_m)
-            outcomes.append(put_down(known, drive, config, protocol))
+            last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + max_travel_m)
+            first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()
+            outcomes.append(put_down(known, _between(records, first_ns, last_ns), config, protocol))
             if on_progress is not None:
                 on_progress(len(outcomes) / (len(inside) + len(outside)))
-    elsewhere = outcomes[len(inside) :]
-    return sum_up(
-        outcomes[: len(inside)],
-        drive=path.stem,
-        landmarks=known.landmark_count,
-        map_ate_m=known.ate_m,
-        elsewhere_kidnaps=len(elsewhere),
-        elsewhere_fixes=sum(each["distance_m"] is not None for each in elsewhere),
-        elsewhere_outcomes=elsewhere,
-    )
+    found = pd.DataFrame(outcomes[: len(inside)], dtype=object)
+    names = [f"{number}+ objects" for number in OBJECTS]
+    numbers = pd.cut(found["objects"], [*OBJECTS, np.inf], right=False, labels=names)
+    groups = {str(name): figures(group) for name, group in found.groupby(numbers, observed=True)}
+    return {
+        "drive": path.stem,
+        "landmarks": known.landmark_count,
+        "map_ate_m": known.ate_m,
+        "groups": {"everywhere": figures(found), **groups},
+        "outcomes": outcomes[: len(inside)],
+        "elsewhere": outcomes[len(inside) :],
+    }
 
 
 def find_starts(
@@ -123,13 +135,71 @@ def find_starts(
     )
 
 
-def _read(path: Path, topics: Mapping[str, str] | None) -> list[Record]:
-    with LogReader(path, RESULT_LIMITS) as reader:
-        selection = select_topics(reader.topics(), topics, needed=_KINDS)
-        return [entry.record for entry in reader.records(selection) if isinstance(entry.record, _Kept)]
+def put_down(known: KnownMap, records: Sequence[Record], config: Config, protocol: Protocol) -> dict[str, Any]:
+    """Drive until the robot is localized in the map.
+
+    Returns:
+        ``objects`` in the first scan; ``query_ms``: the searches; and of the first fix, None without, ``distance_m``
+        and ``seconds`` from the start, ``error_m`` and ``error_deg`` in the plane and in heading, and ``is_right``.
+    """
+    truth = truth_of(records)
+    slam, fix = Slam(config, known.saved, extend=False), None
+    for record in records:
+        if not isinstance(record, GroundTruthPose):
+            fix = next((each for each in slam.process(record) if isinstance(each, SlamPose)), None)
+        if fix is not None:
+            break
+    outcome: dict[str, Any] = {
+        "objects": next((len(each.labels) for each in records if isinstance(each, ObjectDetections)), 0),
+        "query_ms": [1e3 * seconds for seconds in slam.closing_seconds],
+        **dict.fromkeys(("distance_m", "seconds", "error_m", "error_deg", "is_right")),
+    }
+    if fix is not None:
+        at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
+        T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0])
+        error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
+        is_near = error_m <= protocol.closure_translation_m
+        outcome |= {
+            "distance_m": float(truth.travelled_at_m(at_ns)[0]),
+            "seconds": 1e-9 * (fix.stamp_ns - slam.first_stamp_ns),
+            "error_m": error_m,
+            "error_deg": error_deg,
+            "is_right": is_near and error_deg <= protocol.closure_rotation_deg,
+        }
+    return outcome
 
 
-def _between(records: list[Record], first_ns: int, last_ns: int) -> list[Record]:
+def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tuple[float, float]:
+    """Distance in the plane [m] and difference of heading [deg], both >= 0, of two poses (4, 4)."""
+    offset = T_world_body_est[:2, 3] - T_world_body_gt[:2, 3]
+    turn_rad = float(yaw_rad(invert(T_world_body_gt) @ T_world_body_est))
+    return float(np.hypot(*offset)), abs(float(np.rad2deg(turn_rad)))
+
+
+def figures(outcomes: pd.DataFrame) -> dict[str, Any]:
+    """Shares, which add up to 1, and percentiles of outcomes, one a row; None where there is nothing to measure.
+
+    Distance and time are those of the right fixes, late ones included; errors those of all fixes.
+    """
+    is_right, is_wrong = outcomes["is_right"].eq(True), outcomes["is_right"].eq(False)
+    is_late = is_right & outcomes["distance_m"].gt(RECOVERED_WITHIN_M)
+    return {
+        "kidnaps": len(outcomes),
+        "success_rate": float((is_right & ~is_late).mean()),
+        "late_rate": float(is_late.mean()),
+        "false_relocalization_rate": float(is_wrong.mean()),
+        "not_found_rate": float(outcomes["is_right"].isna().mean()),
+        "median_distance_m": percentile(outcomes["distance_m"][is_right], 50.0),
+        "p95_distance_m": percentile(outcomes["distance_m"][is_right], 95.0),
+        "median_seconds": percentile(outcomes["seconds"][is_right], 50.0),
+        "median_error_m": percentile(outcomes["error_m"], 50.0),
+        "p95_error_m": percentile(outcomes["error_m"], 95.0),
+        "median_error_deg": percentile(outcomes["error_deg"], 50.0),
+        "query_ms": percentile([ms for each in outcomes["query_ms"] for ms in each], 50.0),
+    }
+
+
+def _between(records: list[_Kept], first_ns: int, last_ns: int) -> list[_Kept]:
     """The records of a time, and all transforms."""
     return [each for each in records if isinstance(each, Transform) or first_ns <= each.stamp_ns <= last_ns]
 
@@ -138,13 +208,3 @@ def _spread(rows: IntArray, count: int) -> IntArray:
     """At most ``count`` of the rows (R,), evenly."""
     chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)
     return np.unique(rows[chosen])
-
-
-def _drive(known: KnownMap, records: list[Record], truth: PoseSeries, row: int, max_travel_m: float) -> Drive:
-    travelled_m, T_world_body = truth.travelled_m, truth.T_world_body[row]
-    last = min(int(np.searchsorted(travelled_m, travelled_m[row] + max_travel_m)), len(travelled_m) - 1)
-    perceived = _between(records, int(truth.stamps_ns[row]), int(truth.stamps_ns[last]))
-    mapped_forward = known.T_world_body_gt[known.nearest(T_world_body), :2, 0]
-    is_along = bool(mapped_forward @ T_world_body[:2, 0] >= 0.0) if isinstance(known.saved, SavedMap) else None
-    objects = next((len(each.labels) for each in perceived if isinstance(each, ObjectDetections)), 0)
-    return Drive(row, float(travelled_m[row]), is_along, objects, tuple(perceived))

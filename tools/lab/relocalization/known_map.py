@@ -75,7 +75,7 @@ def map_drive(records: Iterable[Record], config: Config) -> KnownMap:
         positions=paired.positions_gt,
         T_map_body=paired.T_map_body_est,
         T_world_body_gt=paired.T_world_body_gt,
-        ate_m=evaluate_trajectory(estimate, truth_of(poses), max_gap_s=max_gap_s).absolute.rmse_m,
+        ate_m=evaluate_trajectory(estimate, truth_of(poses), max_gap_s=max_gap_s).ate_m,
         landmark_count=len(confirmed(final.object_map).ids),
     )
 

@@ -41,7 +41,7 @@ KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutt
 
 @dataclass(frozen=True, slots=True)
 class Contest:
-    """What is measured: each proposer in maps of the objects nearest to one of them, which is drawn.
+    """A measurement: each proposer in maps of the objects nearest to a random one.
 
     ``sizes``: objects of a map. ``classes``: how many; the commonest keep their names, all others are of one class. The
     ``queries`` of a scenario are drawn in the smallest map, and asked in all.

@@ -12,7 +12,7 @@ from tools.lab.retrieval.contest import scenario_of
 
 
 def draw_contest(path_png: Path, cells: pd.DataFrame) -> None:
-    """One column for each number of classes and query: above the right poses, below the time, over the size.
+    """A column for each number of classes and query: right poses (top) and time (bottom) over the size of the map.
 
     Args:
         path_png: the picture.

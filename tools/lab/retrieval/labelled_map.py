@@ -28,7 +28,7 @@ class LabelledMap:
         return len(self.labels)
 
     def first(self, count: int) -> LabelledMap:
-        """The objects up to a number."""
+        """The first objects, up to a number."""
         return LabelledMap(self.positions[:count], self.labels[:count], self.vocabulary)
 
     def names(self, labels: IntArray) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ FLIPPING_RADIUS = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """How a query differs from the map (Section IV-B): visual range and, where ``noisy``, the noise as written.
+    """Differences of a query from the map (Section IV-B): visual range and, where ``noisy``, the noise as written.
 
     With noise every coordinate becomes ``p + |p| e`` with e ~ U(0, ``translation_noise``); a share ``dropout`` of the
     objects is missed; an object is taken for another class with probability ``misclassification`` |p| / max |p|; the

@@ -24,7 +24,7 @@ STEP_RANGES = 1.0 / 6.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """How a query differs from the map.
+    """Differences of a query from the map.
 
     ``missing``: share of the objects in range that are not observed; ``clutter``: share of the observed ones that the
     map does not have; ``noise_m``: standard deviation of each coordinate. ``objects``: number of objects, those nearest

@@ -1,4 +1,4 @@
-"""Descriptors that are asked for the place at the revisits of a drive with truth, by the retrieval of a replay.
+"""Place recognition by descriptors at the revisits of a drive with truth, with the retrieval of a replay.
 
 The drive is mapped without closing a loop, so that no descriptor influences its later queries, and every descriptor
 gets the same submaps.
@@ -83,7 +83,7 @@ def measure_revisits(
 
 
 class _AskingSlam(Slam):
-    """Maps, and asks at each keyframe what loop closing would ask, instead of closing loops."""
+    """Maps a drive, and queries the descriptors at each keyframe instead of closing loops."""
 
     def __init__(self, config: Config, truth: PoseSeries, descriptors: Sequence[str]) -> None:
         super().__init__(config)

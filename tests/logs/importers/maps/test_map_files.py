@@ -66,14 +66,12 @@ class TestTable:
         ("text", "fault"),
         [
             ("x_m,class\n1,pole\n", "no column for y"),
-            ("x_m,y_m,id\n1,2,a\n3,4,a\n", "line 3, column id: 'a' is taken by an earlier line; give each"),
-            ("1.5,2,tree\n3,4,tree\n", "line 1: numbers where the names of the columns are expected"),
+            ("1.5,2,tree\n3,4,tree\n", "does not begin with the names of its columns"),
             ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write it with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
             ("lat,lon\n24,160\n-30,170\n100,60\n", "not degrees"),
-            ("lat,lon\n160.1,24.9\n", "latitude and longitude are swapped"),
+            ("lat,lon\n160.1,24.9\n", "they are swapped"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
-            ('{"x_m": ' + "[" * 100_000 + "\n", "line 1: not JSON .nested too deeply"),
         ],
     )
     def test_faults(self, tmp_path: Path, text: str, fault: str) -> None:
@@ -92,16 +90,6 @@ class TestGeoJson:
         assert objects.labels == ("tree", "object")
         assert objects.notes == ("1 features that are not points were ignored (1 LineString)",)
 
-    @pytest.mark.parametrize("separator", ["\n", "\n\x1e", "\r\n\n"])
-    def test_features_of_which_each_has_a_line(self, tmp_path: Path, separator: str) -> None:
-        path = tmp_path / "a.geojsonl"
-        features = [json.dumps(feature(24.9, 60.1, kind="tree")), json.dumps(feature(24.8, 60.2))]
-        path.write_text(separator.join(features))
-        assert read_geojson(path).labels == ("tree", "object")
-        path.write_text(separator.join(features)[:-5])
-        with pytest.raises(DatasetError, match=r"line [23]: not JSON .*truncated"):
-            read_geojson(path)
-
     def test_areas_alone_are_no_objects(self, tmp_path: Path) -> None:
         area = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": []}, "properties": {}}
         with pytest.raises(DatasetError, match=r"none of its features is a point \(2 Polygon, 1 without geometry\)"):
@@ -110,19 +98,16 @@ class TestGeoJson:
     def test_faults(self, tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match=r"latitude 6\.6e\+06.*these are metres"):
             read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
-        with pytest.raises(DatasetError, match="are swapped"):
+        with pytest.raises(DatasetError, match="they are swapped"):
             read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
-        with pytest.raises(DatasetError, match="EPSG:4326"):
-            read_geojson(geojson(tmp_path / "a.json", feature(24.9, 60.1), crs={"name": "urn:ogc:def:crs:EPSG::3067"}))
         with pytest.raises(DatasetError, match="holds no objects"):
             read_geojson(geojson(tmp_path / "a.json"))
+        with pytest.raises(DatasetError, match=r"features\.0\.geometry: "):
+            read_geojson(geojson(tmp_path / "a.json", {"geometry": {"type": "Point", "coordinates": ["x", 1]}}))
         cut = geojson(tmp_path / "a.json", feature(24.9, 60.1))
-        cut.write_text(cut.read_text()[:-10])
-        with pytest.raises(DatasetError, match="may be truncated"):
-            read_geojson(cut)
-        for text in ("[" * 100_000, "[" + "9" * 5_000 + "]"):
+        for text in (cut.read_text()[:-10], "[" * 100_000, "[" + "9" * 5_000 + "]"):
             cut.write_text(text)
-            with pytest.raises(DatasetError, match=r"not JSON .*export the layer again"):
+            with pytest.raises(DatasetError, match=r"not a GeoJSON FeatureCollection .*export the layer again"):
                 read_geojson(cut)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
@@ -100,14 +98,6 @@ def test_they_are_those_of_gtsam(is_straight: bool, is_seeing: bool) -> None:
     np.testing.assert_allclose(graph.landmark_covariances(graph.landmarks), places, rtol=1e-6, atol=1e-12)
 
 
-def test_the_covariance_of_a_pose_is_about_its_own_axes() -> None:
-    T, edges = drive(is_straight=False)
-    shaky = replace(edges[-1], covariance=EDGE_COVARIANCE + np.diag([0.0, 0.0, 0.0, 0.25, 0.0, 0.0]))
-    before, after = (built(T, [*edges[:-1], last], [], PLAIN).pose_covariances() for last in (edges[-1], shaky))
-    # Only ahead of the body, whatever the axes of the map are there.
-    np.testing.assert_allclose(after[9] - before[9], np.diag([0.0, 0.0, 0.0, 0.25, 0.0, 0.0]), atol=1e-6)
-
-
 def test_the_record_holds_them_and_they_follow_the_graph() -> None:
     T, edges = drive(is_straight=False)
     graph = built(T, edges, [], PLAIN)
@@ -156,7 +146,7 @@ def test_what_is_not_determined_is_refused() -> None:
     factors.add(between_factor(edges[0]))
     for k in range(2):
         values.insert(X(k), gtsam.Pose3(T[k]))
-    with pytest.raises(RuntimeError):
+    with pytest.raises(np.linalg.LinAlgError):
         compute_marginals(factors, values, [edges[0]], PLAIN)
 
 

@@ -54,16 +54,6 @@ def test_rows_of_one_owner_need_not_be_coupled():
     np.testing.assert_allclose(left_out, 0.0, atol=1e-15)
 
 
-def test_a_small_imaginary_part_gives_the_derivative_of_the_inverse():
-    rng = np.random.default_rng(7)
-    matrix, change = (information(rng, blocks=20, size=3, rows=60, density=0.02) for _ in range(2))
-    owners = np.repeat(np.arange(20), 3)
-    rows, columns, values = diagonal_blocks_of_inverse(sparse.csc_array(matrix + 1e-12j * change), owners)
-    inverse = np.linalg.inv(matrix.toarray())
-    expected = -inverse @ change.toarray() @ inverse
-    np.testing.assert_allclose(values.imag / 1e-12, expected[rows, columns], rtol=1e-8, atol=1e-12)
-
-
 def test_parts_that_nothing_couples_are_inverted_apart():
     """Poses of a drive over flat ground: plane and height are two chains, each of which stays narrow."""
     count = 200

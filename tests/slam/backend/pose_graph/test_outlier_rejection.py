@@ -33,11 +33,11 @@ def street(*closures: tuple[int, int, float]) -> dict[int, Factor]:
 def rejected(
     factors: dict[int, Factor], tested: list[int], inflation: float = 1.0, local: FloatArray | None = None
 ) -> list[int]:
-    poses = np.stack([at(STEP_M * number) for number in range(STEPS + 1)])
-    local = poses if local is None else local
-    found = reject_outlier_closures(factors, tested, np.arange(STEPS + 1), poses, local, odometry_inflation=inflation)
-    assert list(found.kept) == list(found.weights) == tested
-    return [number for number in tested if not found.kept[number]]
+    poses = dict(enumerate(at(STEP_M * number) for number in range(STEPS + 1)))
+    T_local_body = poses if local is None else dict(enumerate(local))
+    closures = [edge for number in tested if isinstance(edge := factors[number], Edge)]
+    found = reject_outlier_closures(factors.values(), closures, poses, T_local_body, odometry_inflation=inflation)
+    return [number for number, is_kept in zip(tested, found.kept, strict=True) if not is_kept]
 
 
 def test_a_closure_that_disagrees_with_odometry_and_the_others_is_rejected():

@@ -8,14 +8,12 @@ from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, sync
 from tests.slam.evaluation.drives import START_NS, series, stamps, straight_path
 
 
-def test_disorder_and_duplicates_are_repaired_and_counted() -> None:
+def test_disorder_and_duplicates_are_repaired() -> None:
     T = straight_path(5)
     order = [0, 2, 1, 1, 4, 3]
     cleaned = clean_poses(stamps(5)[order], T[order])
     np.testing.assert_array_equal(cleaned.stamps_ns, stamps(5))
     np.testing.assert_array_equal(cleaned.T_world_body, T)
-    # Pose 1 came twice after pose 2, pose 3 once after pose 4.
-    assert (cleaned.disordered_count, cleaned.duplicate_count) == (3, 1)
 
 
 def test_of_poses_with_one_stamp_the_first_is_kept() -> None:
@@ -37,10 +35,9 @@ def test_poses_beyond_the_truth_and_in_its_gaps_have_none() -> None:
     truth = clean_poses(START_NS + (truth_at * 1e9).astype(np.int64), straight_path(6))
     pair = synchronize(estimate, truth, max_gap_s=1.0)
     seconds = (pair.stamps_ns - START_NS) / 1e9
-    assert pair.outside_count == 10 + 20
-    assert pair.gap_count == 29  # 3.1 .. 5.9 s; 3.0 and 6.0 s have a truth of their own
     assert not np.any((seconds > 3.0) & (seconds < 6.0))
     assert {3.0, 6.0} <= set(seconds.tolist())
+    # 10 poses before and 20 after the truth, 29 from 3.1 to 5.9 s; 3.0 and 6.0 s have a truth of their own.
     assert len(seconds) == 101 - 30 - 29
 
 

@@ -49,28 +49,18 @@ def test_align_path_falls_back_on_straight_line() -> None:
     line = np.outer(np.linspace(0.0, 100.0, 50), [0.6, 0.8, 0.0])
     alignment = align_path(line, apply(transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), 0.4), line))
     assert alignment.kind == "yaw_translation"
-    assert "straight line" in alignment.note
     np.testing.assert_allclose(
         alignment.T_world_map, transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), 0.4), atol=1e-12
     )
 
 
-def test_a_path_with_a_bend_is_aligned_in_se3_without_note() -> None:
+def test_path_with_bend_is_aligned_in_se3() -> None:
     s = np.linspace(0.0, 100.0, 50)
     bend = np.stack([s, 0.01 * s**2, 0.0 * s], axis=1)
-    assert (align_path(bend, bend).kind, align_path(bend, bend).note) == ("se3", "")
+    assert align_path(bend, bend).kind == "se3"
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (np.zeros((1, 3)), "at least 2"),
-        (np.zeros((0, 3)), "at least 2"),
-        (np.zeros((9, 3)), "moves"),
-        (np.outer(np.arange(9.0), [0.0, 0.0, 1.0]), "moves"),
-        (np.full((9, 3), np.nan), "finite"),
-    ],
-)
-def test_degenerate_points_are_errors(points: np.ndarray, message: str) -> None:
-    with pytest.raises(EvaluationError, match=message):
+@pytest.mark.parametrize("points", [np.zeros((1, 3)), np.zeros((9, 3)), np.outer(np.arange(9.0), [0.0, 0.0, 1.0])])
+def test_points_without_heading_are_refused(points: np.ndarray) -> None:
+    with pytest.raises(EvaluationError, match="moves"):
         align_path(points, points)

@@ -8,7 +8,7 @@ from slam.common.errors import EvaluationError
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import (
-    compute_windowed_errors,
+    compute_windowed_errors_m,
     evaluate_landmarks,
     match_by_detections,
     match_by_position,
@@ -25,51 +25,44 @@ def street(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray
     return np.stack([along, rng.uniform(-10, 10, count), rng.uniform(0, 3, count)], axis=1), along
 
 
+def windowed_errors_m(
+    positions_est: FloatArray, positions_gt: FloatArray, seen_at_m: FloatArray, path_length_m: float
+) -> FloatArray:
+    return compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, path_length_m, window_m=50.0)
+
+
 def test_windowed_errors_ignore_drift_and_measure_noise() -> None:
     rng = np.random.default_rng(0)
     positions, along = street(400, rng)
     bent = apply(transform_from_xyz_yaw(np.array([30.0, -4.0, 2.0]), 1.0), positions)
-    rigid = compute_windowed_errors(bent, positions, along, 200.0)
-    np.testing.assert_allclose(rigid.residuals, 0.0, atol=1e-9)
-    assert (rigid.window_count, rigid.skipped_window_count, rigid.landmark_count) == (8, 0, 400)
+    np.testing.assert_allclose(windowed_errors_m(bent, positions, along, 200.0), 0.0, atol=1e-9)
 
     drifting = positions.copy()
     drifting[along >= 100.0] += [7.0, 0.0, 0.0]  # only the window across the jump can see it
-    jumped = compute_windowed_errors(drifting, positions, along, 200.0)
-    assert np.count_nonzero(np.linalg.norm(jumped.residuals, axis=1) > 1e-6) <= np.count_nonzero(
-        (along >= 75.0) & (along < 125.0)
-    )
-    assert np.median(np.linalg.norm(jumped.residuals, axis=1)) < 1e-9
+    jumped_m = windowed_errors_m(drifting, positions, along, 200.0)
+    assert np.count_nonzero(jumped_m > 1e-6) <= np.count_nonzero((along >= 75.0) & (along < 125.0))
+    assert np.median(jumped_m) < 1e-9
 
     noisy = positions + rng.normal(0.0, 0.3, positions.shape)
-    residuals = compute_windowed_errors(noisy, positions, along, 200.0).residuals
-    assert np.sqrt(np.mean(residuals**2)) == pytest.approx(0.3, rel=0.1)
+    assert np.sqrt(np.mean(windowed_errors_m(noisy, positions, along, 200.0) ** 2 / 3.0)) == pytest.approx(0.3, rel=0.1)
 
 
-def test_a_path_with_a_jump_takes_no_longer() -> None:
+def test_path_with_jump_takes_no_longer() -> None:
     positions, along = street(400, np.random.default_rng(0))
-    usual = compute_windowed_errors(positions, positions, along, 200.0)
-    jumped = compute_windowed_errors(positions, positions, np.where(along > 100.0, along + 1e15, along), 1e15 + 200.0)
-    assert jumped.landmark_count == usual.landmark_count == 400
-    assert jumped.window_count + jumped.skipped_window_count == 4e13 + 7
+    far = np.where(along > 100.0, along + 1e15, along)
+    assert set(np.round(windowed_errors_m(positions, positions, far, 1e15 + 200.0), 6)) == {0.0}
 
 
 def test_windows_cover_the_path_and_overlap_by_half() -> None:
     seen = np.array([10.0, 30.0, 60.0, 99.9])
     points = np.repeat(np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]), 4, axis=0)
-    errors = compute_windowed_errors(points, points, np.tile(seen, 3), 100.0)
-    # [0, 50) and [25, 75) hold two stations each, [50, 100) two, of three landmarks.
-    assert (errors.window_count, len(errors.residuals), errors.landmark_count) == (4, 6 + 6 + 6 + 3, 12)
+    # [0, 50) and [25, 75) hold two stations each, [50, 100) two, [75, 125) one, of three landmarks.
+    assert len(windowed_errors_m(points, points, np.tile(seen, 3), 100.0)) == 6 + 6 + 6 + 3
 
 
-@pytest.mark.parametrize("count", [0, 2])
-def test_windows_with_few_landmarks_are_skipped(count: int) -> None:
-    errors = compute_windowed_errors(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), 100.0)
-    assert (errors.window_count, errors.skipped_window_count, len(errors.residuals)) == (0, 4, 0)
-
-
-def test_landmarks_in_one_place_are_skipped() -> None:
-    assert compute_windowed_errors(np.zeros((5, 3)), np.eye(5, 3), np.zeros(5), 10.0).window_count == 0
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.eye(2, 3), np.zeros((5, 3))])
+def test_windows_with_few_landmarks_or_one_place_are_left_out(points: FloatArray) -> None:
+    assert len(windowed_errors_m(points, points, np.zeros(len(points)), 100.0)) == 0
 
 
 def test_quality_by_hand() -> None:
@@ -96,13 +89,12 @@ def test_quality_by_hand() -> None:
         T_world_map=np.linalg.inv(T_map_world),
         object_detection_counts={"o0": 9, "o1": 5, "o2": 4, "o4": 7, "moving": 30},
     )
-    assert (result["confirmed_count"], result["object_landmark_count"], result["matched_count"]) == (6, 5, 4)
+    assert (result["confirmed_count"], result["matched_count"], result["landmarks_per_object"]) == (6, 4, 1.0)
     assert result["precision"] == 5 / 6
-    assert (result["recallable_object_count"], result["recalled_object_count"]) == (3, 2)
     assert result["recall"] == 2 / 3
     assert result["class_accuracy"] == 3 / 4
     assert result["max_error_m"] < 1e-9
-    assert result["global_max_error_m"] < 1e-9
+    assert result["global_median_error_m"] < 1e-9
 
 
 def test_unseen_landmarks_of_prior_map_are_left_out() -> None:

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.metrics import average_precision_score, precision_recall_curve
 
 from slam.evaluation.place_recognition.precision_recall import describe_sweep, sweep_scores
 
@@ -54,16 +53,13 @@ def test_against_counting_at_every_threshold(candidates: list[Candidate], revisi
     expected = brute_force(candidates, revisit_ids)
     told = figures(candidates, revisit_ids)
     if not expected:
-        assert told["average_precision"] is told["f1_max"] is told["recall_at_full_precision"] is None
+        assert told["average_precision"] is told["recall_at_full_precision"] is None
         return
     np.testing.assert_allclose(found.to_numpy(), np.array(expected).reshape(-1, 3))
     before = np.array([0.0, *(recall for _, _, recall in expected)])
     average = sum((recall - b) * precision for (_, precision, recall), b in zip(expected, before[:-1], strict=True))
     assert told["average_precision"] == pytest.approx(average)
-    assert told["f1_max"] == pytest.approx(max([0.0, *(2 * p * r / (p + r) for _, p, r in expected if p + r > 0)]))
-    at_full_precision = max([0.0, *(r for _, p, r in expected if p == 1.0)])
-    assert told["recall_at_full_precision"] == at_full_precision
-    assert told["extended_precision"] == pytest.approx((expected[0][1] + at_full_precision) / 2)
+    assert told["recall_at_full_precision"] == max([0.0, *(r for _, p, r in expected if p == 1.0)])
 
 
 def test_a_score_that_is_no_number_comes_last() -> None:
@@ -75,19 +71,3 @@ def test_a_score_that_is_no_number_comes_last() -> None:
 def test_without_candidates_or_revisits() -> None:
     assert len(sweep([], [1])) == 0
     assert sweep([(1, 1.0, True)], []) is None
-
-
-@given(st.lists(st.tuples(st.sampled_from([-1.5, 0.0, 0.5, 1.0, 2.0]), st.booleans()), min_size=1, max_size=60))
-def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple[float, bool]]) -> None:
-    """One candidate a query; what scikit-learn calls positive are the revisits."""
-    scores, labels = np.array([score for score, _ in answers]), np.array([label for _, label in answers])
-    if not labels.any():
-        return
-    found = sweep([(k, score, label) for k, (score, label) in enumerate(answers)], np.flatnonzero(labels).tolist())
-    precision, recall, thresholds = precision_recall_curve(labels, scores)
-    np.testing.assert_allclose(found["thresholds"], thresholds[::-1], rtol=0, atol=0)
-    np.testing.assert_allclose(found["precision"], precision[-2::-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found["recall"], recall[-2::-1], rtol=0, atol=1e-12)
-    assert describe_sweep(found)["average_precision"] == pytest.approx(
-        average_precision_score(labels, scores), abs=1e-12
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +15,6 @@ from logs.messages import (
     Record,
     Transform,
 )
-from logs.reader import LogReader
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.simulation.faults.faulty_log import apply_faults
@@ -58,7 +56,7 @@ def messages() -> list[Message[Record]]:
         covariances = np.tile(COVARIANCE, (4, 1, 1))
         scan = ObjectDetections(stamp_ns, "lidar", seen, LABELS, np.ones(4), covariances, np.ones((4, 3)))
         found += [
-            Message("/odom", stamp_ns, Odometry(stamp_ns, odometry[i], covariance=np.eye(6))),
+            Message("/odom", stamp_ns, Odometry(stamp_ns, odometry[i])),
             Message("/detections", stamp_ns, scan),
             Message("/ground_truth/detections", stamp_ns, DetectionTruth(stamp_ns, IDS)),
             Message("/ground_truth", stamp_ns, GroundTruthPose(stamp_ns, truth[i])),
@@ -71,9 +69,11 @@ def drive(*, without: str = "") -> Recording:
     return make_recording(message for message in messages() if message.topic != without)
 
 
-def faulty(*names: str, seed: int = 0) -> Recording:
-    """The drive with faults."""
-    return apply_faults(drive(), parse_faults(names), seed=seed)
+def faulty(*texts: str, seed: int = 0, log: Recording | None = None) -> Recording:
+    """The drive, or another log, with faults."""
+    changed = drive() if log is None else log
+    apply_faults(changed, parse_faults(texts), seed=seed)
+    return changed
 
 
 def records(log: Recording, kind: type[_Kind]) -> list[_Kind]:
@@ -86,16 +86,11 @@ def stamps(log: Recording, kind: type) -> IntArray:
 
 def positions(log: Recording) -> FloatArray:
     """Of recordings with four objects in each scan: (S, 4, 3)."""
-    return np.array([scan.detections.positions for scan in log.scans])
+    return np.array([scan.seen.positions for scan in log.scans])
 
 
 def labels(log: Recording) -> list[tuple[str, ...]]:
-    return [scan.detections.labels for scan in log.scans]
-
-
-def raw_messages(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
-    with LogReader(path) as reader:
-        return [(raw.topic, raw.log_time_ns, raw.data) for raw in reader.messages(topics or None)]
+    return [scan.seen.labels for scan in log.scans]
 
 
 def _objects() -> ObjectMapRecord:

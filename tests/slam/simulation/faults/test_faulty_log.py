@@ -5,13 +5,14 @@ from pathlib import Path
 import pytest
 
 from logs.errors import UnwritableLogError
-from logs.messages import StatusRecord, Transform
+from logs.messages import Transform
 from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.common.errors import SimulationError
 from slam.simulation.faults.faulty_log import write_faulty
 from slam.simulation.faults.registry import parse_faults
-from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive, messages, raw_messages
+from tests.helpers.short_drives import raw_messages
+from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive, messages
 
 
 @pytest.fixture(scope="module")
@@ -27,28 +28,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_topics_that_no_fault_changes_keep_their_bytes(log: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     summary = write_faulty(log, output, parse_faults(["heading_jump=30"]), seed=0)
-    same = ("/detections", "/ground_truth", "/ground_truth/detections", "/ground_truth/objects", "/tf_static")
-    assert raw_messages(output, *same) == raw_messages(log, *same)
-    assert len(raw_messages(output, "/odom")) == len(raw_messages(log, "/odom")) == summary.message_counts["/odom"]
-    assert raw_messages(output, "/odom") != raw_messages(log, "/odom")
-
-
-def test_faults_that_change_nothing_copy_the_log(log: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out.mcap"
-    summary = write_faulty(log, output, parse_faults(["dropout=0", "field_of_view=360"]), seed=0)
-    assert raw_messages(output) == raw_messages(log)
+    before, after = ([(raw.topic, raw.log_time_ns, raw.data) for raw in raw_messages(path)] for path in (log, output))
+    assert {a[0] for a, b in zip(before, after, strict=True) if a != b} == {"/odom"}
+    assert summary.message_counts["/odom"] == sum(topic == "/odom" for topic, *_ in before)
     assert summary.detections == summary.detections_before > 0
-
-
-def test_topics_that_cannot_be_reversed_are_left_out(log: Path, tmp_path: Path) -> None:
-    source = tmp_path / "log.mcap"
-    with LogReader(log) as reader, LogWriter(source) as writer:
-        for raw in reader.messages():
-            writer.write_raw(raw)
-        writer.write("/status", StatusRecord(START_NS, "mapping", "info", "running"))
-    summary = write_faulty(source, tmp_path / "out.mcap", parse_faults(["reversed"]), seed=0)
-    assert summary.left_out == {"irreversible_messages": 1}
-    assert "/status" in write_faulty(source, tmp_path / "kept.mcap", parse_faults(["dropout"]), seed=0).message_counts
 
 
 def test_the_same_input_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
@@ -69,9 +52,11 @@ def test_what_was_done_stands_in_the_log(log: Path, tmp_path: Path) -> None:
     assert (told["faults_2"]["faults"], told["faults_2"]["seed"]) == ("labels_unique", "5")
 
 
-def test_the_input_is_never_overwritten(log: Path) -> None:
+def test_the_input_is_never_overwritten_and_seeds_are_not_negative(log: Path, tmp_path: Path) -> None:
     with pytest.raises(UnwritableLogError, match="overwrite the input"):
         write_faulty(log, log, parse_faults(["labels_unique"]), seed=0)
+    with pytest.raises(SimulationError, match="negative"):
+        write_faulty(log, tmp_path / "out.mcap", parse_faults(["labels_unique"]), seed=-1)
 
 
 def test_a_topic_that_plays_two_parts_is_refused(log: Path, tmp_path: Path) -> None:
@@ -80,6 +65,6 @@ def test_a_topic_that_plays_two_parts_is_refused(log: Path, tmp_path: Path) -> N
         for i in range(3):
             writer.write("/tf", Transform(START_NS + i, "odom", "base_link", T_BODY_SENSOR))
         for scan in drive().scans:
-            writer.write("/detections", scan.detections)
+            writer.write("/detections", scan.seen)
     with pytest.raises(SimulationError, match="cannot be rewritten"):
         write_faulty(frames, tmp_path / "out.mcap", parse_faults(["gyro_bias"]), seed=0, topics={"odometry": "/tf"})

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from slam.replay import ReplaySummary
 from slam.sweeps.mapped_drive import MappedDrive
 from tests.tools.runs import Run, assert_refused
 from tools.lab.commands import robots
@@ -27,10 +26,9 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("good", "bad/one"):
         (tmp_path / "data" / name).mkdir(parents=True)
         (tmp_path / "data" / name / "odometry.tum").touch()
-    summary = ReplaySummary(COUNTERS, 100.0, 4.0, 0.0, 0.0, 0.0, "optimised")
     runs = {
-        "bad/one": MappedDrive("bad/one", error="line 1 | broken"),
-        "good": MappedDrive("good", summary, EVALUATION, (), 250_000_000, 4.0),
+        "bad/one": MappedDrive(error="line 1 | broken"),
+        "good": MappedDrive(EVALUATION, ("optimised",), 100.0, 4.0, 4.0, 250_000_000),
     }
     monkeypatch.setattr(robots, "map_robot", lambda drive, config: runs[drive.name])
     return tmp_path / "data"

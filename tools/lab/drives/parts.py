@@ -1,9 +1,9 @@
-"""Parts of the method that an ablation switches off, one at a time."""
+"""Parts of the method that a sweep switches off, one at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,13 @@ from unittest.mock import patch
 import numpy as np
 
 from slam.backend.editable_graph import EditableGraph
-from slam.sweeps.cells import Cell, CellResult, compute_cell
-
-DEFAULT = "nothing"
+from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
     """What switches a part off: ``settings`` ("key=value"), and ``replaced``, functions and constants by their full
-    names with what stands for them, where there is no setting.
+    names with their replacements, where there is no setting.
     """
 
     settings: tuple[str, ...] = ()
@@ -44,7 +42,6 @@ def _add_weightless(self: Any, observations: Any) -> None:
 
 
 PARTS: dict[str, Part] = {
-    DEFAULT: Part(),
     "descriptor: random vectors": Part(("loop_closure.descriptor=random",)),
     "propagation of closures": Part(("loop_closure.propagation_distance_m=0",)),
     "hypotheses": Part(("localization.max_hypotheses=0",)),
@@ -90,16 +87,9 @@ PARTS: dict[str, Part] = {
 """By name, in the order of the table."""
 
 
-@contextmanager
-def switched_off(part: Part) -> Iterator[None]:
-    """Replace what ``part`` replaces, in this process, until the end of the block."""
+def map_without(task: DriveTask, *, scratch: Path) -> MappedDrive:
+    """Map a drive, with the part off that its variant names, if any."""
     with ExitStack() as stack:
-        for name, value in part.replaced.items():
+        for name, value in PARTS.get(task.variant, Part()).replaced.items():
             stack.enter_context(patch(name, value))
-        yield
-
-
-def compute_without(cell: Cell, *, scratch: Path) -> CellResult:
-    """The cell with the part off that its variant names."""
-    with switched_off(PARTS[cell.variant]):
-        return compute_cell(cell, scratch=scratch)
+        return map_drive(task, scratch=scratch)

@@ -1,0 +1,61 @@
+"""dslam info, of a saved map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+METADATA = "dslam_map"
+"""What makes a log a saved map."""
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """The map for JSON: its summary, or why it cannot be used."""
+    from logs.reader import LogReader
+    from slam.common.errors import SavedMapError
+    from slam.object_map.map_io import IMPORTED, load_map
+    from slam.object_map.map_summary import summarize_map
+
+    with LogReader(path) as reader:
+        is_imported = reader.metadata().get(METADATA, {}).get("kind") == IMPORTED
+    try:
+        return {"usable": True, "fault": ""} | (
+            _describe_imported(path) if is_imported else summarize_map(load_map(path))
+        )
+    except SavedMapError as error:
+        return {"usable": False, "fault": str(error)}
+
+
+def _describe_imported(path: Path) -> dict[str, Any]:
+    import numpy as np
+
+    from slam.place_recognition.imported_map import load_imported_map
+
+    imported = load_imported_map(path)
+    width_m, height_m = np.ptp(imported.positions[:, :2], axis=0).tolist()
+    return {
+        "kind": "imported",
+        "landmark_count": len(imported),
+        "sigma_m": imported.sigma_m,
+        "width_m": width_m,
+        "height_m": height_m,
+        "pair_count": len(imported.pairs),
+        "latitude_deg": imported.georeference and imported.georeference.latitude_deg,
+        "longitude_deg": imported.georeference and imported.georeference.longitude_deg,
+    }
+
+
+def rows(path: Path) -> dict[str, str]:
+    """What a saved map is, and the commands that use it."""
+    plain = describe(path)
+    if not plain["usable"]:
+        return {"saved map": f"cannot be used: {plain['fault']}"}
+    numbers = {name: value for name, value in plain.items() if type(value) in (int, float) and name != "stamp_ns"}
+    return {
+        **{
+            name.replace("_", " "): f"{value:.7g}" if isinstance(value, float) else str(value)
+            for name, value in numbers.items()
+        },
+        "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
+        "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
+    }
