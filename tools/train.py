@@ -43,14 +43,14 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Epochs of 50 maps; by default 8 for descriptellation_lr (4 with --maps), 100 for other networks.",
+            help="Epochs of 50 maps; by default 40 for descriptellation_lr (4 with --maps), 100 for other networks.",
         ),
     ] = None,
     anew: Annotated[
         bool, typer.Option("--anew", help="With --maps: start from random weights instead of the shipped ones.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the data and of the initial weights.")] = 0,
-    device: Annotated[str, typer.Option(help="Device of torch: cpu, cuda, ...; descriptellation_lr: cpu.")] = "cpu",
+    device: Annotated[str, typer.Option(help="Device of torch: cpu, cuda, ...")] = "cpu",
     threads: Annotated[
         int, typer.Option(min=1, help="Threads of the CPU; their number changes the weights slightly.")
     ] = 2,
@@ -74,8 +74,6 @@ def train(
 
     if anew and not maps:
         raise typer.BadParameter("use it with --maps.", param_hint="--anew")
-    if network == LIKELIHOOD and device != "cpu":
-        raise typer.BadParameter(f"{LIKELIHOOD} is trained on the CPU.", param_hint="--device")
     start = _shipped(network) if maps and not anew else None
     config = _config(network, epochs, seed, is_further=start is not None)
     recipe = Recipe(config, [_load_map(path) for path in maps or ()], start, device=device)

@@ -107,7 +107,6 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, t
     [
         (("--anew",), ("--anew", "--maps")),
         (("--network", "transformer"), ("'transformer'", "descriptellation")),
-        (("--device", "cuda"), ("CPU",)),
         (("--epochs", 0), ("--epochs",)),
         (("--epochs", "many"), ("--epochs",)),
         (("--seed", -1), ("--seed",)),
