@@ -76,7 +76,7 @@ def _plain(value: Any) -> Any:
 def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
     """Names and values below one another, without lines."""
     table = _PlainTable(title=title, show_header=False, **_STYLE)
-    table.add_column(no_wrap=True, style="cyan")
+    table.add_column(overflow="fold", style="cyan")
     words = (cell_len(word) for value in rows.values() for word in value.split())
     table.add_column(overflow="fold", min_width=min(max(words, default=1), _MAX_NUMBER_WIDTH))
     for name, value in rows.items():

@@ -142,7 +142,7 @@ def test_with_default_noise_detections_go_to_the_right_landmarks(noisy_drive, tm
     assert found.results["associations"]["precision"] > 0.995
     assert found.results["associations"]["recall"] > 0.99
     assert found.results["landmarks"]["precision"] == 1.0
-    assert found.results["associations"]["mean_confirmed_landmarks_per_object"] < 1.1
+    assert found.results["landmarks"]["landmarks_per_object"] < 1.1
     assert found.estimate.ate_m < 0.6 * found.odometry.ate_m
     assert found.results["landmarks"]["p95_error_m"] < 0.1
 

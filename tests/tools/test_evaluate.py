@@ -80,7 +80,7 @@ class TestOneLog:
     def test_a_reference_that_is_none(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         text = tmp_path / "gt.txt"
         text.write_text("1 2 3\n")
-        assert_refused(dslam("evaluate", mapped, "--reference", text), f"{text}, line 1", "not a pose")
+        assert_refused(dslam("evaluate", mapped, "--reference", text), f"{text}: 3 values", "not a pose")
 
 
 class TestSeveralLogs:

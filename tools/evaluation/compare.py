@@ -50,7 +50,7 @@ def compare(
     truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-        from slam.evaluation.comparison import compare_runs
+    from slam.evaluation.comparison import compare_runs
     from tools import console
 
     _refuse_copies(logs)

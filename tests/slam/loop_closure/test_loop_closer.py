@@ -120,10 +120,7 @@ def test_closures_make_the_trajectory_better(looped, open_ended, tmp_path):
 
 
 def test_closures_make_one_landmark_of_each_object(looped, open_ended):
-    per_object = [
-        outcome.evaluation.results["associations"]["mean_confirmed_landmarks_per_object"]
-        for outcome in (looped, open_ended)
-    ]
+    per_object = [outcome.evaluation.results["landmarks"]["landmarks_per_object"] for outcome in (looped, open_ended)]
     assert per_object[0] < 1.2 < per_object[1]
 
 

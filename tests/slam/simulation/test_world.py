@@ -37,7 +37,6 @@ def test_csv_becomes_a_world(tmp_path: Path) -> None:
         ("x_m,class\n1,tree\n", TOUR, "objects.csv.*y_m"),
         ("x_m,y_m,z_m,class,id\n", TOUR, "objects.csv|no object"),
         (OBJECTS + "1,two,0,tree,n3,\n", TOUR, "objects.csv, line 4.*'two'"),
-        (OBJECTS + "1,2,0,tree,n1,\n", TOUR, "objects.csv, line 4, column id: 'n1' is taken by an earlier line"),
         ("lat,lon,class\n48,11,tree\n", TOUR, "in degrees"),
         (OBJECTS, "x_m\n1\n2\n", "trajectory.csv.*y_m"),
         (OBJECTS, "x_m,y_m\n0,0\n", "trajectory.csv: 1 poses"),

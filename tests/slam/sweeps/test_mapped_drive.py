@@ -51,8 +51,9 @@ def test_robot_is_imported_and_mapped(tmp_path: Path) -> None:
     run = map_robot(RobotDrive("a", files["odometry"], files["detections"], files["ground_truth"]), Config())
     assert run.error == ""
     assert run.figure("trajectory.ate_m") == pytest.approx(0.0, abs=1e-6)
-    # One object and a false positive; nothing is ever met again.
-    assert (run.figure("associations.object_count"), run.figure("associations.precision")) == (1, 1.0)
+    # One object, in three of the four detections, and a false positive; nothing is ever met again.
+    assert (run.figure("associations.detection_count"), run.figure("associations.possible_count")) == (4, 2)
+    assert run.figure("associations.precision") == 1.0
     assert (run.figure("closures.accepted_count"), run.figure("closures.recall")) == (0, None)
     assert run.log_s == pytest.approx(0.4)
     assert run.reported[0].startswith("not corrected")
@@ -61,5 +62,5 @@ def test_robot_is_imported_and_mapped(tmp_path: Path) -> None:
 def test_broken_files_of_a_robot_are_a_result(tmp_path: Path) -> None:
     TextDrive.make(tmp_path).write("odometry.tum", "nothing\n")
     (broken,) = find_drives(tmp_path)
-    assert "odometry.tum has no rows" in map_robot(broken, Config()).error
+    assert "odometry.tum: no column for the stamp" in map_robot(broken, Config()).error
     assert "no file detections.*" in map_robot(RobotDrive("c", tmp_path / "odometry.tum", None, None), Config()).error

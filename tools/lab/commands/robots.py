@@ -21,7 +21,6 @@ COLUMNS = {
     "odom. m": ("trajectory.odometry_ate_m", 3, 1.0),
     "ATE m": ("trajectory.ate_m", 3, 1.0),
     "landmarks": ("counters.landmarks_confirmed", 0, 1.0),
-    "objects": ("associations.object_count", 0, 1.0),
     "right %": ("associations.precision", 1, 100.0),
     "closures": ("closures.accepted_count", 0, 1.0),
     "precise %": ("closures.precision", 1, 100.0),
@@ -50,7 +49,7 @@ def robots(
     A drive is a folder with odometry.tum, detections.csv and, for the errors, groundtruth.tum, as 'dslam import csv'
     reads them, packed by gzip or not. Each is imported, mapped in a fresh process and evaluated.
 
-    ATE: aligned by SE(3). Objects: true objects that were detected. Right: precision of associations. Precise: that of
+    ATE: aligned by SE(3). Right: precision of associations. Precise: that of
     closures. Indep.: independent closures, and the share of them that may be false with 95 % confidence. Recall:
     revisits with a true closure. Known: revisits recognised by a closure or by data association. A dash: not defined.
 

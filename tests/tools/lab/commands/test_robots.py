@@ -15,7 +15,7 @@ COUNTERS = {"odometry_used": 5, "landmarks_confirmed": 37, "odometry_breaks": 2,
 EVALUATION = {
     "counters": COUNTERS,
     "trajectory": {"odometry_ate_m": 1.3371, "ate_m": 0.0312},
-    "associations": {"precision": 0.6175, "object_count": 17},
+    "associations": {"precision": 0.6175},
     "closures": {"accepted_count": 3, "precision": 1.0, "independent_count": 3, "largest_false_share": 0.632},
 }
 
@@ -40,7 +40,7 @@ def test_the_table_tells_figures_warnings_and_failures(dslam: Run, data: Path) -
     assert result.err.splitlines() == ["1 of 2: bad/one, failed: line 1 | broken", "2 of 2: good, 4 s"]
     rows = {line.split()[0]: line.split()[1:] for line in result.out.splitlines() if line}
     assert set(rows["bad/one"]) == {"–"}
-    figures = ["1.337", "0.031", "37", "17", "61.8", "3", "100.0", "3:", "63", "–", "–", "25.0", "0.25"]
+    figures = ["1.337", "0.031", "37", "61.8", "3", "100.0", "3:", "63", "–", "–", "25.0", "0.25"]
     assert rows["good"] == figures
     assert "good: odometry breaks 2" in result.out
     assert "bad/one: line 1 | broken" in result.out
