@@ -8,6 +8,7 @@ that have its classes and its length.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,7 @@ MAX_MATCHES = 3000
 STEP_NATS = 1.25
 """Of a counter: most observed objects are worth one to three steps."""
 MAX_STEPS = 7
+"""Most steps of an observed object."""
 PAIRS_AT_ONCE = 4096
 """Pairs whose bits are computed at a time."""
 WORD = 64
@@ -143,7 +145,7 @@ class PairIndex:
         blocks = []
         for start in range(0, len(ends), PAIRS_AT_ONCE):
             pairs = gather_pairs(plane, labels, ends[start : start + PAIRS_AT_ONCE], tree, sizes)
-            blocks.append(_packed(self._likelihood.bits(pairs)))
+            blocks.append(_packed(self._likelihood.bits(pairs).T))
         if not blocks:
             return
         if not len(self.ends):
@@ -173,32 +175,45 @@ class PairIndex:
         """
         found = [_nothing()]
         if len(positions) >= 2 and self.unit_m is not None:
-            pairs = self._asked(positions / self.unit_m, labels, sigma_m / self.unit_m)
-            sigmas = np.full(len(pairs), sigma_m / self.unit_m)
-            hits, misses = self._likelihood.worths(pairs, sigmas)
-            cells = cells_of(pairs, self._likelihood.architecture)
-            steps = np.clip(np.rint((hits + misses) / STEP_NATS), 1, MAX_STEPS).astype(np.int64)
-            misses = np.where(cells >= 0, misses, 0.0)
-            tolerances = length_tolerances(sigmas)
-            codes = _class_codes(labels[pairs.ends])
-            is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[:, None])[0]
-            for row, (begin, end) in enumerate(zip(pairs.offsets[:-1], pairs.offsets[1:], strict=True)):
-                inside = np.flatnonzero(cells[begin:end] >= 0) + begin
-                low, high = pairs.lengths[row] - tolerances[row], pairs.lengths[row] + tolerances[row]
-                for words, first, eligible in self._ranges(codes[row], low, high):
-                    if is_allowed is not None:
-                        eligible = eligible & is_allowed[first : first + len(eligible)]
-                    counters = _sum(words, cells[inside], steps[inside], first, len(eligible))
-                    places, counts = _largest(counters, eligible, MATCHES_PER_PAIR)
-                    nats = STEP_NATS * counts - float(misses[begin:end].sum())
-                    entries = self.ends[places + first * WORD].astype(np.int64)
-                    found.append(PairMatches(np.repeat(pairs.ends[row : row + 1], len(places), axis=0), entries, nats))
+            pairs = self._asked(positions / self.unit_m, labels)
+            asked = self._ask(pairs, labels, sigma_m / self.unit_m)
+            is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[None])[0]
+            for rows, first, eligible in self._ranges(asked):
+                if is_allowed is not None:
+                    eligible = eligible & is_allowed[first : first + eligible.shape[1]]
+                counters = _sum(self._columns(asked, rows, first, eligible.shape[1]), np.zeros_like(eligible))
+                row, place, counts = _largest(counters, eligible, MATCHES_PER_PAIR)
+                nats = STEP_NATS * counts - asked.misses[rows[row]]
+                found.append(PairMatches(pairs.ends[rows[row]], self.ends[place + first * WORD].astype(np.int64), nats))
         nats = np.concatenate([each.nats for each in found])
         best = np.argsort(-nats, kind="stable")[:MAX_MATCHES]
         queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
         return PairMatches(queries[best], entries[best], nats[best])
 
-    def _asked(self, plane: NDArray[np.float64], labels: NDArray[np.int64], sigma: float) -> Pairs:
+    def _ask(self, pairs: Pairs, labels: NDArray[np.int64], sigma: float) -> _Asked:
+        """What the pairs of a query ask of the index, with a noise in spacings."""
+        sigmas = np.full(len(pairs), sigma)
+        hits, misses = self._likelihood.worths(pairs, sigmas)
+        cells, owners = cells_of(pairs, self._likelihood.architecture), pairs.owners
+        inside = np.flatnonzero(cells >= 0)
+        owners, cells = owners[inside], cells[inside]
+        counts = np.bincount(owners, minlength=len(pairs))
+        places = np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]
+        shape = len(pairs), int(counts.max(initial=0))
+        laid, steps = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+        laid[owners, places] = cells
+        steps[owners, places] = np.clip(np.rint((hits + misses)[inside] / STEP_NATS), 1, MAX_STEPS)
+        tolerances = length_tolerances(sigmas)
+        return _Asked(
+            laid,
+            steps,
+            np.bincount(owners, weights=misses[inside], minlength=len(pairs)).astype(np.float64),
+            _class_codes(labels[pairs.ends]),
+            (pairs.lengths - tolerances).astype(np.float32),
+            (pairs.lengths + tolerances).astype(np.float32),
+        )
+
+    def _asked(self, plane: NDArray[np.float64], labels: NDArray[np.int64]) -> Pairs:
         """The pairs of a query, those with most around them if there are too many."""
         tree = cKDTree(plane[:, :2])
         ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
@@ -208,26 +223,56 @@ class PairIndex:
         most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:MAX_ASKED]
         return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
 
-    def _ranges(self, classes: np.uint32, low: float, high: float) -> list[tuple[Words, int, Words]]:
-        """Where pairs of these classes and of a length in between may be: all words, the first, and a mask."""
-        ranges = []
+    def _ranges(self, asked: _Asked) -> Iterator[tuple[NDArray[np.int64], int, Words]]:
+        """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
+
+        Rows (B,) of the query, the first word, and a mask (B, W) of the pairs: row by row of the pairs that were added
+        first, which are sorted, and all rows at once of the others.
+        """
         known = self.classes[: self._sorted]
-        begin, end = known.searchsorted(classes, side="left"), known.searchsorted(classes, side="right")
-        begin, end = begin + np.searchsorted(self.lengths[begin:end], np.array([low, high], dtype=np.float32))
-        if end > begin:
-            first, last = begin // WORD, -(-end // WORD)
-            mask = np.full(last - first, ~np.uint64(0))
-            mask[0] &= ~np.uint64(0) << np.uint64(begin % WORD)
-            if end % WORD:
-                mask[-1] &= ~np.uint64(0) >> np.uint64(WORD - end % WORD)
-            ranges.append((self.words, first, mask))
+        for row, classes in enumerate(asked.classes):
+            begin, end = known.searchsorted(classes, side="left"), known.searchsorted(classes, side="right")
+            begin, end = begin + self.lengths[begin:end].searchsorted([asked.low[row], asked.high[row]])
+            if end > begin:
+                first, last = begin // WORD, -(-end // WORD)
+                mask = np.full((1, last - first), ~np.uint64(0))
+                mask[0, 0] &= ~np.uint64(0) << np.uint64(begin % WORD)
+                if end % WORD:
+                    mask[0, -1] &= ~np.uint64(0) >> np.uint64(WORD - end % WORD)
+                yield np.array([row]), int(first), mask
         tail = -(-self._sorted // WORD)
         if tail < self.words.shape[1]:
             rows = slice(tail * WORD, None)
-            is_like = (self.classes[rows] == classes) & (self.lengths[rows] >= low) & (self.lengths[rows] <= high)
-            if is_like.any():
-                ranges.append((self.words, tail, _packed(is_like[:, None])[0]))
-        return ranges
+            is_like = asked.classes[:, None] == self.classes[rows]
+            is_like &= (asked.low[:, None] <= self.lengths[rows]) & (self.lengths[rows] <= asked.high[:, None])
+            yield np.arange(len(asked.classes)), tail, _packed(is_like)
+
+    def _columns(self, asked: _Asked, rows: NDArray[np.int64], first: int, count: int) -> list[list[Words]]:
+        """Words (B, W) of the cells that rows of the query ask for, by the bits of their steps."""
+        levels = list[list[Words]]()
+        for bit in range(MAX_STEPS.bit_length()):
+            has_bit = (asked.steps[rows] >> bit) & 1 > 0
+            level = list[Words]()
+            for place in np.flatnonzero(has_bit.any(axis=0)).tolist():
+                words = self.words[asked.cells[rows, place], first : first + count]
+                level.append(words if len(rows) == 1 else np.where(has_bit[:, place, None], words, np.uint64(0)))
+            levels.append(level)
+        return levels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """What P pairs of a query ask: ``cells`` (P, K) of their neighbours and their ``steps`` (P, K), 0 of none;
+    ``misses`` (P,): nats that all of them take; ``classes`` (P,), and the least and greatest lengths ``low`` and
+    ``high`` (P,) of what they may be.
+    """
+
+    cells: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    misses: NDArray[np.float64]
+    classes: NDArray[np.uint32]
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
 
 
 def _class_codes(labels: NDArray[np.int64]) -> NDArray[np.uint32]:
@@ -236,18 +281,20 @@ def _class_codes(labels: NDArray[np.int64]) -> NDArray[np.uint32]:
 
 
 def _packed(bits: NDArray[np.bool_]) -> Words:
-    """Bits (P, cells) as words (cells, ceil(P / 64))."""
-    filled = np.zeros((-(-len(bits) // WORD) * WORD, bits.shape[1]), dtype=np.bool_)
-    filled[: len(bits)] = bits
-    return np.packbits(filled, axis=0, bitorder="little").T.copy().view(np.uint64)
+    """Bits (B, P) as words (B, ceil(P / 64))."""
+    filled = np.zeros((len(bits), -(-bits.shape[1] // WORD) * WORD), dtype=np.bool_)
+    filled[:, : bits.shape[1]] = bits
+    return np.packbits(filled, axis=1, bitorder="little").view(np.uint64)
 
 
-def _sum(words: Words, cells: NDArray[np.int64], steps: NDArray[np.int64], first: int, count: int) -> list[Words]:
-    """Sums of ``steps`` (K,) over the ``cells`` (K,) whose bit is set, by carry-save adders: counters bit by bit."""
-    levels = [[words[cell, first : first + count] for cell in cells[steps >> bit & 1 > 0]] for bit in range(3)]
-    counters = list[Words]()
-    while levels:
-        level, carried = levels.pop(0), list[Words]()
+def _sum(levels: list[list[Words]], empty: Words) -> list[Words]:
+    """Sums of words of the shape of ``empty`` by carry-save adders: counters bit by bit.
+
+    ``levels``: words that count 1, 2 and 4; ``empty``: words without a bit.
+    """
+    waiting, counters = [list(level) for level in levels], list[Words]()
+    while waiting:
+        level, carried = waiting.pop(0), list[Words]()
         while len(level) > 2:
             a, b, c = level.pop(), level.pop(), level.pop()
             either = a ^ b
@@ -256,36 +303,41 @@ def _sum(words: Words, cells: NDArray[np.int64], steps: NDArray[np.int64], first
         if len(level) == 2:
             carried.append(level[0] & level[1])
             level = [level[0] ^ level[1]]
-        counters.append(level[0] if level else np.zeros(count, dtype=np.uint64))
+        counters.append(level[0] if level else empty)
         if carried:
-            if not levels:
-                levels.append([])
-            levels[0] = carried + levels[0]
+            waiting[:1] = [carried + waiting[0]] if waiting else [carried]
     return counters
 
 
-def _largest(counters: list[Words], eligible: Words, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places and values of the ``count`` largest counters of those that are ``eligible``, and of ties at the end as
-    long as they are not too many.
+def _largest(
+    counters: list[Words], eligible: Words, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Row, place and value (C,) each of the ``count`` largest counters (B, W) of each row among those that are
+    ``eligible`` (B, W), and of ties at the end as long as they are not too many.
     """
     above, equal = np.zeros_like(eligible), eligible
     for counter in reversed(counters):
-        more = above | (equal & counter)
-        if int(np.bitwise_count(more).sum()) > count:
-            equal = equal & counter
-        else:
-            above, equal = more, equal & ~counter
+        both = equal & counter
+        is_more = (_ones(above | both) > count)[:, None]
+        above, equal = np.where(is_more, above, above | both), np.where(is_more, both, equal & ~counter)
     chosen = above | equal
-    where = np.flatnonzero(chosen)
-    if len(where) > 2 * count:
-        above_where = np.flatnonzero(above)
-        chosen, where = (above, above_where) if len(above_where) else (chosen, where[: 2 * count])
-    bits = np.unpackbits(chosen[where].view(np.uint8).reshape(-1, 8), axis=1, bitorder="little")
-    row, bit = np.nonzero(bits)
-    sliced = np.array([counter[where] for counter in counters])[:, row]  # (bits of a counter, C)
-    set_bits = (sliced >> bit.astype(np.uint64)) & np.uint64(1)
-    values = (np.uint64(1) << np.arange(len(counters), dtype=np.uint64)) @ set_bits
-    return where[row] * WORD + bit, values.astype(np.int64)
+    is_too_many = (_ones(chosen) > 2 * count)[:, None]
+    has_above = above.any(axis=1, keepdims=True)
+    first_words = np.where(np.cumsum(chosen != 0, axis=1) <= count, chosen, np.uint64(0))
+    chosen = np.where(is_too_many, np.where(has_above, above, first_words), chosen)
+    row, word = np.nonzero(chosen)
+    bits = np.unpackbits(chosen[row, word].view(np.uint8).reshape(-1, 8), axis=1, bitorder="little")
+    which, bit = np.nonzero(bits)
+    row, word = row[which], word[which]
+    values = np.zeros(len(row), dtype=np.int64)
+    for place, counter in enumerate(counters):
+        values += ((counter[row, word] >> bit.astype(np.uint64)) & np.uint64(1)).astype(np.int64) << place
+    return row, word * WORD + bit, values
+
+
+def _ones(words: Words) -> NDArray[np.int64]:
+    """How many bits of each row (B, W) are set."""
+    return np.asarray(np.bitwise_count(words).sum(axis=1, dtype=np.int64))
 
 
 def _nothing() -> PairMatches:

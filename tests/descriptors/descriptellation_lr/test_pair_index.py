@@ -42,38 +42,37 @@ def share_right(matches: PairMatches, rows: np.ndarray, best: int) -> float:
     return float((rows[matches.queries[:best]] == matches.entries[:best]).all(axis=1).mean())
 
 
-def test_bit_sliced_sum_is_the_sum_of_steps_of_set_bits() -> None:
+def test_bit_sliced_sums_are_sums() -> None:
     rng = np.random.default_rng(0)
-    bits = rng.random((200, 40)) < 0.3
-    cells, steps = rng.integers(40, size=13), rng.integers(1, 8, size=13)
-    words = _packed(bits)
-    counters = _sum(words, cells, steps, 1, words.shape[1] - 1)
-    expected = bits[:, cells] @ steps
-    everything = np.full(words.shape[1] - 1, ~np.uint64(0))
-    places, values = _largest(counters, everything, 10_000)
-    found = np.zeros(words.shape[1] * WORD - WORD, dtype=np.int64)
-    found[places] = values
-    np.testing.assert_array_equal(found[: 200 - WORD], expected[WORD:])
+    levels = [rng.random((count, 2, 640)) < 0.3 for count in (9, 0, 4)]
+    counters = _sum([[_packed(bits) for bits in level] for level in levels], np.zeros((2, 10), dtype=np.uint64))
+    expected = sum(weight * level.sum(axis=0) for weight, level in zip((1, 2, 4), levels, strict=True))
+    row, place, values = _largest(counters, np.full((2, 10), ~np.uint64(0)), 640)
+    found = np.zeros((2, 640), dtype=np.int64)
+    found[row, place] = values
+    np.testing.assert_array_equal(found, expected)
 
 
-def test_largest_are_the_largest_that_are_eligible() -> None:
+def test_largest_of_each_row_are_the_largest_that_are_eligible() -> None:
     rng = np.random.default_rng(1)
-    values = rng.integers(32, size=640)
-    counters = [_packed(((values >> bit) & 1 > 0)[:, None])[0] for bit in range(5)]
-    is_eligible = rng.random(640) < 0.5
-    places, found = _largest(counters, _packed(is_eligible[:, None])[0], 40)
-    np.testing.assert_array_equal(values[places], found)
-    assert is_eligible[places].all()
-    least = np.sort(values[is_eligible])[-40]
-    assert set(np.flatnonzero(is_eligible & (values > least))) <= set(places.tolist())
-    assert found.min() == least
-    assert len(found) <= 80
+    values = rng.integers(32, size=(3, 640))
+    counters = [_packed((values >> bit) & 1 > 0) for bit in range(5)]
+    is_eligible = rng.random((3, 640)) < 0.5
+    row, place, found = _largest(counters, _packed(is_eligible), 40)
+    np.testing.assert_array_equal(values[row, place], found)
+    assert is_eligible[row, place].all()
+    for each in range(3):
+        least = np.sort(values[each, is_eligible[each]])[-40]
+        better = np.flatnonzero(is_eligible[each] & (values[each] > least))
+        assert set(better) <= set(place[row == each].tolist())
+        assert found[row == each].min() == least
+        assert np.count_nonzero(row == each) <= 80
 
 
 def test_largest_of_equal_values_are_few() -> None:
-    counters = [np.full(1000, ~np.uint64(0))]
-    places, values = _largest(counters, counters[0], MATCHES_PER_PAIR)
-    assert 0 < len(places) <= 2 * MATCHES_PER_PAIR * WORD
+    every = np.full((1, 1000), ~np.uint64(0))
+    row, _, values = _largest([every], every, MATCHES_PER_PAIR)
+    assert 0 < len(row) <= MATCHES_PER_PAIR * WORD
     assert (values == 1).all()
 
 
@@ -148,6 +147,21 @@ def test_query_or_map_of_hardly_any_objects_is_no_error(count: int) -> None:
     few = PairIndex(shipped_likelihood())
     few.add(positions[:count], labels[:count])
     assert (len(few.search(positions, labels, sigma_m=100.0).nats) > 0) == (count == 2)
+
+
+def test_pair_with_nothing_around_it_matches_pairs_of_its_length() -> None:
+    positions = np.array([[0.0, 0.0], [5.0, 0.0], [1e3, 0.0], [1e3 + 9.0, 0.0], [0.0, 1e3], [7.0, 1e3]])
+    labels = np.zeros(6, dtype=np.int64)
+    index = PairIndex(shipped_likelihood(), 7.0)
+    index.add(positions, labels)
+    matches = index.search(positions[2:4], labels[2:4], sigma_m=SIGMA_M)
+    assert {tuple(sorted(pair)) for pair in matches.entries.tolist()} == {(2, 3)}
+    grown = PairIndex(shipped_likelihood(), 7.0)
+    for first in (0, 2, 4):
+        numbers = np.where(np.arange(6) // 2 == first // 2, np.arange(6), -1)
+        grown.add(positions, labels, numbers=numbers, centres=np.array([first, first + 1]))
+    matches = grown.search(positions[2:4], labels[2:4], sigma_m=SIGMA_M)
+    assert {tuple(sorted(pair)) for pair in matches.entries.tolist()} == {(2, 3)}
 
 
 def test_index_takes_few_bytes_an_object() -> None:
