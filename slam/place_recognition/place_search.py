@@ -37,6 +37,8 @@ MIN_FITTED = 3
 """A pose is fitted to so many objects at least; two always fit."""
 CLASS_PITCH_SPACINGS = 1e6
 """Objects of different classes are that far apart on a third axis: farther than any map is wide."""
+SCORE_DECIMALS = 6
+"""Of a log-likelihood ratio in nats that are compared."""
 SAME_TURN_RAD = 0.2
 """Poses that differ by less than that, and by less than half a spacing, are one."""
 
@@ -164,7 +166,8 @@ class PlaceSearch:
     def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
         """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""
         chosen = list[int]()
-        for row in np.argsort(-scores, kind="stable").tolist():
+        # Rounded, so that what differs by rounding alone stays in the order of its votes.
+        for row in np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable").tolist():
             near = np.abs(poses.middles[chosen] - poses.middles[row]) < 0.5 * self._spacing_m
             near &= np.abs(np.angle(poses.turns[chosen] * poses.turns[row].conj())) < SAME_TURN_RAD
             if not near.any():

@@ -55,7 +55,7 @@ def test_a_descriptor_that_means_something_has_the_counterpart_among_its_nearest
     top_5 = measured[0].set_index(["method", "scenario"])["top_5"]
     for scenario in SCENARIOS:
         assert top_5["descriptellation_lr", scenario.name] > top_5["random", scenario.name] + 0.1
-    assert top_5["descriptellation_lr", SELF.name] > 0.95
+    assert top_5["descriptellation_lr", SELF.name] > 0.85  # an object whose partners are hidden is in no pair
 
 
 def test_what_cannot_be_measured_is_refused(street):
