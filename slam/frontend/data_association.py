@@ -9,7 +9,7 @@ no more than its neighbourhoods.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -70,6 +70,12 @@ class Assignment:
     def new(self) -> NDArray[np.bool_]:
         """(D,) whether the detection is of no landmark; the others are too near to one to say."""
         return np.equal(self.landmark_rows, NEW)
+
+    def of(self, count: int) -> Assignment:
+        """That of the first detections."""
+        return replace(
+            self, landmark_rows=self.landmark_rows[:count], log_likelihood_ratios=self.log_likelihood_ratios[:count]
+        )
 
     @property
     def log_likelihood_ratio(self) -> float:

@@ -82,6 +82,7 @@ class Tracker:
         self._stamp_ns = 0
         self._T_local_body: FloatArray | None = None
         self._T_odom_body: FloatArray | None = None
+        self._untold: list[tuple[Tracked, FloatArray]] = []
         self._speeds = deque([np.zeros(2)], maxlen=RECENT_STEPS)  # rad/s, m/s
         self._velocity = np.eye(4), 1.0  # a motion of the body, and how many seconds it took
 
@@ -93,6 +94,7 @@ class Tracker:
     def restart(self) -> None:
         """Forget the motion, as after a discontinuity of the odometry."""
         self._T_local_body = None
+        self._untold = []
 
     def track(self, scan: Scan, labels: IntArray, pose: OdometryPose) -> Tracked:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to."""
@@ -113,25 +115,45 @@ class Tracker:
         return replace(tracked, is_lost=is_lost)
 
     def rejoin(self, scan: Scan, labels: IntArray, pose: OdometryPose) -> Tracked | None:
-        """Place a scan after a step to ``pose`` that no body can have made; None where the detections do not tell."""
+        """Place a scan after a step to ``pose`` that no body can have made; None where the detections do not tell.
+
+        What was seen in the scans since that step counts, too, as the odometry has it around the body now.
+        """
         if not self.is_tracking:
             return None
         T_reported = self._active.T_local_odom @ pose.T_odom_body
         self._active.advance(self._expected(pose), is_guess=True)
-        tracked = self._associated(scan, labels)
+        gathered = self._gathered(self._associated(scan, labels), pose.T_odom_body)
         slip = self._slip(pose.stamp_ns, 0.0, 0.0)
         components = [
             PriorComponent(0.5 * JUMPED, slip),
             PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self._active.T_local_body)),
             self._anywhere(0.5 * JUMPED),
         ]
-        mode = self._sure_mode(tracked, self._search_of(tracked).modes(components))
+        mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
         if mode is None:
+            self._untold.append((self._associated(scan, labels), pose.T_odom_body))
             return None
-        moved = self._shifted(tracked, mode)
+        moved = self._shifted(self._associated(scan, labels), mode)
+        moved = replace(moved, assignment=moved.assignment.of(len(labels)))
         T_odom = rigid(self._active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
         return replace(moved, correction=Correction(T_odom, moved.correction.variances))
+
+    def _gathered(self, tracked: Tracked, T_odom_body: FloatArray) -> Tracked:
+        """A scan together with the objects seen in those before it that did not tell either."""
+        for earlier, T_odom_earlier in reversed(self._untold):
+            T_now_earlier = relative(T_odom_body, T_odom_earlier)
+            scan = earlier.scan.seen_from(T_now_earlier)
+            offsets = scan.positions[:, None] - tracked.scan.positions
+            near = np.einsum("nki,nki->nk", offsets, offsets) < self._config.spacing_m**2
+            other = ~(near & (earlier.labels[:, None] == tracked.labels)).any(axis=1)
+            tracked = replace(
+                tracked,
+                scan=tracked.scan.joined(scan.of(other)),
+                labels=np.concatenate([tracked.labels, earlier.labels[other]]),
+            )
+        return replace(tracked, seen=tracked.scan.seen_from(self._active.T_local_body))
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
         """The pose if the body has gone on as before."""
@@ -254,6 +276,7 @@ class Tracker:
 
     def follow(self, stamp_ns: int) -> None:
         """Remember the pose, corrected by the landmarks, and its velocity."""
+        self._untold = []
         T, before = self._active.T_local_body, self._T_local_body
         seconds = (stamp_ns - self._stamp_ns) * 1e-9
         if before is not None and seconds > 0.0:

@@ -50,6 +50,18 @@ class Scan:
             self.has_own_covariance[chosen],
         )
 
+    def joined(self, other: Scan) -> Scan:
+        """These detections and those of another scan, in one frame; ``used`` stays that of this message."""
+        return Scan(
+            self.stamp_ns,
+            self.sensor,
+            np.concatenate([self.positions, other.positions]),
+            np.concatenate([self.covariances, other.covariances]),
+            self.labels + other.labels,
+            self.used,
+            np.concatenate([self.has_own_covariance, other.has_own_covariance]),
+        )
+
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]
