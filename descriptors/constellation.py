@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +44,6 @@ class Constellations:
             self.vocabulary,
             self.centres[rows],
         )
-
-    def within(self, radius_m: float) -> Constellations:
-        """The same objects with those of their neighbours alone that are within a horizontal distance."""
-        near = np.hypot(self.positions[:, 0], self.positions[:, 1]) <= radius_m
-        offsets = np.concatenate([[0], np.cumsum(near)])[self.offsets]
-        return replace(self, positions=self.positions[near], labels=self.labels[near], offsets=offsets)
 
     @property
     def owners(self) -> NDArray[np.int64]:

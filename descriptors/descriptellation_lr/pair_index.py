@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.pairs import (
+    QUERY_PARTNERS,
     Pairs,
     cells_of,
     find_ends,
@@ -27,8 +28,6 @@ from descriptors.descriptellation_lr.pairs import (
 
 Words = NDArray[np.uint64]
 
-QUERY_PARTNERS = 5
-"""Partners of each object of a query: more than in the map, as clutter stands between some of them."""
 MAX_ASKED = 240
 """Pairs of a query that are looked up, those that can tell most."""
 MATCHES_PER_PAIR = 60

@@ -28,6 +28,8 @@ MAX_SIGMA = 1.5
 """Widest angle [rad] of a kernel: a neighbour in the middle of a pair is in no direction."""
 MAX_NEIGHBOURS = 32
 """Neighbours of a pair that count, the nearest: twice as many as the radius has on average."""
+QUERY_PARTNERS = 5
+"""Partners of each object of a query: more than in the map, as clutter stands between some of them."""
 MIN_LENGTH = 0.1
 """Shortest pair, in spacings; a shorter one has no heading."""
 MIN_SIGMA = 0.005

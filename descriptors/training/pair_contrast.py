@@ -17,6 +17,7 @@ from torch import Tensor
 
 from descriptors.descriptellation_lr.network import DescriptellationLR, query_scores
 from descriptors.descriptellation_lr.pairs import (
+    QUERY_PARTNERS,
     DescriptellationLRArchitecture,
     Pairs,
     find_ends,
@@ -30,8 +31,6 @@ from descriptors.training.views import draw_view
 
 MIN_SEEN = 3
 """Objects of a view at least: a pair, and one beside it."""
-QUERY_PARTNERS = 5
-"""Partners of an object of a query: more than in the map, as clutter stands between some of them."""
 MAX_ASKED = 60
 """Pairs of a view that are asked for, drawn at random: what a step takes in."""
 OUT_OF_THE_QUESTION = -1e4

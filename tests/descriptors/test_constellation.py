@@ -87,12 +87,3 @@ def test_those_of_given_numbers_come_in_that_order_with_their_neighbours(rows):
     for i, row in enumerate(rows):
         assert neighbours_of(chosen, i) == neighbours_of(everything, row)
         assert np.count_nonzero(chosen.owners == i) == len(neighbours_of(everything, row))
-
-
-@pytest.mark.parametrize("radius_m", [0.0, 7.0, RADIUS_M])
-def test_neighbours_within_less_are_those_of_a_smaller_radius(radius_m):
-    positions, labels = scattered(60, seed=9)
-    cut = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M).within(radius_m)
-    expected = gather_constellations(positions, labels, VOCABULARY, radius_m=radius_m)
-    for name in ("positions", "labels", "centre_labels", "offsets", "centres"):
-        np.testing.assert_array_equal(getattr(cut, name), getattr(expected, name))
