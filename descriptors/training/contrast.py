@@ -18,11 +18,14 @@ from torch.nn.functional import cross_entropy
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
+from descriptors.errors import DescriptorError
 from descriptors.learned.networks import Architecture, vectors_of
 from descriptors.training.maps import TrainingMap, draw_map, with_classes_of
 from descriptors.training.pair_contrast import PairSample, add_rivals, draw_pair_sample, pair_scores
 from descriptors.training.views import draw_view
 
+MAX_DRAWS = 1000
+"""Maps drawn for a step at most: maps of a user may have no place with objects enough."""
 MIN_SEEN = 4
 """Objects without which a view is drawn anew; loops are closed by as many."""
 TEMPERATURE = 0.1
@@ -70,8 +73,11 @@ def draw_sample(
 
     ``own_share``: how often of a given map; ``is_exact``: neither map nor views have noise. For a network with an
     embedding of classes, those of each map are dealt out anew among its rows.
+
+    Raises:
+        DescriptorError: the given maps have no place with objects enough.
     """
-    while True:
+    for _ in range(MAX_DRAWS):
         drawn = draw_map(given, own_share, rng=rng)
         if isinstance(config.architecture, DescriptellationLRArchitecture):
             pairs = draw_pair_sample(drawn, config.architecture, views=config.views, rng=rng, is_exact=is_exact)
@@ -105,6 +111,7 @@ def draw_sample(
                 drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
             )
             return Sample(constellations, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
+    raise DescriptorError("the maps have no place with objects enough to train on")
 
 
 def scores_of(network: nn.Module, sample: Sample | PairSample, device: torch.device) -> Tensor:
