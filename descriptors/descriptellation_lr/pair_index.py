@@ -161,7 +161,7 @@ class PairIndex:
         positions: NDArray[np.float64],
         labels: NDArray[np.int64],
         *,
-        sigma_m: float,
+        sigmas_m: NDArray[np.float64],
         allowed: NDArray[np.bool_] | None = None,
     ) -> PairMatches:
         """The likeliest pairs of the map for the pairs of a query.
@@ -169,13 +169,13 @@ class PairIndex:
         Args:
             positions: (N, 2+) m.
             labels: (N,) classes, numbered as in the map.
-            sigma_m: of a coordinate of an object, of query and map together.
+            sigmas_m: (N,) of a coordinate of each object, of query and map together.
             allowed: which objects of the map, by their number, may be matched; all by default.
         """
         found = [_nothing()]
         if len(positions) >= 2 and self.unit_m is not None:
             pairs = self._asked(positions / self.unit_m, labels)
-            asked = self._ask(pairs, labels, sigma_m / self.unit_m)
+            asked = self._ask(pairs, labels, sigmas_m / self.unit_m)
             is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[None])[0]
             for rows, first, eligible in self._ranges(asked):
                 if is_allowed is not None:
@@ -189,9 +189,9 @@ class PairIndex:
         queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
         return PairMatches(queries[best], entries[best], nats[best])
 
-    def _ask(self, pairs: Pairs, labels: NDArray[np.int64], sigma: float) -> _Asked:
-        """What the pairs of a query ask of the index, with a noise in spacings."""
-        sigmas = np.full(len(pairs), sigma)
+    def _ask(self, pairs: Pairs, labels: NDArray[np.int64], noise: NDArray[np.float64]) -> _Asked:
+        """What the pairs of a query ask of the index, with a noise (N,) of each object in spacings."""
+        sigmas = np.sqrt(np.mean(noise[pairs.ends] ** 2, axis=1))
         hits, misses = self._likelihood.worths(pairs, sigmas)
         cells, owners = cells_of(pairs, self._likelihood.architecture), pairs.owners
         inside = np.flatnonzero(cells >= 0)

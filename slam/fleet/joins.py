@@ -147,8 +147,7 @@ class PlaceIndex:
 
     def _poses(self, query: Submap) -> Iterator[tuple[int, FloatArray]]:
         """The likeliest poses (4, 4) of a query, each with the number of the map that it is in."""
-        sigma_m = float(np.hypot(np.median(query.sigmas), self._sigma_m))
-        poses = self._search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=MAPS_PER_PLACE)
+        poses = self._search.find_poses(query, map_sigma_m=self._sigma_m, count=MAPS_PER_PLACE)
         middle = query.positions.mean(axis=0, keepdims=True)
         for T in poses:
             number = int(apply(T, middle)[0, 0] // self._pitch_m)
@@ -166,7 +165,7 @@ class PlaceIndex:
         objects = config.calibration.objects
         distances_m = np.hypot(positions[:, 0], positions[:, 1])
         sigmas = np.hypot(objects.landmark_sigma_m, objects.landmark_sigma_per_m * distances_m)
-        return Submap(positions, sigmas, labels, rows)
+        return Submap(positions, sigmas, labels, rows, local_sigma_m=objects.landmark_sigma_m)
 
     def _reference(self, number: int, centre: FloatArray, radius_m: float) -> Submap:
         """The landmarks of a map within a radius of a point (3,) of it, in its frame."""

@@ -16,6 +16,7 @@ from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply
 from slam.localization.prior_map import PriorMap
+from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_search import VOTE_SIGMAS as TOLERANCE_SIGMAS
 
@@ -140,7 +141,8 @@ def _listed(names: Sequence[str]) -> str:
 
 def _met(imported: ImportedMap, positions: FloatArray, labels: IntArray, sigma_m: float) -> int:
     """Number of landmarks that match an object of their class, at the best of their likeliest poses."""
-    poses = imported.search().find_poses(positions, labels, sigma_m=sigma_m, count=PLACES)
+    seen = Submap(positions, np.full(len(labels), sigma_m), labels, np.arange(len(labels)))
+    poses = imported.search().find_poses(seen, count=PLACES)
     tolerance_m = TOLERANCE_SIGMAS * sigma_m
     best = 0
     for T_map_query in poses:

@@ -27,7 +27,9 @@ MIN_OBSERVATIONS = 2
 @dataclass(frozen=True, slots=True, eq=False)
 class Submap:
     """N landmarks. ``positions`` (N, 3) m, ``sigmas`` (N,) m of each horizontal coordinate, ``labels`` (N,) classes,
-    ``rows`` (N,) of the object map; ``existence`` (N,) or one for all: probability that they are static objects.
+    ``rows`` (N,) of the object map; ``existence`` (N,) or one for all: probability that they are static objects;
+    ``local_sigma_m``: of a coordinate relative to the landmarks beside it, as errors that grow with the travel are
+    common to these. None: errors are independent.
     """
 
     positions: FloatArray
@@ -35,6 +37,7 @@ class Submap:
     labels: IntArray
     rows: IntArray
     existence: FloatArray | float = 1.0
+    local_sigma_m: float | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -42,9 +45,8 @@ class Submap:
     def of(self, indices: IntArray) -> Submap:
         """Some of the landmarks, by their indices (K,)."""
         existence = np.broadcast_to(self.existence, len(self))[indices]
-        return Submap(
-            self.positions[indices], self.sigmas[indices], self.labels[indices], self.rows[indices], existence
-        )
+        positions, sigmas, labels = self.positions[indices], self.sigmas[indices], self.labels[indices]
+        return Submap(positions, sigmas, labels, self.rows[indices], existence, self.local_sigma_m)
 
 
 def gravity_frame(T_local_body: FloatArray) -> FloatArray:
@@ -101,4 +103,5 @@ def _submap(
     own_variances = np.trace(object_map.rows["covariance_local"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
     objects = calibration.objects
     variances = objects.landmark_sigma_m**2 + (objects.landmark_sigma_per_m * distances) ** 2 + own_variances
-    return Submap(positions, np.sqrt(variances), object_map.classes(rows), rows)
+    classes = object_map.classes(rows)
+    return Submap(positions, np.sqrt(variances), classes, rows, local_sigma_m=objects.landmark_sigma_m)

@@ -64,10 +64,7 @@ class ImportedPlaces:
 
     def propose(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` likeliest places of a query, given in its gravity frame."""
-        # The errors that grow with the distance from the robot are common to the objects around a pair.
-        sigma_m = float(np.hypot(query.sigmas.min(initial=np.inf), self._imported.sigma_m)) if len(query) else 0.0
-        known = np.flatnonzero(query.labels < len(self._imported.vocabulary))
-        poses = self._search.find_poses(query.positions[known], query.labels[known], sigma_m=sigma_m, count=count)
+        poses = self._search.find_poses(query, map_sigma_m=self._imported.sigma_m, count=count)
         return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf, "map index") for T_local_query in poses]
 
     def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:

@@ -60,14 +60,13 @@ def make_landmark_index(config: Config) -> LandmarkIndex:
         DescriptorError: there is none of that name.
     """
     index = make_index(config.loop_closure.descriptor)
-    return LandmarkPairs(config, index) if isinstance(index, PairIndex) else LandmarkVectors(config, index)
+    return LandmarkPairs(index) if isinstance(index, PairIndex) else LandmarkVectors(config, index)
 
 
 class LandmarkPairs:
     """The learned likelihood ratio of pairs."""
 
-    def __init__(self, config: Config, index: PairIndex) -> None:
-        self._sigma_m = config.calibration.objects.landmark_sigma_m
+    def __init__(self, index: PairIndex) -> None:
         self._index = index
         self._batches = list[Batch]()
         self._search: PlaceSearch | None = None
@@ -101,11 +100,7 @@ class LandmarkPairs:
             return []
         if self._search is None:
             self._search = self._side_by_side()
-        # Errors that grow with the travel are common to the objects around a pair.
-        known = query.labels <= self._labels.max()
-        poses = self._search.find_poses(
-            query.positions[known], query.labels[known], sigma_m=self._sigma_m, count=count, allowed=allowed
-        )
+        poses = self._search.find_poses(query, count=count, allowed=allowed)
         middle = np.append(query.positions.mean(axis=0), 1.0)
         radius_m = float(np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max())
         slots = dict(enumerate(self._shifts_m))

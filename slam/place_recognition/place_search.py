@@ -17,6 +17,7 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.descriptellation_lr.pairs import DENSITY, spacing_m
 from slam.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
+from slam.object_map.submap import Submap
 from slam.registration.pose_voting import Matches, vote_for_poses
 
 COMPARED = 200
@@ -29,10 +30,10 @@ MATCH_ODDS = 3.0
 """Of an object of a query to be one of the map: three of four are, the others are missing there or clutter."""
 REACH_SIGMAS = 3.5
 """Farther apart no two observations of one object are: 2 in 1000 pairs, in the plane."""
-VOTED_VARIANCE = 1.5
-"""Of an object at a voted pose, by that of a coordinate: its own, and half of it from the pose's place."""
-FITTED_VARIANCE = 1.4
-"""The same at a pose that is fitted to several objects."""
+VOTED_POSE = 0.5
+"""Variance of the place of a voted pose, by that of a coordinate of an object: a pair has two objects."""
+FITTED_POSE = 0.4
+"""The same of a pose that is fitted to several objects."""
 MIN_FITTED = 3
 """A pose is fitted to so many objects at least; two always fit."""
 CLASS_PITCH_SPACINGS = 1e6
@@ -89,24 +90,24 @@ class PlaceSearch:
         self._densities = DENSITY / self._spacing_m**2 * shares
 
     def find_poses(
-        self,
-        positions: FloatArray,
-        labels: IntArray,
-        *,
-        sigma_m: float,
-        count: int,
-        allowed: BoolArray | None = None,
+        self, query: Submap, *, count: int, map_sigma_m: float = 0.0, allowed: BoolArray | None = None
     ) -> FloatArray:
         """The likeliest poses (H, 4, 4) of a query in the map, at most ``count``, best first.
 
         Args:
-            positions: (N, 3) m of the query, z up.
-            labels: (N,) classes, numbered as in the map.
-            sigma_m: of a coordinate of an object, of query and map together.
+            query: objects in a frame whose z points up, their classes numbered as in the map; those of further classes
+                are left out.
             count: how many poses are wanted.
+            map_sigma_m: of a coordinate of an object of the map, where those of the query do not include it.
             allowed: which objects (M,) of the map may make a pair; all by default.
         """
-        matches = self._pairs.search(positions, labels, sigma_m=sigma_m, allowed=allowed)
+        known = np.flatnonzero(query.labels < len(self._densities))
+        positions, labels = query.positions[known], query.labels[known]
+        sigmas_m = np.hypot(query.sigmas[known], map_sigma_m)
+        local_sigmas_m = sigmas_m
+        if query.local_sigma_m is not None:
+            local_sigmas_m = np.full(len(known), np.hypot(query.local_sigma_m, map_sigma_m))
+        matches = self._pairs.search(positions, labels, sigmas_m=local_sigmas_m, allowed=allowed)
         if not len(matches.nats):
             return np.zeros((0, 4, 4))
         rows, ends = np.unique(matches.entries, return_inverse=True)
@@ -115,17 +116,17 @@ class PlaceSearch:
             self._positions[rows].astype(np.float64),
             Matches(matches.queries, ends.reshape(-1, 2)),
             weights=np.maximum(matches.nats, MIN_VOTE_NATS),
-            tolerance_m=VOTE_SIGMAS * sigma_m,
+            tolerance_m=VOTE_SIGMAS * float(np.median(local_sigmas_m)),
             count=max(count, COMPARED),
         )
-        query = _query(positions, labels, sigma_m)
+        placed = _query(positions, labels, sigmas_m)
         turns = T_voted[:, 0, 0] + 1j * T_voted[:, 1, 0]
-        voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * query.middle, turns)
-        fitted = self._fitted(voted, query, query.voted_sigmas_m)
-        scores = self._log_likelihood_ratios(fitted, query)
-        chosen = self._distinct(fitted, scores, count)
-        best = self._fitted(fitted[chosen], query, query.fitted_sigmas_m)
-        origins = best.middles - best.turns * query.middle
+        voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * placed.middle, turns)
+        fitted = self._fitted(voted, placed, placed.voted_sigmas_m)
+        fitted = self._fitted(fitted, placed, placed.fitted_sigmas_m)
+        chosen = self._distinct(fitted, self._log_likelihood_ratios(fitted, placed), count)
+        best = fitted[chosen]
+        origins = best.middles - best.turns * placed.middle
         places = np.column_stack([origins.real, origins.imag, T_voted[chosen, 2, 3]])
         return transform_from_xyz_yaw(places, np.angle(best.turns))
 
@@ -177,12 +178,13 @@ class PlaceSearch:
         return np.array(chosen, dtype=np.int64)
 
 
-def _query(positions: FloatArray, labels: IntArray, sigma_m: float) -> _Query:
+def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Query:
     plane = positions[:, 0] + 1j * positions[:, 1]
     middle = complex(plane.mean())
     from_middle = np.abs(plane - middle)
     radius_m = max(float(np.sqrt(np.mean(from_middle**2))), float(np.finfo(np.float64).tiny))
     # The heading of a voted pose moves objects the more, the farther from the middle they are.
-    voted = sigma_m * np.sqrt(VOTED_VARIANCE + 2.0 * (from_middle / radius_m) ** 2)
-    fitted = np.full(len(plane), sigma_m * np.sqrt(FITTED_VARIANCE))
+    sigma_m = np.median(sigmas_m)
+    voted = np.sqrt(sigmas_m**2 + sigma_m**2 * (VOTED_POSE + 2.0 * (from_middle / radius_m) ** 2))
+    fitted = np.sqrt(sigmas_m**2 + FITTED_POSE * sigma_m**2)
     return _Query(middle, plane - middle, labels, voted, fitted)

@@ -124,12 +124,11 @@ class PlaceRetriever:
 
         Besides it there are as many as candidates of a query in the map.
         """
-        sigma_m = np.sqrt(2.0) * self._calibration.objects.landmark_sigma_m
         pairs = PairIndex(shipped_likelihood())
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
         count = self._config.max_candidates + 1  # the identity is among them
-        poses = search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=count)
+        poses = search.find_poses(query, map_sigma_m=self._calibration.objects.landmark_sigma_m, count=count)
         return np.concatenate([np.eye(4)[None], poses])
 
     @property

@@ -9,6 +9,7 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.registry import shipped_likelihood
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.object_map.submap import Submap
 from slam.place_recognition.place_search import SAME_TURN_RAD, PlaceSearch, _Poses
 
 SIGMA_M = 0.2
@@ -39,6 +40,10 @@ def observed(
     return np.concatenate([local, of_nothing]), np.append(rows, np.full(clutter, -1)), T_map_query
 
 
+def query(positions: FloatArray, labels: IntArray) -> Submap:
+    return Submap(positions, np.full(len(labels), SIGMA_M), labels, np.arange(len(labels)))
+
+
 def is_near(T: FloatArray, T_gt: FloatArray, *, within_m: float = 0.5) -> bool:
     return bool(np.linalg.norm((T - T_gt)[:3, 3]) < within_m) and bool(np.allclose(T[:3, :3], T_gt[:3, :3], atol=0.1))
 
@@ -51,7 +56,7 @@ def test_places_are_found_where_half_is_missing_and_half_is_clutter() -> None:
     for _ in range(20):
         centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
         seen, rows, T_gt = observed(positions, centre, rng, missing=0.5, clutter=12)
-        likeliest = search.find_poses(seen, np.zeros(len(rows), dtype=np.int64), sigma_m=2**0.5 * SIGMA_M, count=1)
+        likeliest = search.find_poses(query(seen, np.zeros(len(rows), dtype=np.int64)), map_sigma_m=SIGMA_M, count=1)
         found += any(is_near(each, T_gt, within_m=2.0) for each in likeliest)
     assert found >= 16
 
@@ -61,7 +66,7 @@ def test_objects_that_are_not_allowed_make_no_pose() -> None:
     seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(2), missing=0.0, clutter=0)
     allowed = np.ones(len(positions), dtype=bool)
     allowed[rows] = False
-    poses = searched(positions, labels).find_poses(seen, labels[rows], sigma_m=SIGMA_M, count=5, allowed=allowed)
+    poses = searched(positions, labels).find_poses(query(seen, labels[rows]), count=5, allowed=allowed)
     assert len(poses)
     assert not any(is_near(each, T_gt) for each in poses)
 
@@ -69,26 +74,43 @@ def test_objects_that_are_not_allowed_make_no_pose() -> None:
 def test_pose_is_fitted_to_all_objects_in_view() -> None:
     positions, labels = town()
     seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(2), missing=0.0, clutter=0)
-    T = searched(positions, labels).find_poses(seen, labels[rows], sigma_m=SIGMA_M, count=5)
+    T = searched(positions, labels).find_poses(query(seen, labels[rows]), count=5)
     assert len(T) == 5
     assert np.linalg.norm((T[0] - T_gt)[:2, 3]) < 3.0 * SIGMA_M / np.sqrt(len(rows))
     assert T[0, 2, 3] == pytest.approx(2.0, abs=1e-6)
     assert not any(is_near(each, T_gt) for each in T[1:])
 
 
+def test_pairs_are_compared_by_the_noise_between_neighbours() -> None:
+    positions, labels = town()
+    search = searched(positions, labels)
+    found = {SIGMA_M: 0, None: 0}
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
+        seen, rows, T_gt = observed(positions, centre, rng, missing=0.3, clutter=0)
+        seen[:, 1] += seen[:, 0] ** 2 / 100.0  # a bend of the odometry
+        for local_sigma_m in found:
+            asked = Submap(seen, np.full(len(rows), 3.0), labels[rows], rows, local_sigma_m=local_sigma_m)
+            T = search.find_poses(asked, map_sigma_m=SIGMA_M, count=1)[0]
+            found[local_sigma_m] += is_near(T, T_gt, within_m=3.0)
+    assert found[SIGMA_M] >= 9
+    assert found[None] <= 3
+
+
 def test_only_objects_of_the_same_class_are_met() -> None:
     positions, labels = town(classes=2)
     search = searched(positions, labels, classes=2)
     seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(3), missing=0.1, clutter=0)
-    assert is_near(search.find_poses(seen, labels[rows], sigma_m=SIGMA_M, count=1)[0], T_gt)
-    wrong = search.find_poses(seen, 1 - labels[rows], sigma_m=SIGMA_M, count=5)
+    assert is_near(search.find_poses(query(seen, labels[rows]), count=1)[0], T_gt)
+    wrong = search.find_poses(query(seen, 1 - labels[rows]), count=5)
     assert not any(is_near(each, T_gt) for each in wrong)
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_query_of_too_few_objects_has_no_pose(count: int) -> None:
     positions, labels = town(50)
-    found = searched(positions, labels).find_poses(np.zeros((count, 3)), labels[:count], sigma_m=SIGMA_M, count=5)
+    found = searched(positions, labels).find_poses(query(np.zeros((count, 3)), labels[:count]), count=5)
     assert found.shape == (0, 4, 4)
 
 
@@ -108,5 +130,5 @@ def test_class_without_objects_meets_nothing() -> None:
     rng = np.random.default_rng(5)
     seen, rows, _ = observed(positions, (70.0, 70.0), rng, missing=0.0, clutter=0)
     mixed = np.where(rng.random(len(rows)) < 0.5, 2, 0)
-    poses = search.find_poses(seen, mixed, sigma_m=SIGMA_M, count=5)
+    poses = search.find_poses(query(seen, mixed), count=5)
     assert np.isfinite(poses).all()

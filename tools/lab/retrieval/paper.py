@@ -161,7 +161,7 @@ def _measure(
         "of_ceiling": float(success.mean() / ceiling) if ceiling else None,
         "misplaced": float((np.isfinite(accepted_m) & (accepted_m >= MISPLACED_M)).mean()),
         "likeliest": float((answers["likeliest_error_m"] < SUCCESS_M).mean()),
-        "top_5": top_share(method, objects, [query for _, query in drawn], TOP),
+        "top_5": top_share(method, objects, scenario, [query for _, query in drawn], TOP),
         "query_ms": 1e3 * float(answers["seconds"].median()),
         "build_s": build_s,
     }
@@ -193,10 +193,15 @@ def _error_m(T_map_query: FloatArray | None, query: LocalQuery) -> float:
     return float(np.linalg.norm((T_map_query - query.T_map_query_gt)[:2, 3]))
 
 
-def top_share(method: str, objects: LabelledMap, queries: Sequence[LocalQuery], count: int) -> float | None:
+def top_share(
+    method: str, objects: LabelledMap, scenario: Scenario, queries: Sequence[LocalQuery], count: int
+) -> float | None:
     """Share of the objects of a query whose counterpart is among their ``count`` nearest, its mean over the queries."""
     index = make_index(method)
-    find = _likeliest_objects(index, objects) if isinstance(index, PairIndex) else _nearest_objects(index, objects)
+    if isinstance(index, PairIndex):
+        find = _likeliest_objects(index, objects, NOISE_PER_M if scenario.noisy else 0.0)
+    else:
+        find = _nearest_objects(index, objects)
     shares = []
     for query in queries:
         if len(query):
@@ -221,13 +226,13 @@ def _nearest_objects(index: VectorIndex, objects: LabelledMap) -> Find:
     return find
 
 
-def _likeliest_objects(index: PairIndex, objects: LabelledMap) -> Find:
+def _likeliest_objects(index: PairIndex, objects: LabelledMap, noise_per_m: float) -> Find:
     """Objects of the map by the likeliest of the pairs that they are in."""
     index.add(objects.positions, objects.labels)
 
     def find(query: LocalQuery, count: int) -> tuple[IntArray, IntArray]:
-        sigma_m = MAP_SIGMA_M + NOISE_PER_M * float(np.median(np.linalg.norm(query.positions, axis=1)))
-        matches = index.search(query.positions, query.labels, sigma_m=sigma_m)
+        sigmas_m = MAP_SIGMA_M + noise_per_m * np.linalg.norm(query.positions, axis=1)
+        matches = index.search(query.positions, query.labels, sigmas_m=sigmas_m)
         pairs = np.column_stack([matches.queries.ravel(), matches.entries.ravel()])
         first = np.unique(pairs, axis=0, return_index=True)[1]
         pairs = pairs[np.sort(first)]  # the likeliest first

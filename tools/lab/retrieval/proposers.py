@@ -46,8 +46,7 @@ def _by_pairs(index: PairIndex, objects: LabelledMap) -> Proposer:
     search = PlaceSearch(index, objects.positions, objects.labels, len(objects.vocabulary))
 
     def propose(query: Submap, count: int) -> FloatArray:
-        sigma_m = float(np.hypot(np.median(query.sigmas), SURVEYED_SIGMA_M))
-        return search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=count)
+        return search.find_poses(query, map_sigma_m=SURVEYED_SIGMA_M, count=count)
 
     return Proposer(index.nbytes, propose)
 
