@@ -52,9 +52,13 @@ def recall(
         list[float] | None,
         typer.Option(min=0.0, metavar="M", help="Standard deviation of each coordinate of a query. Repeatable."),
     ] = None,
+    sensor_range: Annotated[
+        list[float] | None,
+        typer.Option("--range", min=1.0, metavar="M", help="Range of the sensor. Repeatable."),
+    ] = None,
     seen: Annotated[
         list[int] | None,
-        typer.Option(min=3, metavar="N", help="Objects of a query; by default those seen along 50 m. Repeatable."),
+        typer.Option(min=3, metavar="N", help="Objects of a query; by default all on 5/3 ranges. Repeatable."),
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
@@ -72,8 +76,8 @@ def recall(
 ) -> None:
     """Compare descriptors: recall of places in a map of objects.
 
-    By default a query holds the objects within 30 m of a path of 50 m; a tenth of them is missing, a tenth of the query
-    is clutter, and positions have 0.2 m of noise. If several values of these options are given, one option is varied at
+    By default a query holds the objects within 30 m, the range of the sensor, of a path of 50 m; a tenth of them is
+    missing, a tenth of the query is clutter, and positions have 0.2 m of noise. If several values of these options are given, one option is varied at
     a time, with the first value of all others. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and
     25 proposals; right: after verification; wrong: accepted and wrong. Random vectors are always measured. Times are
     processor times.
@@ -92,7 +96,7 @@ def recall(
         proposers=tuple(proposers),
         sizes=tuple(size or [10_000]),
         classes=tuple(classes or [20]),
-        scenarios=_scenarios(missing or [0.1], clutter or [0.1], noise or [0.2], seen or [0]),
+        scenarios=_scenarios(missing or [0.1], clutter or [0.1], noise or [0.2], seen or [0], sensor_range or [30.0]),
         queries=queries,
         seed=seed,
     )
@@ -112,15 +116,20 @@ def recall(
 
 
 def _scenarios(
-    missing: Sequence[float], clutter: Sequence[float], noise_m: Sequence[float], objects: Sequence[int]
+    missing: Sequence[float],
+    clutter: Sequence[float],
+    noise_m: Sequence[float],
+    objects: Sequence[int],
+    range_m: Sequence[float],
 ) -> tuple[Scenario, ...]:
     """The first values of all, and each other one of them beside the first of the others."""
     from dataclasses import replace
 
     from tools.lab.retrieval.path_queries import Scenario
 
-    first = Scenario(objects[0], missing[0], clutter[0], noise_m[0])
     varied: dict[str, Sequence[Any]] = {"missing": missing, "clutter": clutter, "noise_m": noise_m, "objects": objects}
+    varied["range_m"] = range_m
+    first = Scenario(**{name: values[0] for name, values in varied.items()})
     return (first, *(replace(first, **{name: each}) for name, values in varied.items() for each in values[1:]))
 
 

@@ -35,7 +35,8 @@ from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
 from tools.lab.retrieval.proposers import Proposer, make_proposer
 
-KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "queries", "seed"]
+KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "range_m"]
+KEY += ["queries", "seed"]
 """Columns that tell one row from all others."""
 
 
@@ -133,12 +134,14 @@ def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
     return Scenario(**{each.name: cell[each.name] for each in fields(Scenario)})
 
 
-def verify(query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree) -> tuple[FloatArray | None, bool]:
+def verify(
+    query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree, range_m: float
+) -> tuple[FloatArray | None, bool]:
     """The pose (4, 4) with the highest log-likelihood ratio of those proposed (H, 4, 4), each registered, and whether
-    its posterior probability suffices to accept it.
+    its posterior probability suffices to accept it; ``range_m`` of the sensor.
     """
     config = Config()
-    reach_m = float(np.hypot(*query.positions[:, :2].T).max()) + COVERAGE_RANGES * config.sensor_range_m
+    reach_m = float(np.hypot(*query.positions[:, :2].T).max()) + COVERAGE_RANGES * range_m
     registering = registration_config(config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
     best, best_llr = None, -np.inf
     for T_proposed in poses:
@@ -156,9 +159,7 @@ def verify(query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree
         )
         if found.T_reference_query is None:
             continue
-        ratio = compute_log_likelihood_ratio(
-            query, reference, found.T_reference_query, found.pairs, config.sensor_range_m
-        )
+        ratio = compute_log_likelihood_ratio(query, reference, found.T_reference_query, found.pairs, range_m)
         if ratio.total > best_llr:
             best, best_llr = found.T_reference_query, ratio.total
     log_odds = best_llr - np.log(max(len(objects), 1))
@@ -181,13 +182,15 @@ def _measure(world: LabelledMap, smallest: int, keys: Sequence[dict[str, Any]]) 
     for key in keys:
         rng = np.random.default_rng((key["seed"], 1))  # the same paths, whatever the classes
         queries = draw_path_queries(world.first(smallest), key["queries"], rng=rng, scenario=scenario_of(key))
-        rows.append({**key, **about, **_ask(proposer, objects, tree, queries)})
+        rows.append({**key, **about, **_ask(proposer, objects, tree, queries, key["range_m"])})
     return rows
 
 
-def _ask(proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
+def _ask(
+    proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery], range_m: float
+) -> dict[str, float]:
     """Shares and times of a cell."""
-    answers = pd.DataFrame([_answer(proposer, objects, tree, query) for query in queries])
+    answers = pd.DataFrame([_answer(proposer, objects, tree, query, range_m) for query in queries])
     return {
         **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
         "right": float(answers["right"].mean()),
@@ -198,13 +201,17 @@ def _ask(proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Seque
     }
 
 
-def _answer(proposer: Proposer, objects: LabelledMap, tree: cKDTree, query: PathQuery) -> dict[str, float]:
+def _answer(
+    proposer: Proposer, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
+) -> dict[str, float]:
     """The rank of the first right proposal from 0, whether the verified pose is right, or accepted and wrong; times."""
     truth = query.T_map_query_gt[None]
     started = time.process_time()
     poses = proposer.propose(query.submap, RECALL_AT[-1])
     proposed = time.process_time()
-    T_verified, is_accepted = verify(query.submap, poses[: Config().loop_closure.max_candidates], objects, tree)
+    T_verified, is_accepted = verify(
+        query.submap, poses[: Config().loop_closure.max_candidates], objects, tree, range_m
+    )
     verified = time.process_time()
     found = T_verified is not None and bool(is_right(T_verified[None], truth)[0])
     return {

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import SUBMAP_RANGES, Submap
@@ -28,18 +27,20 @@ class Scenario:
 
     ``missing``: share of the objects in range that are not observed; ``clutter``: share of the observed ones that the
     map does not have; ``noise_m``: standard deviation of each coordinate. ``objects``: number of objects, those nearest
-    to the robot after as much travel as it takes; 0: all within range on the travel of a submap.
+    to the robot after as much travel as it takes; 0: all within range on the travel of a submap. ``range_m`` of the
+    sensor.
     """
 
     objects: int = 0
     missing: float = 0.1
     clutter: float = 0.1
     noise_m: float = 0.2
+    range_m: float = 30.0
 
     def describe(self) -> str:
         """The scenario in a few words."""
-        seen = f"{self.objects} objects" if self.objects else "objects of 50 m"
-        return f"{seen}, {self.missing:.0%} missing, {self.clutter:.0%} clutter, {self.noise_m:g} m"
+        seen = f"{self.objects} objects" if self.objects else f"objects of {SUBMAP_RANGES * self.range_m:g} m"
+        return f"{seen}, {self.missing:.0%} missing, {self.clutter:.0%} clutter, {self.noise_m:g} m, range {self.range_m:g} m"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,8 +80,7 @@ def draw_path_queries(
         local = apply(invert(T_map_query), objects.positions[seen])
         drawn.append(PathQuery(_observe(local, objects.labels[seen], scenario, rng), T_map_query))
     raise SimulationError(
-        f"too few paths pass {scenario.objects or MIN_OBJECTS} objects within "
-        f"{Config().sensor_range_m:g} m; give a denser map"
+        f"too few paths pass {scenario.objects or MIN_OBJECTS} objects within {scenario.range_m:g} m; give a denser map"
     )
 
 
@@ -88,7 +88,7 @@ def _drive(
     tree: cKDTree, begin: FloatArray, yaw: float, scenario: Scenario, rng: np.random.Generator
 ) -> tuple[IntArray, FloatArray]:
     """Objects (K,), ascending, that are observed on a path from ``begin`` (2,) m, and where it ends (2,) m."""
-    range_m = Config().sensor_range_m
+    range_m = scenario.range_m
     submap_m, step_m = SUBMAP_RANGES * range_m, STEP_RANGES * range_m
     travel_m = MAX_TRAVEL_SUBMAPS * submap_m if scenario.objects else submap_m
     path = begin + np.arange(0.0, travel_m + 0.5 * step_m, step_m)[:, None] * np.array([np.cos(yaw), np.sin(yaw)])
