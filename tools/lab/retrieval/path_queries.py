@@ -40,7 +40,8 @@ class Scenario:
     def describe(self) -> str:
         """The scenario in a few words."""
         seen = f"{self.objects} objects" if self.objects else f"objects of {SUBMAP_RANGES * self.range_m:g} m"
-        return f"{seen}, {self.missing:.0%} missing, {self.clutter:.0%} clutter, {self.noise_m:g} m, range {self.range_m:g} m"
+        unlike = f"{self.missing:.0%} missing, {self.clutter:.0%} clutter, {self.noise_m:g} m"
+        return f"{seen}, range {self.range_m:g} m, {unlike}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
