@@ -45,9 +45,9 @@ class CityMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
-    """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, by date:
-    their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that were folded, and
-    ``pairs`` of these maps; ``maps``: the result, that of most sessions first.
+    """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, one for a
+    drive, by date: their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that
+    were folded, and ``pairs`` of these maps; ``maps``: the result, that of most sessions first.
     """
 
     logs: tuple[FleetLog, ...]
@@ -94,10 +94,9 @@ def map_fleet(
     sessions = map_sessions(
         logs, folder, config, workers=workers, progress=lambda done, doing: progress(0.8 * done, doing)
     )
-    mapped = sorted(
-        (session for session in sessions.values() if session.is_mapped),
-        key=lambda session: (session.first_ns, session.sha256),
-    )
+    last_first = [sessions[log.sha256] for log in reversed(logs)]
+    of_drive = {session.drive: session for session in last_first if session.is_mapped}
+    mapped = sorted(of_drive.values(), key=lambda session: (session.first_ns, session.sha256))
     if not mapped:
         reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
         raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
