@@ -169,11 +169,11 @@ class FinalRecords:
     def markers(self) -> SceneMarkers:
         """The confirmed landmarks for viewers, as ``place_landmarks`` left them."""
         rows = self._map.in_state(LandmarkState.CONFIRMED)
-        classes = self._map.beliefs(rows).argmax(axis=1) if len(rows) else []
         return SceneMarkers(
             stamp_ns=self._stamp_ns,
             frame_id=MAP_FRAME,
             positions=self._map.rows["position_map"][rows],
-            labels=tuple(self._map.vocabulary[index] for index in classes),
+            vocabulary=self._map.vocabulary,
+            classes=self._map.classes(rows),
             ids=tuple(str(row) for row in rows),
         )

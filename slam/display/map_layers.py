@@ -8,15 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from logs.scene import CLASS_COLORS
 from slam.common.arrays import FloatArray
 
 ESTIMATE, ODOMETRY, TRUTH = "#0b5cad", "#d97706", "#6b7280"
 TRUE_CLOSURE, FALSE_CLOSURE, UNDECIDED_CLOSURE = "#14b8a6", "#ff0000", "#d6249f"
-CLASS_COLORS = (
-    *("#2f8f2f", "#9467bd", "#8c564b", "#e377c2", "#9a9b1c", "#00a6fb"),
-    *("#4d4d4d", "#c51b7d", "#7bc043", "#4b2e83", "#f2c14e", "#8ecae6"),
-)
-"""Of the most frequent classes of a picture, in their order; none is that of a path."""
 CLASS_MARKERS = "os^DvPXhp*<>"
 """As matplotlib names them."""
 OTHER, OTHER_COLOR = "other", "#9ca3af"

@@ -11,6 +11,8 @@ from logs.errors import UnwritableLogError
 from slam.common.errors import EvaluationError
 from slam.display.map_layers import CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE, MapPicture, layers_of
 from slam.display.map_picture import draw_map
+from slam.display.map_topics import CLOSURE_COLOR, PATH_COLOR, SUBMAP_COLOR
+from slam.display.rerun_view import ROBOT_COLOR
 from tests.slam.evaluation.drives import straight_path, winding_path
 
 
@@ -112,6 +114,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 
 
 def test_class_colors_differ_from_each_other_and_from_paths() -> None:
-    colors = np.array([to_rgb(color) for color in (*CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE)])
+    lines = ESTIMATE, ODOMETRY, TRUE_CLOSURE, PATH_COLOR, CLOSURE_COLOR, SUBMAP_COLOR, ROBOT_COLOR
+    colors = np.array([to_rgb(color) for color in (*CLASS_COLORS, *lines)])
     apart = np.linalg.norm(colors[:, None] - colors, axis=2) + 2.0 * np.eye(len(colors))
     assert apart.min() > 0.2
