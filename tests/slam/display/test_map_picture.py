@@ -8,8 +8,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
+from logs.scene import CLASS_COLORS
 from slam.common.errors import EvaluationError
-from slam.display.map_layers import CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE, MapPicture, layers_of
+from slam.display.map_layers import ESTIMATE, ODOMETRY, TRUE_CLOSURE, MapPicture, layers_of
 from slam.display.map_picture import draw_map
 from slam.display.map_topics import CLOSURE_COLOR, PATH_COLOR, SUBMAP_COLOR
 from slam.display.rerun_view import ROBOT_COLOR
@@ -106,6 +107,14 @@ def test_changes_have_a_layer_each_and_fit_into_the_picture() -> None:
     counts = {layer.name: layer.count for layer in layers_of(picture)}
     assert counts == {"moved": 1, "moved to here": None, "appeared": 2, "gone": 1}
     assert picture.points.max() == 9.0
+
+
+@pytest.mark.parametrize(("label", "is_told"), [("tree", False), ("\U0010ffff", True)])
+def test_letters_without_a_font_are_told_once(
+    label: str, is_told: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    draw_map(tmp_path / "a.png", MapPicture(np.zeros((0, 3)), landmarks=np.ones((1, 3)), labels=(label,)))
+    assert sum("Noto Sans CJK" in message for message in caplog.messages) == is_told
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
