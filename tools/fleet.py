@@ -36,7 +36,11 @@ def add(
     only: Annotated[bool, typer.Option("--only", help="Remove the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Start of the first log, in latitude and longitude.", show_default=False),
+        typer.Option(
+            metavar="LAT,LON",
+            help="Start of the earliest log, in latitude and longitude; kept for later runs.",
+            show_default=False,
+        ),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

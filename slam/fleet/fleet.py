@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from logs.errors import LogError
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
@@ -23,12 +24,15 @@ from slam.fleet.presence import REPORTED, Presence, estimate_presence, seen_prob
 from slam.fleet.session_config import common_config
 from slam.fleet.sessions import MAP_NAME, Progress, Session, content_key, map_sessions, session_folder
 from slam.object_map.map_io import load_map, of_rows
-from slam.place_recognition.imported_map import make_imported_map, save_imported_map
+from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 
 logger = logging.getLogger(__name__)
 
 BLOCK = 16
 """Sessions that are folded together, by date; as many of the latest sessions are not, at least."""
+
+FIRST_LOG = "first_log"
+"""In the metadata of a map: the digest of the log at whose start its frame is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +88,7 @@ def map_fleet(
         folder: keeps what is done; takes ``map.mcap``, further parts as ``map_2.mcap`` ..., and ``changes.geojson``.
         config: of each replay.
         workers: logs that are mapped at a time.
-        georeference: where the map of most sessions lies on earth.
+        georeference: where the map of most sessions lies on earth; without it, that of an earlier run stays.
         progress: called with the fraction done and what was done.
 
     Raises:
@@ -103,6 +107,8 @@ def map_fleet(
     progress(0.8, f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
     joined = _join_sessions([session_folder(folder, digest, config) / MAP_NAME for digest in order], folder)
+    first = order[joined.parts[0].sessions[0]]
+    georeference = georeference or _known_georeference(folder / MAP_NAME, first)
     maps = []
     for rank, part in enumerate(joined.parts, start=1):
         stamps_ns = [mapped[number].first_ns for number in part.sessions]
@@ -110,7 +116,8 @@ def map_fleet(
         presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
         file = "map.mcap" if rank == 1 else f"map_{rank}.mcap" if len(stamps_ns) > 1 else ""
         place = georeference if rank == 1 else None
-        is_written = file and _save(folder / file, part, presence, joined.config, place)
+        source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}
+        is_written = file and _save(folder / file, part, presence, joined.config, place, source)
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
     write_changes(folder / "changes.geojson", maps[0].changes, georeference)
     return Fleet(tuple(logs), sessions, order, joined.inputs, joined.pairs, tuple(maps))
@@ -155,7 +162,23 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     return _Joined(inputs, tuple(pairs), join_parts(parts, pairs, config), config)
 
 
-def _save(path: Path, part: Part, presence: Presence, config: Config, georeference: Georeference | None) -> bool:
+def _known_georeference(path: Path, first: str) -> Georeference | None:
+    """That of the map of an earlier run, whose frame is that of the log with the digest ``first``."""
+    try:
+        earlier = load_imported_map(path)
+    except (LogError, SavedMapError):
+        return None
+    return earlier.georeference if earlier.metadata.get(FIRST_LOG) == first else None
+
+
+def _save(
+    path: Path,
+    part: Part,
+    presence: Presence,
+    config: Config,
+    georeference: Georeference | None,
+    source: Mapping[str, str],
+) -> bool:
     """Write the landmarks of a part that a session would see now as a map of tiles; returns whether they make one."""
     now = of_rows(part.objects, presence.useful >= REPORTED)
     try:
@@ -165,7 +188,7 @@ def _save(path: Path, part: Part, presence: Presence, config: Config, georeferen
             now.ids,
             sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference,
-            source={"source": f"a fleet of {len(part.sessions)} sessions", "version": version("descriptellation-slam")},
+            source={**source, "version": version("descriptellation-slam")},
         )
     except SavedMapError as error:
         logger.warning("%s is not written: %s", path.name, error)

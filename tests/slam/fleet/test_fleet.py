@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from slam.common.config import Config
 from slam.common.errors import FleetError
+from slam.common.georeference import Georeference
 from slam.fleet.fleet import Fleet, map_fleet
 from slam.fleet.logs import FleetLog, find_logs
 from slam.fleet.report import fleet_report, write_report
@@ -53,13 +54,13 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[FleetLog]:
     return [replace(log, name=log.path.stem) for log in found]
 
 
-def run(logs: list[FleetLog], folder: Path, *, workers: int = 0) -> Fleet:
+def run(logs: list[FleetLog], folder: Path, *, workers: int = 0, georeference: Georeference | None = None) -> Fleet:
     """A fleet that is mapped in this process, or by so many workers."""
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
         if not workers:
             patch.setattr("slam.fleet.sessions.compute_all", compute_inline)
-        fleet = map_fleet(logs, folder, Config(), workers=workers)
+        fleet = map_fleet(logs, folder, Config(), workers=workers, georeference=georeference)
     write_report(folder, fleet)
     return fleet
 
@@ -103,6 +104,18 @@ def test_one_or_two_workers_give_the_same_bytes(
 ) -> None:
     run(logs, tmp_path / "two", workers=2)
     assert same_bytes(mapped[0], tmp_path / "two")
+
+
+def test_origin_stays_until_another_log_begins_the_map(
+    logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path
+) -> None:
+    shutil.copytree(mapped[0] / "sessions", tmp_path / "sessions")
+    origin = Georeference(48.0, 11.0)
+    fleet = run(logs[:2], tmp_path, georeference=origin)
+    run(logs[:3], tmp_path)
+    assert load_imported_map(tmp_path / "map.mcap").georeference == origin
+    run([log for log in logs[:2] if log.sha256 != fleet.order[0]], tmp_path)
+    assert load_imported_map(tmp_path / "map.mcap").georeference is None
 
 
 def test_what_is_done_is_not_done_again(
