@@ -98,12 +98,7 @@ def map_fleet(
     sessions = map_sessions(
         logs, folder, config, workers=workers, progress=lambda done, doing: progress(0.8 * done, doing)
     )
-    last_first = [sessions[log.sha256] for log in reversed(logs)]
-    of_drive = {session.drive: session for session in last_first if session.is_mapped}
-    mapped = sorted(of_drive.values(), key=lambda session: (session.first_ns, session.sha256))
-    if not mapped:
-        reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
-        raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
+    mapped = _drives_by_date(logs, sessions)
     progress(0.8, f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
     joined = _join_sessions([session_folder(folder, digest, config) / MAP_NAME for digest in order], folder)
@@ -121,6 +116,16 @@ def map_fleet(
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
     write_changes(folder / "changes.geojson", maps[0].changes, georeference)
     return Fleet(tuple(logs), sessions, order, joined.inputs, joined.pairs, tuple(maps))
+
+
+def _drives_by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
+    """Of each drive the session of the log that was given first."""
+    last_first = [sessions[log.sha256] for log in reversed(logs)]
+    of_drive = {session.drive: session for session in last_first if session.is_mapped}
+    if not of_drive:
+        reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
+        raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
+    return sorted(of_drive.values(), key=lambda session: (session.first_ns, session.sha256))
 
 
 def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:

@@ -116,11 +116,16 @@ def save_map(
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
-        stamp_ns, frame_id, positions, classes = kept.stamp_ns, kept.frame_id, kept.positions, kept.classes
-        markers = SceneMarkers(stamp_ns, frame_id, positions, kept.vocabulary, classes, kept.ids)
-        writer.write(MARKERS_TOPIC, markers, stamp_ns)
-        writer.write(POINTS_TOPIC, ScenePoints(stamp_ns, frame_id, positions, class_colors(classes)), stamp_ns)
+        writer.write(MARKERS_TOPIC, make_markers(kept))
+        points = ScenePoints(kept.stamp_ns, kept.frame_id, kept.positions, class_colors(kept.classes))
+        writer.write(POINTS_TOPIC, points)
     return int(np.count_nonzero(~is_tied))
+
+
+def make_markers(objects: ObjectMapRecord) -> SceneMarkers:
+    """The confirmed landmarks for viewers."""
+    kept = confirmed(objects)
+    return SceneMarkers(kept.stamp_ns, kept.frame_id, kept.positions, kept.vocabulary, kept.classes, kept.ids)
 
 
 def write_map(path: Path, saved: SavedMap) -> None:
