@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from logs.errors import LogError
@@ -18,11 +17,11 @@ from slam.fleet.condensed_map import stretch_length_m
 from slam.fleet.joins import PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
-from slam.fleet.part import Part, fold_part, load_parts, save_parts, session_part
+from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts, session_part
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, seen_probabilities
 from slam.fleet.session_config import common_config
-from slam.fleet.sessions import MAP_NAME, Progress, Session, content_key, map_sessions, session_folder
+from slam.fleet.sessions import MAP_NAME, VERSION, Progress, Session, content_key, map_sessions, session_folder
 from slam.object_map.map_io import load_map, of_rows
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 
@@ -132,15 +131,14 @@ def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:
     """Join the maps of sessions, in the order of their dates; all but the latest are folded, block by block."""
     names = [path.parent.name for path in paths]
     count = max(len(paths) // BLOCK - 1, 0) * BLOCK
+    blocks = [(end, folder / "folded" / content_key(*names[:end])) for end in range(BLOCK, count + 1, BLOCK)]
+    done = max((row for row, (_, kept) in enumerate(blocks) if are_saved(kept)), default=0)
     known = dict[str, Part]()
-    for end in range(BLOCK, count + 1, BLOCK):
-        kept = folder / "folded" / content_key(*names[:end])
-        parts = load_parts(kept)
-        if parts is None:
+    for end, kept in blocks[done:]:
+        if not are_saved(kept):
             joined = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
-            parts = [fold_part(part, stretch_m=stretch_length_m(joined.config)) for part in joined.parts]
-            save_parts(kept, parts)
-        known = {f"{kept.name}/{rank}": part for rank, part in enumerate(parts)}
+            save_parts(kept, [fold_part(part, stretch_m=stretch_length_m(joined.config)) for part in joined.parts])
+        known = {f"{kept.name}/{rank}": part for rank, part in enumerate(load_parts(kept))}
     return _join(known, _loaded(paths, range(count, len(paths))), folder)
 
 
@@ -193,7 +191,7 @@ def _save(
             now.ids,
             sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference,
-            source={**source, "version": version("descriptellation-slam")},
+            source={**source, "version": VERSION},
         )
     except SavedMapError as error:
         logger.warning("%s is not written: %s", path.name, error)

@@ -29,6 +29,7 @@ from slam.sweeps.workers import Death, compute_all
 
 logger = logging.getLogger(__name__)
 
+VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
 TRIES = 4
 """A log whose process dies is mapped so often."""
@@ -99,7 +100,7 @@ def map_sessions(
 
 def session_folder(folder: Path, sha256: str, config: Config) -> Path:
     """Where the session of a log with this digest is, in the folder of a fleet."""
-    return folder / "sessions" / content_key(sha256, config.model_dump_json(), version("descriptellation-slam"))
+    return folder / "sessions" / content_key(sha256, config.model_dump_json(), VERSION)
 
 
 def content_key(*parts: str) -> str:

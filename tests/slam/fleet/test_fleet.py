@@ -17,6 +17,7 @@ from slam.common.errors import FleetError
 from slam.common.georeference import Georeference
 from slam.fleet.fleet import Fleet, map_fleet
 from slam.fleet.logs import FleetLog, find_logs
+from slam.fleet.part import Part, load_parts
 from slam.fleet.report import fleet_report, write_report
 from slam.library import read_map
 from slam.place_recognition.imported_map import load_imported_map
@@ -143,6 +144,15 @@ def test_folded_sessions_give_the_same_map_night_by_night_and_at_once(
         run(logs[:night], tmp_path / "nights")
     fleet = run(logs, tmp_path / "once")
     assert same_bytes(tmp_path / "nights", tmp_path / "once")
+    loaded = list[Path]()
+
+    def load(folder: Path) -> list[Part]:
+        loaded.append(folder)
+        return load_parts(folder)
+
+    monkeypatch.setattr("slam.fleet.fleet.load_parts", load)
+    run(logs, tmp_path / "nights")
+    assert len(loaded) == 1  # of all that was folded the latest
     folded, unfolded = (each.maps[0].part for each in (fleet, mapped[1]))
     assert folded.sessions == unfolded.sessions
     assert len(folded.objects.ids) == len(unfolded.objects.ids)
