@@ -114,9 +114,11 @@ def _is_map(summary: LogSummary) -> bool:
 
 
 def _classes(summary: LogSummary) -> str:
-    """Numbers of detections by class; of a map, and of the output of a replay, those of landmarks."""
+    """Numbers of detections by class; of a map, whose markers are counted as such, and of the output of a replay those
+    of landmarks.
+    """
     counts = list(summary.class_counts.items())
-    if _is_map(summary):
+    if REPLAYED in summary.metadata or (_is_map(summary) and not counts):
         from logs.errors import LogError
         from slam.common.errors import InputDataError
         from slam.library import read_map
