@@ -195,11 +195,14 @@ class ObjectMapRecord:
         )
 
     @property
+    def classes(self) -> IntArray:
+        """The most probable class (N,) of each object; ties go to the class that comes first in the vocabulary."""
+        return np.argmax(self.class_probabilities, axis=1) if self.vocabulary else np.zeros(0, dtype=np.int64)
+
+    @property
     def labels(self) -> tuple[str, ...]:
-        """The most probable class of each object; ties go to the class that comes first in the vocabulary."""
-        if not self.vocabulary:
-            return ()
-        return tuple(self.vocabulary[i] for i in np.argmax(self.class_probabilities, axis=1))
+        """The names of the most probable classes."""
+        return tuple(self.vocabulary[i] for i in self.classes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -359,17 +362,16 @@ class LocalizationRecord:
 class SceneMarkers:
     """Objects as a viewer shows them: shapes of one class share a colour and a text.
 
-    positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); one with an id that is shown already takes its place.
-    ``removed``: ids that are shown no longer. ``replaces``: nothing that was shown before stays.
+    positions (N, 3) m in ``frame_id``, classes (N,), rows of the ``vocabulary``, ids (N,); they take the place of
+    all that were shown before.
     """
 
     stamp_ns: int
     frame_id: str
     positions: FloatArray
-    labels: tuple[str, ...]
+    vocabulary: tuple[str, ...]
+    classes: IntArray
     ids: tuple[str, ...]
-    removed: tuple[str, ...] = ()
-    replaces: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,9 +5,6 @@ Foxglove draws both, Rerun only the points.
 
 from __future__ import annotations
 
-import colorsys
-import zlib
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +20,7 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs.errors import UnreadableLogError
-from logs.messages import FloatArray, SceneLines, SceneMarkers, ScenePoints
+from logs.messages import FloatArray, IntArray, SceneLines, SceneMarkers, ScenePoints
 
 _SHAPES = ("cubes", "spheres", "cylinders")
 _SHAPE_SIZE_M = 0.6
@@ -35,37 +32,36 @@ _POINT_FIELDS = (
 )
 _POINT = np.dtype([(name, kind) for name, kind, _ in _POINT_FIELDS])
 
+CLASS_COLORS = (
+    *("#2f8f2f", "#9467bd", "#8c564b", "#e377c2", "#9a9b1c", "#00a6fb"),
+    *("#ff9896", "#c51b7d", "#7bc043", "#6a4fe0", "#f2c14e", "#8ecae6"),
+)
+"""Told apart from one another and from paths and closures, on white and on black."""
 
-_COLOR_SEED = 492453
-"""Of the colours of classes, chosen so that frequent classes differ from each other, and from path and closures."""
 
-
-@lru_cache(maxsize=4096)
-def class_color(label: str) -> tuple[float, float, float, float]:
-    """Red, green, blue, alpha in [0, 1] of a class: the same label has the same colour in every run and picture."""
-    digest = zlib.crc32(label.encode(), _COLOR_SEED)
-    red, green, blue = colorsys.hsv_to_rgb((digest % 360) / 360.0, 0.55 + 0.4 * ((digest >> 9) % 8) / 7.0, 0.95)
-    return red, green, blue, 1.0
+def class_colors(classes: IntArray) -> FloatArray:
+    """Red, green, blue, alpha (N, 4) in [0, 1] of classes (N,), rows of the vocabulary of a map."""
+    palette = np.array([[*bytes.fromhex(color[1:]), 255] for color in CLASS_COLORS]) / 255.0
+    return np.asarray(palette[classes % len(palette)])
 
 
 def encode_markers(markers: SceneMarkers) -> Message:
     """``markers`` as one update of the scene: an entity with shape and text for each object."""
     now = timestamp(markers.stamp_ns)
     update = SceneUpdate()
-    if markers.replaces:
-        update.deletions.add(timestamp=now, type=SceneEntityDeletion.ALL)
-    for object_id in markers.removed:
-        update.deletions.add(timestamp=now, type=SceneEntityDeletion.MATCHING_ID, id=object_id)
-    colors = {label: Color(**dict(zip("rgba", class_color(label), strict=True))) for label in markers.labels}
-    for (x, y, z), label, object_id in zip(markers.positions.tolist(), markers.labels, markers.ids, strict=True):
+    update.deletions.add(timestamp=now, type=SceneEntityDeletion.ALL)
+    colors = [Color(**dict(zip("rgba", color, strict=True))) for color in class_colors(markers.classes).tolist()]
+    rows = zip(markers.positions.tolist(), markers.classes.tolist(), markers.ids, colors, strict=True)
+    for (x, y, z), number, object_id, color in rows:
+        label = markers.vocabulary[number]
         entity = update.entities.add(timestamp=now, frame_id=markers.frame_id, id=object_id)
         entity.metadata.add(key="label", value=label)
-        shape = getattr(entity, _SHAPES[zlib.crc32(label.encode()) % len(_SHAPES)]).add(color=colors[label])
+        shape = getattr(entity, _SHAPES[number % len(_SHAPES)]).add(color=color)
         _place(shape.pose, x, y, z)
         shape.size.x = shape.size.y = shape.size.z = _SHAPE_SIZE_M
         if shape.DESCRIPTOR.name == "CylinderPrimitive":
             shape.bottom_scale = shape.top_scale = 1.0
-        text = entity.texts.add(billboard=True, font_size=_TEXT_HEIGHT_M, color=colors[label], text=label)
+        text = entity.texts.add(billboard=True, font_size=_TEXT_HEIGHT_M, color=color, text=label)
         _place(text.pose, x, y, z + _SHAPE_SIZE_M + 0.5 * _TEXT_HEIGHT_M)
     return update
 

@@ -13,7 +13,6 @@ from logs.messages import (
     FactorGraphRecord,
     LoopClosureRecord,
     ObjectMapRecord,
-    SceneMarkers,
     StatusRecord,
     TrajectoryRecord,
 )
@@ -24,7 +23,7 @@ from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 from slam.display.snapshot import MapSnapshot
 from slam.localization.pose_output import MAP_FRAME
-from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.landmarks import ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
@@ -41,7 +40,6 @@ class FinalMap:
     object_map: ObjectMapRecord
     graph: FactorGraphRecord
     closures: tuple[LoopClosureRecord, ...]
-    markers: SceneMarkers
     snapshot: MapSnapshot
     status: StatusRecord
     trajectory_check: TrajectoryCheck
@@ -165,15 +163,3 @@ class FinalRecords:
         """The factors, with the estimates of all keyframes."""
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._keyframes], dtype=np.int64)
         return self._graph.to_record(self._stamp_ns, stamps_ns)
-
-    def markers(self) -> SceneMarkers:
-        """The confirmed landmarks for viewers, as ``place_landmarks`` left them."""
-        rows = self._map.in_state(LandmarkState.CONFIRMED)
-        classes = self._map.beliefs(rows).argmax(axis=1) if len(rows) else []
-        return SceneMarkers(
-            stamp_ns=self._stamp_ns,
-            frame_id=MAP_FRAME,
-            positions=self._map.rows["position_map"][rows],
-            labels=tuple(self._map.vocabulary[index] for index in classes),
-            ids=tuple(str(row) for row in rows),
-        )

@@ -20,6 +20,7 @@ from slam.display.drive_display import DriveDisplay
 from slam.display.map_topics import LANDMARKS, map_messages
 from slam.display.snapshot import MapSnapshot
 from slam.final_map import FinalMap
+from slam.object_map.map_io import make_markers
 
 LOCATION = "/slam/location"
 
@@ -97,7 +98,7 @@ def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
 def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
     yield "/slam/trajectory_stamped", final.trajectory
     yield "/slam/map", final.object_map
-    yield LANDMARKS, final.markers
+    yield LANDMARKS, make_markers(final.object_map)
     yield "/slam/graph", final.graph
     for closure in final.closures:
         yield "/slam/closures", closure

@@ -209,7 +209,6 @@ class Slam:
             object_map=object_map,
             graph=graph,
             closures=tuple(removed),
-            markers=records.markers(),
             snapshot=self._snapshot(),
             status=self._status(self.state, outcome.message, level=outcome.level),
             trajectory_check=check,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools.arguments import ConfigFile, Jobs, Json, Settings, parse_origin
+from tools.arguments import ConfigFile, Jobs, Json, Settings, check_outputs, parse_origin
 from tools.evaluation.requirements import Require, finish
 
 if TYPE_CHECKING:
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Build one map of a city from many logs.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.", show_default=False)]
+Day = Annotated[
+    datetime | None,
+    typer.Option(formats=["%Y-%m-%d"], metavar="YYYY-MM-DD", help="For --picture.", show_default=False),
+]
 
 
 @app.command()
@@ -31,7 +36,11 @@ def add(
     only: Annotated[bool, typer.Option("--only", help="Remove the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Start of the first log, in latitude and longitude.", show_default=False),
+        typer.Option(
+            metavar="LAT,LON",
+            help="Start of the earliest log, in latitude and longitude; kept for later runs.",
+            show_default=False,
+        ),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
@@ -64,24 +73,43 @@ def add(
 
 
 @app.command()
-def status(city: Folder, require: Require = None, json: Json = False) -> None:
+def status(
+    city: Folder,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Picture of what changed.", show_default=False)
+    ] = None,
+    since: Day = None,
+    until: Day = None,
+    require: Require = None,
+    json: Json = False,
+) -> None:
     """Show the last report of a fleet, and logs that are not mapped yet.
 
-    Example: dslam fleet status city
+    --picture draws the changes that a drive of --since or later, and before --until, was the first to show.
+
+    Example: dslam fleet status city --picture may.png --since 2025-05-01 --until 2025-06-01
     """
     from slam.fleet.report import read_report
+    from tools.pictures import draw_changes
 
-    _finish(city, read_report(city), require, json=json)
+    check_outputs([picture], [])
+    if (since or until) and picture is None:
+        raise typer.BadParameter("--since and --until choose what --picture draws; give it, too.")
+    if picture is not None:
+        draw_changes(city, picture, since, until)
+    _finish(city, read_report(city), require, json=json, picture=picture)
 
 
-def _finish(city: Path, results: dict[str, Any], require: Sequence[str] | None, *, json: bool) -> None:
+def _finish(
+    city: Path, results: dict[str, Any], require: Sequence[str] | None, *, json: bool, picture: Path | None = None
+) -> None:
     """Print a report and whether it meets the requirements; the exit code is that of the command."""
     from tools import console
 
     if json:
         console.show_json(results)
     else:
-        console.show(*_compose(city, results))
+        console.show(*_compose(city, results, picture))
     finish({"": results}, require, quiet=json)
     if any(log["status"] == "not mapped" for log in results["logs"]):
         raise typer.Exit(1)
@@ -91,7 +119,7 @@ def _print_progress(_done: float, doing: str) -> None:
     typer.echo(doing, err=True)
 
 
-def _compose(city: Path, report: dict[str, Any]) -> list[RenderableType]:
+def _compose(city: Path, report: dict[str, Any], picture: Path | None) -> list[RenderableType]:
     from slam.fleet.report import REPORT_NAME
     from tools import console
 
@@ -112,14 +140,14 @@ def _compose(city: Path, report: dict[str, Any]) -> list[RenderableType]:
             "logs": str(part["logs"]),
             "landmarks": str(part["landmarks"]),
             "there now": str(part["present"]),
-            "sigma m": f"{part['median_sigma_m']:.3f}",
+            "median sigma m": f"{part['median_sigma_m']:.3f}",
             "changes": str(part["changes"]),
         }
         for part in report["parts"]
     ]
     warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
     names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
-    written = [str(city / name) for name in names if (city / name).exists()]
+    written = [str(path) for path in (*(city / name for name in names), picture) if path and path.exists()]
     return [
         console.table(logs, texts=("status", "map", "reason")),
         console.table(parts),

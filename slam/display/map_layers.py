@@ -8,15 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from logs.scene import CLASS_COLORS
 from slam.common.arrays import FloatArray
 
 ESTIMATE, ODOMETRY, TRUTH = "#0b5cad", "#d97706", "#6b7280"
 TRUE_CLOSURE, FALSE_CLOSURE, UNDECIDED_CLOSURE = "#14b8a6", "#ff0000", "#d6249f"
-CLASS_COLORS = (
-    *("#2f8f2f", "#9467bd", "#8c564b", "#e377c2", "#9a9b1c", "#00a6fb"),
-    *("#4d4d4d", "#c51b7d", "#7bc043", "#4b2e83", "#f2c14e", "#8ecae6"),
-)
-"""Of the most frequent classes of a picture, in their order; none is that of a path."""
 CLASS_MARKERS = "os^DvPXhp*<>"
 """As matplotlib names them."""
 OTHER, OTHER_COLOR = "other", "#9ca3af"
@@ -37,7 +33,8 @@ class MapPicture:
     estimate, odometry, truth (N, 3) positions along the path, N may be 0, a row of NaN where no line is to be drawn;
     landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
     closures that are undecided, true, false; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
-    landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
+    landmarks of a map that was given, drawn in grey; appeared, gone (J, 3) and moved (J, 2, 3), from and to, of
+    landmarks that changed; errors of estimate and odometry where they are known.
     """
 
     estimate: FloatArray
@@ -51,6 +48,9 @@ class MapPicture:
     lost: FloatArray = field(default_factory=_no_points)
     found: FloatArray = field(default_factory=_no_points)
     known: FloatArray = field(default_factory=_no_points)
+    appeared: FloatArray = field(default_factory=_no_points)
+    gone: FloatArray = field(default_factory=_no_points)
+    moved: FloatArray = field(default_factory=_no_lines)
     title: str = "Object map"
     ate_m: float | None = None
     odometry_ate_m: float | None = None
@@ -58,7 +58,12 @@ class MapPicture:
     @property
     def points(self) -> FloatArray:
         """Points (N, 3) m that the picture has to contain."""
-        every = np.concatenate([self.estimate, self.odometry, self.truth, self.landmarks, self.known])
+        every = np.concatenate(
+            [
+                *(self.estimate, self.odometry, self.truth, self.landmarks, self.known),
+                *(self.appeared, self.gone, self.moved.reshape(-1, 3)),
+            ]
+        )
         return np.asarray(every[~np.isnan(every).all(axis=1)])
 
 
@@ -85,23 +90,27 @@ def layers_of(picture: MapPicture) -> list[Layer]:
     path = next((each for each in (picture.estimate, picture.truth, picture.odometry) if len(each)), _no_points())
     every = [
         Layer("landmarks of the map", picture.known, OTHER_COLOR, size=7.0, count=len(picture.known)),
-        _closures("loop closures", picture.closures, UNDECIDED_CLOSURE, 1.2),
+        _strokes("loop closures", picture.closures, UNDECIDED_CLOSURE, 1.2),
         *_classes(picture),
         Layer("odometry", picture.odometry, ODOMETRY, width=1.6),
-        _closures("true loop closures", picture.true_closures, TRUE_CLOSURE, 1.6),
+        _strokes("true loop closures", picture.true_closures, TRUE_CLOSURE, 1.6),
         Layer("estimate", picture.estimate, ESTIMATE, width=2.8),
         Layer("ground truth", picture.truth, TRUTH, width=1.2, is_dashed=True),
         Layer("start", path[:1], "#16a34a", size=13.0),
         Layer("end", path[-1:], "#dc2626", size=13.0, marker="s"),
         Layer("lost", picture.lost, "#b91c1c", size=13.0, marker="v", count=len(picture.lost)),
         Layer("found", picture.found, "#15803d", size=13.0, marker="^", count=len(picture.found)),
-        _closures("false loop closures", picture.false_closures, FALSE_CLOSURE, 4.0),
+        _strokes("false loop closures", picture.false_closures, FALSE_CLOSURE, 4.0),
+        _strokes("moved", picture.moved, TRUE_CLOSURE, 3.0),
+        Layer("moved to here", picture.moved[:, 1], TRUE_CLOSURE, size=10.0, marker="D"),
+        Layer("appeared", picture.appeared, ESTIMATE, size=13.0, marker="P", count=len(picture.appeared)),
+        Layer("gone", picture.gone, FALSE_CLOSURE, size=13.0, marker="X", count=len(picture.gone)),
     ]
     return [layer for layer in every if len(layer.positions)]
 
 
-def _closures(name: str, ends: FloatArray, color: str, width: float) -> Layer:
-    """A stroke between the ends (C, 2, 3) of each closure."""
+def _strokes(name: str, ends: FloatArray, color: str, width: float) -> Layer:
+    """A stroke between each pair of ends (C, 2, 3)."""
     strokes = np.concatenate([ends, np.full((len(ends), 1, 3), np.nan)], axis=1).reshape(-1, 3)
     return Layer(name, strokes, color, width=width, count=len(ends))
 

@@ -19,6 +19,8 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.display.map_layers import Layer, MapPicture, layers_of
 
+logger = logging.getLogger(__name__)
+
 _INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
 _MAX_NAME_LENGTH, _MAX_TITLE_LENGTH = 40, 60
 """Letters that have room in the key and above the map."""
@@ -83,9 +85,10 @@ def save_figure(figure: Figure, target: Path) -> None:
 def to_png(figure: Figure) -> bytes:
     """The figure as the bytes of a PNG; the same figure gives the same bytes."""
     png = BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # of a name; a box stands for it
+    with warnings.catch_warnings(record=True) as missing:
         figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
+    if any("Glyph" in str(each.message) for each in missing):
+        logger.warning("letters that no font here has are drawn as boxes; install one of: %s", ", ".join(_FONTS[1:]))
     return png.getvalue()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.messages import Record, SceneLines, ScenePoints
-from logs.scene import class_color
+from logs.scene import class_colors
 from slam.display.snapshot import MapSnapshot
 
 MAP_FRAME = "map"
@@ -23,10 +23,9 @@ def map_messages(snapshot: MapSnapshot) -> list[Message]:
     """Landmarks as points, the submap among them, path and closures."""
     stamp_ns, positions = snapshot.stamp_ns, snapshot.positions
     is_submap = np.isin(snapshot.landmarks, snapshot.submap)
-    colors = np.array([class_color(label) for label in snapshot.labels]).reshape(-1, 4)
     white = np.tile(SUBMAP_COLOR, (int(is_submap.sum()), 1))
     return [
-        (LANDMARK_POINTS, ScenePoints(stamp_ns, MAP_FRAME, positions, colors)),
+        (LANDMARK_POINTS, ScenePoints(stamp_ns, MAP_FRAME, positions, class_colors(snapshot.classes))),
         (SUBMAP, ScenePoints(stamp_ns, MAP_FRAME, positions[is_submap], white)),
         (PATH, SceneLines(stamp_ns, MAP_FRAME, snapshot.path, PATH_COLOR)),
         (CLOSURES, SceneLines(stamp_ns, MAP_FRAME, tuple(snapshot.closures), CLOSURE_COLOR)),

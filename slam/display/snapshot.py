@@ -48,8 +48,8 @@ class MapSnapshot:
 
     path: polylines (n, 3) through the keyframes of this drive, one for each segment of the odometry.
     closures: the two keyframes of each accepted closure, (C, 2, 3). landmarks (L,): ids of the confirmed ones,
-    ascending, at positions (L, 3), with labels (L,). submap: which of them (S,) are in the submap of the newest
-    keyframe.
+    ascending, at positions (L, 3), of classes (L,), rows of the vocabulary. submap: which of them (S,) are in
+    the submap of the newest keyframe.
     """
 
     stamp_ns: int
@@ -57,7 +57,7 @@ class MapSnapshot:
     closures: FloatArray
     landmarks: IntArray
     positions: FloatArray
-    labels: tuple[str, ...]
+    classes: IntArray
     submap: IntArray
 
 
@@ -95,14 +95,13 @@ def take_snapshot(
     rows = object_map.in_state(LandmarkState.CONFIRMED)
     rows = rows[np.isin(object_map.rows["segment"][rows], connected) & np.isfinite(placed[rows, 0])]
     own = [segment for segment in connected if not keyframes[first_of[segment]].is_prior]
-    vocabulary = object_map.vocabulary
     return MapSnapshot(
         stamp_ns=newest.odometry.stamp_ns,
         path=tuple(places[segments == segment] for segment in own),
         closures=places[closed[np.isin(segments[closed], connected).all(axis=1)]],
         landmarks=rows,
         positions=placed[rows],
-        labels=tuple(vocabulary[index] for index in object_map.classes(rows)),
+        classes=object_map.classes(rows),
         submap=np.intersect1d(recent_submap(object_map, newest, calibration).rows, rows),
     )
 

@@ -69,9 +69,12 @@ def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
 
     However many drives there are, the graph is as large as their area; its edges are all of kind closure. The origin is
     in the middle of a cell: a drive begins there, and a level one would pass both cells on either side of a border.
+    The place nearest to the origin comes first: covariances are relative to the first one.
     """
     positions = saved.graph.T_map_body[:, :3, 3]
-    cell = np.unique(np.round(positions / stretch_m), axis=0, return_inverse=True)[1].ravel()
+    cells, cell = np.unique(np.round(positions / stretch_m), axis=0, return_inverse=True)
+    outwards = np.argsort(np.linalg.norm(cells, axis=1), kind="stable")
+    cell = np.argsort(outwards)[cell.ravel()]
     no_steps = np.full(len(cell), -1, dtype=np.int64)
     return _condense(saved, _Stretches(cell, _middles(cell, positions), no_steps), stretch_m)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
+from logs.errors import LogError
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
@@ -17,18 +17,21 @@ from slam.fleet.condensed_map import stretch_length_m
 from slam.fleet.joins import PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
-from slam.fleet.part import Part, fold_part, load_parts, save_parts, session_part
+from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts, session_part
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, seen_probabilities
 from slam.fleet.session_config import common_config
-from slam.fleet.sessions import MAP_NAME, Progress, Session, content_key, map_sessions, session_folder
+from slam.fleet.sessions import MAP_NAME, VERSION, Progress, Session, content_key, map_sessions, session_folder
 from slam.object_map.map_io import load_map, of_rows
-from slam.place_recognition.imported_map import make_imported_map, save_imported_map
+from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 
 logger = logging.getLogger(__name__)
 
 BLOCK = 16
 """Sessions that are folded together, by date; as many of the latest sessions are not, at least."""
+
+FIRST_LOG = "first_log"
+"""In the metadata of a map: the digest of the log at whose start its frame is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,9 +48,9 @@ class CityMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
-    """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, by date:
-    their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that were folded, and
-    ``pairs`` of these maps; ``maps``: the result, that of most sessions first.
+    """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, one for a
+    drive, by date: their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that
+    were folded, and ``pairs`` of these maps; ``maps``: the result, that of most sessions first.
     """
 
     logs: tuple[FleetLog, ...]
@@ -84,7 +87,7 @@ def map_fleet(
         folder: keeps what is done; takes ``map.mcap``, further parts as ``map_2.mcap`` ..., and ``changes.geojson``.
         config: of each replay.
         workers: logs that are mapped at a time.
-        georeference: where the map of most sessions lies on earth.
+        georeference: where the map of most sessions lies on earth; without it, that of an earlier run stays.
         progress: called with the fraction done and what was done.
 
     Raises:
@@ -94,16 +97,12 @@ def map_fleet(
     sessions = map_sessions(
         logs, folder, config, workers=workers, progress=lambda done, doing: progress(0.8 * done, doing)
     )
-    mapped = sorted(
-        (session for session in sessions.values() if session.is_mapped),
-        key=lambda session: (session.first_ns, session.sha256),
-    )
-    if not mapped:
-        reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
-        raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
+    mapped = _drives_by_date(logs, sessions)
     progress(0.8, f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
     joined = _join_sessions([session_folder(folder, digest, config) / MAP_NAME for digest in order], folder)
+    first = order[joined.parts[0].sessions[0]]
+    georeference = georeference or _known_georeference(folder / MAP_NAME, first)
     maps = []
     for rank, part in enumerate(joined.parts, start=1):
         stamps_ns = [mapped[number].first_ns for number in part.sessions]
@@ -111,25 +110,35 @@ def map_fleet(
         presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
         file = "map.mcap" if rank == 1 else f"map_{rank}.mcap" if len(stamps_ns) > 1 else ""
         place = georeference if rank == 1 else None
-        is_written = file and _save(folder / file, part, presence, joined.config, place)
+        source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}
+        is_written = file and _save(folder / file, part, presence, joined.config, place, source)
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
     write_changes(folder / "changes.geojson", maps[0].changes, georeference)
     return Fleet(tuple(logs), sessions, order, joined.inputs, joined.pairs, tuple(maps))
+
+
+def _drives_by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
+    """Of each drive the session of the log that was given first."""
+    last_first = [sessions[log.sha256] for log in reversed(logs)]
+    of_drive = {session.drive: session for session in last_first if session.is_mapped}
+    if not of_drive:
+        reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
+        raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
+    return sorted(of_drive.values(), key=lambda session: (session.first_ns, session.sha256))
 
 
 def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:
     """Join the maps of sessions, in the order of their dates; all but the latest are folded, block by block."""
     names = [path.parent.name for path in paths]
     count = max(len(paths) // BLOCK - 1, 0) * BLOCK
+    blocks = [(end, folder / "folded" / content_key(*names[:end])) for end in range(BLOCK, count + 1, BLOCK)]
+    done = max((row for row, (_, kept) in enumerate(blocks) if are_saved(kept)), default=0)
     known = dict[str, Part]()
-    for end in range(BLOCK, count + 1, BLOCK):
-        kept = folder / "folded" / content_key(*names[:end])
-        parts = load_parts(kept)
-        if parts is None:
+    for end, kept in blocks[done:]:
+        if not are_saved(kept):
             joined = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
-            parts = [fold_part(part, stretch_m=stretch_length_m(joined.config)) for part in joined.parts]
-            save_parts(kept, parts)
-        known = {f"{kept.name}/{rank}": part for rank, part in enumerate(parts)}
+            save_parts(kept, [fold_part(part, stretch_m=stretch_length_m(joined.config)) for part in joined.parts])
+        known = {f"{kept.name}/{rank}": part for rank, part in enumerate(load_parts(kept))}
     return _join(known, _loaded(paths, range(count, len(paths))), folder)
 
 
@@ -156,7 +165,23 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     return _Joined(inputs, tuple(pairs), join_parts(parts, pairs, config), config)
 
 
-def _save(path: Path, part: Part, presence: Presence, config: Config, georeference: Georeference | None) -> bool:
+def _known_georeference(path: Path, first: str) -> Georeference | None:
+    """That of the map of an earlier run, whose frame is that of the log with the digest ``first``."""
+    try:
+        earlier = load_imported_map(path)
+    except (LogError, SavedMapError):
+        return None
+    return earlier.georeference if earlier.metadata.get(FIRST_LOG) == first else None
+
+
+def _save(
+    path: Path,
+    part: Part,
+    presence: Presence,
+    config: Config,
+    georeference: Georeference | None,
+    source: Mapping[str, str],
+) -> bool:
     """Write the landmarks of a part that a session would see now as a map of tiles; returns whether they make one."""
     now = of_rows(part.objects, presence.useful >= REPORTED)
     try:
@@ -166,7 +191,7 @@ def _save(path: Path, part: Part, presence: Presence, config: Config, georeferen
             now.ids,
             sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference,
-            source={"source": f"a fleet of {len(part.sessions)} sessions", "version": version("descriptellation-slam")},
+            source={**source, "version": VERSION},
         )
     except SavedMapError as error:
         logger.warning("%s is not written: %s", path.name, error)

@@ -87,14 +87,17 @@ def save_parts(folder: Path, parts: Sequence[Part]) -> None:
     write_text(folder / LEDGER_NAME, json.dumps(ledger) + "\n")
 
 
-def load_parts(folder: Path) -> list[Part] | None:
-    """The parts in a folder; None if they are not all there.
+def are_saved(folder: Path) -> bool:
+    """Whether all parts are in a folder."""
+    return (folder / LEDGER_NAME).exists()
+
+
+def load_parts(folder: Path) -> list[Part]:
+    """The parts in a folder.
 
     Raises:
         LogError, SavedMapError: one cannot be read.
     """
-    if not (folder / LEDGER_NAME).exists():
-        return None
     ledger = parse_json((folder / LEDGER_NAME).read_text(encoding="utf-8"))
     return [
         Part(

@@ -84,6 +84,9 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
         return {"status": "repeated", "reason": f"the same log as {first}"}
     if not session.is_mapped:
         return {"status": "not mapped", "reason": session.reason}
+    if digest not in fleet.order:
+        same = next(each for each in fleet.order if fleet.sessions[each].drive == session.drive)
+        return {"status": "repeated", "reason": f"the same drive as {_log_name(fleet, same)}, in another file"}
     number = fleet.order.index(digest)
     own = next(rank for rank, numbers in enumerate(fleet.inputs) if number in numbers)
     city_map = next(each for each in fleet.maps if number in each.part.visits)

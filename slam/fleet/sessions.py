@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import shutil
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,7 @@ from slam.sweeps.workers import Death, compute_all
 
 logger = logging.getLogger(__name__)
 
+VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
 TRIES = 4
 """A log whose process dies is mapped so often."""
@@ -54,6 +56,11 @@ class Session:
         """Whether there is a map."""
         return not self.reason
 
+    @property
+    def drive(self) -> tuple[int, float, int]:
+        """Alike for the sessions of one drive, of which two logs have other bytes."""
+        return self.first_ns, self.travel_m, self.landmarks
+
 
 _LEDGER = TypeAdapter(Session)
 
@@ -78,19 +85,22 @@ def map_sessions(
             )
         else:
             waiting.setdefault(log.sha256, log)
-    compute = partial(map_session, folder=folder, config=config)
+    compute = partial(_timed, partial(map_session, folder=folder, config=config))
     for finished, (log, outcome) in enumerate(_computed(compute, list(waiting.values()), workers), start=1):
         if isinstance(outcome, Death):
-            outcome = Session(log.sha256, "the process that mapped it died each time, perhaps for lack of memory")
-        sessions[log.sha256] = outcome
-        result = f"{len(outcome.notes)} warnings" if outcome.is_mapped else f"not mapped: {outcome.reason}"
+            outcome = Session(log.sha256, "the process that mapped it died each time, perhaps for lack of memory"), 0.0
+        session, seconds = outcome
+        sessions[log.sha256] = session
+        result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings"
+        if not session.is_mapped:
+            result = f"not mapped: {session.reason}"
         progress(finished / len(waiting), f"{finished}/{len(waiting)} {log.path.name}: {result}")
     return sessions
 
 
 def session_folder(folder: Path, sha256: str, config: Config) -> Path:
     """Where the session of a log with this digest is, in the folder of a fleet."""
-    return folder / "sessions" / content_key(sha256, config.model_dump_json(), version("descriptellation-slam"))
+    return folder / "sessions" / content_key(sha256, config.model_dump_json(), VERSION)
 
 
 def content_key(*parts: str) -> str:
@@ -133,6 +143,12 @@ def _mapped(log: FleetLog, scratch: Path, config: Config) -> Session:
     )
 
 
+def _timed(compute: Callable[[FleetLog], Session], log: FleetLog) -> tuple[Session, float]:
+    """A session, and the seconds that it took."""
+    started = time.perf_counter()
+    return compute(log), time.perf_counter() - started
+
+
 def _read_session(folder: Path) -> Session | None:
     """What a finished task left in its folder; None if there is nothing, or nothing that can be used."""
     try:
@@ -143,9 +159,11 @@ def _read_session(folder: Path) -> Session | None:
 
 
 def _computed(
-    compute: Callable[[FleetLog], Session], logs: Sequence[FleetLog], workers: int
-) -> Iterator[tuple[FleetLog, Session | Death]]:
-    """Each log with its session, as they finish; with ``Death`` where its process died ``TRIES`` times."""
+    compute: Callable[[FleetLog], tuple[Session, float]], logs: Sequence[FleetLog], workers: int
+) -> Iterator[tuple[FleetLog, tuple[Session, float] | Death]]:
+    """Each log with its session and the seconds that it took, as they finish; with ``Death`` where its process died
+    ``TRIES`` times.
+    """
     for attempt in range(1, TRIES + 1):
         died = []
         for log, outcome in compute_all(compute, logs, jobs=workers, fresh=True):

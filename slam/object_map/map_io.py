@@ -18,7 +18,7 @@ from logs.dslam_codec import take_rows
 from logs.errors import LogError
 from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers, ScenePoints
 from logs.reader import LogReader
-from logs.scene import class_color
+from logs.scene import class_colors
 from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter
@@ -116,11 +116,16 @@ def save_map(
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
-        stamp_ns, frame_id, positions, labels = kept.stamp_ns, kept.frame_id, kept.positions, kept.labels
-        colors = np.array([class_color(label) for label in labels]).reshape(-1, 4)
-        writer.write(MARKERS_TOPIC, SceneMarkers(stamp_ns, frame_id, positions, labels, kept.ids), stamp_ns)
-        writer.write(POINTS_TOPIC, ScenePoints(stamp_ns, frame_id, positions, colors), stamp_ns)
+        writer.write(MARKERS_TOPIC, make_markers(kept))
+        points = ScenePoints(kept.stamp_ns, kept.frame_id, kept.positions, class_colors(kept.classes))
+        writer.write(POINTS_TOPIC, points)
     return int(np.count_nonzero(~is_tied))
+
+
+def make_markers(objects: ObjectMapRecord) -> SceneMarkers:
+    """The confirmed landmarks for viewers."""
+    kept = confirmed(objects)
+    return SceneMarkers(kept.stamp_ns, kept.frame_id, kept.positions, kept.vocabulary, kept.classes, kept.ids)
 
 
 def write_map(path: Path, saved: SavedMap) -> None:

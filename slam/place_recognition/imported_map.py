@@ -22,7 +22,7 @@ from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.messages import ObjectMapRecord, ScenePoints
 from logs.reader import LogReader
-from logs.scene import class_color
+from logs.scene import class_colors
 from logs.storage.arrays import read_arrays
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
@@ -209,8 +209,8 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
         writer.add_metadata(METADATA, about)
         if objects is not None:
             writer.write(OBJECTS_TOPIC, objects)
-        colors = np.array([class_color(label) for label in imported.vocabulary])[imported.classes]
-        writer.write(POINTS_TOPIC, ScenePoints(0, "map", imported.positions.astype(np.float64), colors))
+        stamp_ns, colors = objects.stamp_ns if objects else 0, class_colors(imported.classes.astype(np.int64))
+        writer.write(POINTS_TOPIC, ScenePoints(stamp_ns, "map", imported.positions.astype(np.float64), colors))
         for name in _CHECKED:
             writer.add_array(name, getattr(imported, name))
         for name in _OF_PAIRS:

@@ -52,9 +52,9 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
         stamp_ns=9,
         frame_id="map",
         positions=np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
-        labels=("tree", "pole"),
+        vocabulary=("pole", "tree"),
+        classes=np.array([1, 0]),
         ids=("L1", "L2"),
-        removed=("L0",),
     )
     write(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
     (entry,) = read(tmp_path / "log.mcap")

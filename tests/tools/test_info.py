@@ -1,7 +1,8 @@
-"""dslam info: detections that cannot be placed."""
+"""dslam info: detections that cannot be placed, and maps without a trajectory."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from logs.messages import ObjectDetections, Odometry, Transform
 from logs.summary import summarize
 from logs.writer import LogWriter
+from slam.place_recognition.imported_map import make_imported_map, save_imported_map
+from tests.tools.runs import Run
 from tools.inspection.frames import find_faults
 
 
@@ -35,3 +38,13 @@ def write_drive(path: Path, *, sensor: str = "/lidar", delay_ns: int = 0, mount:
 )
 def test_find_faults_names_frames_and_clocks(tmp_path: Path, changes: dict[str, object], fault: str) -> None:
     assert find_faults(summarize(write_drive(tmp_path / "log.mcap", **changes))) == ([fault] if fault else [])
+
+
+def test_info_of_a_map_of_a_fleet_counts_its_landmarks_and_has_no_duration(dslam: Run, tmp_path: Path) -> None:
+    positions = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [9.0, 9.0, 0.0]])
+    tiles = make_imported_map(positions, ["tree", "pole", "tree", "tree"], list("abcd"), sigma_m=0.3)
+    seen = replace(tiles.objects, stamp_ns=1_700_000_000_000_000_000)
+    save_imported_map(tmp_path / "map.mcap", tiles, seen)
+    lines = dslam("info", tmp_path / "map.mcap").out.splitlines()
+    assert any(line.split() == ["landmarks", "tree", "3,", "pole", "1"] for line in lines)
+    assert lines[0].startswith(f"{tmp_path / 'map.mcap'}: 0.0 s")

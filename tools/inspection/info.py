@@ -87,7 +87,7 @@ def info(
 def _rows(summary: LogSummary) -> dict[str, str]:
     """What is in a log beside its topics, by names for people."""
     is_mapped = REPLAYED in summary.metadata
-    listed = {"landmarks" if is_mapped else "objects": _classes(summary)}
+    listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
     if not is_mapped:
         edges = [f"{parent} -> {child}  ({t.topic})" for t in summary.topics for parent, child in t.frame_edges]
         listed["frames"] = "\n".join(edges[:MAX_LISTED])
@@ -109,10 +109,16 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     return {name: text for name, text in listed.items() if text}
 
 
+def _is_map(summary: LogSummary) -> bool:
+    return REPLAYED in summary.metadata or saved_map.METADATA in summary.metadata
+
+
 def _classes(summary: LogSummary) -> str:
-    """Numbers of detections by class; of the output of a replay, those of the landmarks of its final map."""
+    """Numbers of detections by class; of a map, whose markers are counted as such, and of the output of a replay those
+    of landmarks.
+    """
     counts = list(summary.class_counts.items())
-    if REPLAYED in summary.metadata:
+    if REPLAYED in summary.metadata or (_is_map(summary) and not counts):
         from logs.errors import LogError
         from slam.common.errors import InputDataError
         from slam.library import read_map

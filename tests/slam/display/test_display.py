@@ -48,7 +48,7 @@ def test_viewer_holds_more_of_the_map_as_the_drive_goes_and_all_at_the_end(logs)
 def test_messages_hold_landmarks_submap_path_and_closures():
     path, closures = (np.zeros((3, 3)), np.ones((2, 3))), np.array([[[0.0, 0, 0], [8.0, 0, 0]]])
     positions = np.array([[1.0, 0, 0], [2.0, 0, 0]])
-    snapshot = MapSnapshot(7, path, closures, np.array([3, 9]), positions, ("tree", "pole"), np.array([9]))
+    snapshot = MapSnapshot(7, path, closures, np.array([3, 9]), positions, np.array([1, 0]), np.array([9]))
     messages = dict(map_messages(snapshot))
     np.testing.assert_array_equal(messages[LANDMARK_POINTS].positions, positions)
     assert len(np.unique(messages[LANDMARK_POINTS].colors, axis=0)) == 2

@@ -64,6 +64,14 @@ def test_a_folded_map_has_edges_between_its_cells(whole: SavedMap) -> None:
     assert set(folded.graph.edge_kinds) == {"closure"}
 
 
+def test_the_place_at_the_origin_comes_first_also_if_drives_came_from_behind_it(whole: SavedMap) -> None:
+    T_map_body = whole.graph.T_map_body.copy()
+    T_map_body[:, 0, 3] -= 60.0
+    folded = condense_area(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), stretch_m=STRETCH_M)
+    from_origin_m = np.linalg.norm(folded.graph.T_map_body[:, :3, 3], axis=1)
+    assert from_origin_m[0] == from_origin_m.min() < 0.5 * STRETCH_M
+
+
 def test_a_level_drive_passes_one_row_of_cells_whatever_its_noise(whole: SavedMap) -> None:
     rng = np.random.default_rng(0)
     T_map_body = whole.graph.T_map_body.copy()

@@ -14,14 +14,17 @@ from scipy.spatial import cKDTree
 
 from slam.common.config import Config
 from slam.common.errors import FleetError
+from slam.common.georeference import Georeference
 from slam.fleet.fleet import Fleet, map_fleet
 from slam.fleet.logs import FleetLog, find_logs
+from slam.fleet.part import Part, load_parts
 from slam.fleet.report import fleet_report, write_report
 from slam.library import read_map
 from slam.place_recognition.imported_map import load_imported_map
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import write_simulation
 from tests.helpers.driven_maps import drive_poses, town
+from tests.helpers.short_drives import raw_messages, write_raw
 
 pytestmark = pytest.mark.slow
 
@@ -46,18 +49,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[FleetLog]:
     write_drive(folder / "b.mcap", 160.0, 30.0, 1)
     write_drive(folder / "other.mcap", 0.0, 130.0, 2, town_seed=7)
     (folder / "again.mcap").write_bytes((folder / "a.mcap").read_bytes())
+    write_raw(folder / "recoded.mcap", raw_messages(folder / "a.mcap"))
     (folder / "broken.mcap").write_bytes((folder / "a.mcap").read_bytes()[:5000])
-    found = find_logs([str(folder / f"{name}.mcap") for name in ("a", "b", "other", "again", "broken")])
+    found = find_logs([str(folder / f"{name}.mcap") for name in ("a", "b", "other", "again", "recoded", "broken")])
     return [replace(log, name=log.path.stem) for log in found]
 
 
-def run(logs: list[FleetLog], folder: Path, *, workers: int = 0) -> Fleet:
+def run(logs: list[FleetLog], folder: Path, *, workers: int = 0, georeference: Georeference | None = None) -> Fleet:
     """A fleet that is mapped in this process, or by so many workers."""
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
         if not workers:
             patch.setattr("slam.fleet.sessions.compute_all", compute_inline)
-        fleet = map_fleet(logs, folder, Config(), workers=workers)
+        fleet = map_fleet(logs, folder, Config(), workers=workers, georeference=georeference)
     write_report(folder, fleet)
     return fleet
 
@@ -80,6 +84,7 @@ def test_every_log_is_accounted_for(mapped: tuple[Path, Fleet]) -> None:
         "b": "joined",
         "other": "alone",
         "again": "repeated",
+        "recoded": "repeated",
         "broken": "not mapped",
     }
     assert all(log["reason"] for log in report["logs"] if log["status"] != "joined")
@@ -100,6 +105,18 @@ def test_one_or_two_workers_give_the_same_bytes(
 ) -> None:
     run(logs, tmp_path / "two", workers=2)
     assert same_bytes(mapped[0], tmp_path / "two")
+
+
+def test_origin_stays_until_another_log_begins_the_map(
+    logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path
+) -> None:
+    shutil.copytree(mapped[0] / "sessions", tmp_path / "sessions")
+    origin = Georeference(48.0, 11.0)
+    fleet = run(logs[:2], tmp_path, georeference=origin)
+    run(logs[:3], tmp_path)
+    assert load_imported_map(tmp_path / "map.mcap").georeference == origin
+    run([log for log in logs[:2] if log.sha256 != fleet.order[0]], tmp_path)
+    assert load_imported_map(tmp_path / "map.mcap").georeference is None
 
 
 def test_what_is_done_is_not_done_again(
@@ -127,6 +144,15 @@ def test_folded_sessions_give_the_same_map_night_by_night_and_at_once(
         run(logs[:night], tmp_path / "nights")
     fleet = run(logs, tmp_path / "once")
     assert same_bytes(tmp_path / "nights", tmp_path / "once")
+    loaded = list[Path]()
+
+    def load(folder: Path) -> list[Part]:
+        loaded.append(folder)
+        return load_parts(folder)
+
+    monkeypatch.setattr("slam.fleet.fleet.load_parts", load)
+    run(logs, tmp_path / "nights")
+    assert len(loaded) == 1  # of all that was folded the latest
     folded, unfolded = (each.maps[0].part for each in (fleet, mapped[1]))
     assert folded.sessions == unfolded.sessions
     assert len(folded.objects.ids) == len(unfolded.objects.ids)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.fleet.part import Part, fold_part, load_parts, save_parts
+from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts
 from tests.helpers.driven_maps import driven_map, town
 from tests.slam.fleet.parts import STRETCH_M, joined, session_parts
 
@@ -24,9 +24,10 @@ def whole(sessions: list[Part]) -> Part:
 
 def test_a_folded_part_is_joined_as_its_sessions_would_be(sessions: list[Part], whole: Part, tmp_path: Path) -> None:
     (both,) = joined(sessions[:2])
-    assert load_parts(tmp_path) is None
+    assert not are_saved(tmp_path)
     save_parts(tmp_path, [fold_part(both, stretch_m=STRETCH_M)])
-    (late,) = joined([*(load_parts(tmp_path) or []), sessions[2]])
+    assert are_saved(tmp_path)
+    (late,) = joined([*load_parts(tmp_path), sessions[2]])
     assert late.sessions == whole.sessions == (0, 1, 2)
     assert len(late.objects.ids) == len(whole.objects.ids)
     for number, visit in whole.visits.items():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from pathlib import Path
@@ -59,6 +60,9 @@ def test_log_is_mapped_again_after_its_process_died(
     monkeypatch.setattr("slam.fleet.sessions.map_session", compute)
     (tmp_path / "a.mcap").write_bytes(b"a")
     logs = [FleetLog(name, tmp_path / "a.mcap", name) for name in ("a", "b")]
-    sessions = map_sessions(logs, tmp_path, Config(), workers=2, progress=lambda done, doing: None)
+    lines = []
+    sessions = map_sessions(logs, tmp_path, Config(), workers=2, progress=lambda done, doing: lines.append(doing))
     assert set(sessions) == {"a", "b"}
+    result = f"not mapped: .*{reason}" if reason else r"mapped in \d+ s, 0 warnings"
+    assert all(re.fullmatch(rf"{number}/2 a\.mcap: {result}.*", line) for number, line in enumerate(lines, start=1))
     assert all(reason in session.reason and session.is_mapped == (not reason) for session in sessions.values())
