@@ -78,9 +78,9 @@ def recall(
 
     By default a query holds the objects within 30 m, the range of the sensor, of a path of 50 m; a tenth of them is
     missing, a tenth of the query is clutter, and positions have 0.2 m of noise. If several values of these options are
-    given, one option is varied at a time, with the first value of all others. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and
-    25 proposals; right: after verification; wrong: accepted and wrong. Random vectors are always measured. Times are
-    processor times.
+    given, one option is varied at a time, with the first value of all others. Places: queries with a right pose (4 m,
+    10 deg) among the first 1, 5 and 25 proposals; right: after verification; wrong: accepted and wrong. Random vectors
+    are always measured. Times are processor times.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
