@@ -21,7 +21,7 @@ def draw_contest(path_png: Path, cells: pd.DataFrame) -> None:
     Raises:
         UnwritableLogError: the picture cannot be written.
     """
-    columns = list(cells.groupby(["map_classes", "objects", "missing", "clutter", "noise_m"], sort=False))
+    columns = list(cells.groupby(["map_classes", "objects", "missing", "clutter", "noise_m", "range_m"], sort=False))
     figure = Figure(figsize=(1.5 + 2.2 * len(columns), 6.0), layout="constrained", dpi=100)
     axes = figure.subplots(2, len(columns), sharex=True, sharey="row", squeeze=False)
     for (above, below), ((classes, *_), of_column) in zip(axes.T, columns, strict=True):
