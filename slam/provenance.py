@@ -30,6 +30,7 @@ def provenance_of(
         "input_sha256": reader.sha256(),
         "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(prepared.selection.kinds.items())}),
         "estimated": json.dumps(dict(calibration.estimated)),
+        "accuracy": calibration.config.calibration.model_dump_json(include={"sigmas", "evidence"}),
         "notes": json.dumps(list(calibration.notes)),
     }
     if prior_map is not None:
