@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from logs.messages import (
     ObjectDetections,
@@ -17,13 +19,16 @@ from logs.messages import (
 from logs.record_checks import check_record
 from slam.common.calibration import Calibration
 from slam.common.config import Config
+from slam.common.errors import SavedMapError
 from slam.display.snapshot import MapSnapshot
 from slam.final_map import FinalMap
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.localization.prior_map import PriorMap
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP, Fix, State
+from slam.object_map.map_io import save_map
 from slam.place_recognition.initial_pose import InitialPose
+from slam.provenance import settings_of
 from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import survey
 from slam.self_calibration.surveyed_log import MAX_DETECTIONS, SurveyedLog
@@ -148,6 +153,20 @@ class LiveSlam:
         """
         self.catch_up()
         return self._slam.finish()
+
+    def save(self, path: str | os.PathLike[str], final: FinalMap) -> None:
+        """Write the map of the drive, which ``finish`` returned, for later drives.
+
+        Raises:
+            LogError: it cannot be written.
+            SavedMapError: it could not be used, or the robot was never relocalized in its prior map.
+        """
+        prior_map = self._prior_map
+        if prior_map is not None and not self.fixes:
+            raise SavedMapError(f"the robot was never relocalized in the given map, so {path} would hold two places")
+        drives = None if prior_map is None else prior_map.drives
+        about = settings_of(self._given, self.calibration, prior_map, extend=self._extend)
+        save_map(Path(path), final.object_map, final.graph, about, earlier_drives=drives)
 
     def _build(self, config: Config) -> Slam:
         return Slam(config, self._prior_map, extend=self._extend, initial_pose=self._initial_pose, frames=self._frames)

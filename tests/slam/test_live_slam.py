@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from threading import Event
 
 import numpy as np
@@ -13,9 +14,12 @@ from logs.messages import ObjectDetections, Record, SlamPose, StatusRecord
 from slam import live_slam
 from slam.common.calibration import Calibration
 from slam.common.config import Config
+from slam.common.errors import SavedMapError
 from slam.evaluation.inputs.records import collect_records
+from slam.fleet.session_config import session_config
 from slam.live_slam import LiveSlam
 from slam.localization.state import CALIBRATIONS
+from slam.object_map.map_io import confirmed, load_map
 from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
@@ -95,6 +99,20 @@ def test_map_is_the_one_that_the_last_calibration_makes_of_all_records():
         again.process(record)
     assert slam.calibration.estimated
     np.testing.assert_array_equal(final.object_map.positions, again.finish().object_map.positions)
+
+
+def test_saved_map_holds_the_landmarks_and_the_calibration(tmp_path: Path):
+    slam = LiveSlam(Config())
+    for record in records():
+        slam.process(record)
+    final = slam.finish()
+    slam.save(tmp_path / "map.mcap", final)
+    saved = load_map(tmp_path / "map.mcap")
+    assert set(saved.objects.ids) == set(confirmed(final.object_map).ids)
+    assert session_config(saved.metadata).calibration == slam.calibration.config.calibration
+    lost = LiveSlam(Config(), saved)
+    with pytest.raises(SavedMapError, match="never relocalized"):
+        lost.save(tmp_path / "extended.mcap", final)
 
 
 def test_calibration_that_is_complete_is_kept():
