@@ -133,11 +133,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         summarize(scans, tracks),
         labels=labels,
         corrected=corrected | ({"odometry.sources": 2} if any(two_sources) else {}),
-        suspected={
-            SETTINGS[each.term]: _value(each, known.with_values(corrected))
-            for each in found
-            if each.is_earned and each.term in SETTINGS
-        },
+        suspected=_suspected(found, known.with_values(corrected)),
         delay_s=delay_s,
         lacks_heading=bool(np.ptp(motion.headings) < SAME_HEADING_RAD) and not agree(scans),
         detour=detour,
@@ -182,6 +178,11 @@ def _first_change(
                 # Objects that seem to move with the body are in another frame than is believed.
                 return {key: scale} if abs(scale - 1.0) < MAX_SHARE else {}
     return {}
+
+
+def _suspected(found: tuple[Correction, ...], now: Calibration) -> dict[str, float]:
+    """What corrections that are earned, but were not made, would change."""
+    return {SETTINGS[each.term]: _value(each, now) for each in found if each.is_earned and each.term in SETTINGS}
 
 
 def _value(each: Correction, now: Calibration) -> float:
