@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from logs.messages import (
     ObjectDetections,
@@ -15,13 +19,16 @@ from logs.messages import (
 from logs.record_checks import check_record
 from slam.common.calibration import Calibration
 from slam.common.config import Config
+from slam.common.errors import SavedMapError
 from slam.display.snapshot import MapSnapshot
 from slam.final_map import FinalMap
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.localization.prior_map import PriorMap
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP, Fix, State
+from slam.object_map.map_io import save_map
 from slam.place_recognition.initial_pose import InitialPose
+from slam.provenance import settings_of
 from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import survey
 from slam.self_calibration.surveyed_log import MAX_DETECTIONS, SurveyedLog
@@ -29,14 +36,17 @@ from slam.system import Slam
 
 CAUGHT_UP_RECORDS = 4
 """Records of the past that a new map is built from while one new record comes: it has caught up a third later."""
+SURVEY_SHARE = 0.25
+"""New scans, as a share of those surveyed, that come while a thread estimates the calibration."""
 
 
 class LiveSlam:
     """Maps a drive, record by record, as :class:`slam.system.Slam` does, and calibrates the robot meanwhile.
 
-    Each time twice as many scans have come, what was not given of the calibration is estimated from all of them, and a
-    second map is built by it, a few records of the past with each new one. Once it has caught up, it takes the place
-    of the first. So nothing depends on the clock, and the same records give the same results.
+    Each time twice as many scans have come, what was not given of the calibration is estimated from all of them, while
+    a quarter as many new ones come, and a second map is built by it, a few records of the past with each new one. Once
+    it has caught up, it takes the place of the first. So nothing depends on the clock, and the same records give the
+    same results.
     """
 
     def __init__(
@@ -60,6 +70,7 @@ class LiveSlam:
         self.calibration = CalibratedLog(self._given)
         """The current calibration, with its corrections."""
         self._slam = self._build(self._given)
+        self._estimate: Future[CalibratedLog | None] | None = None
         self._successor: _Successor | None = None
         self._is_estimating = config.calibrate and not self._given.calibration.is_complete
         self._records: list[Record] = []
@@ -118,12 +129,17 @@ class LiveSlam:
         if isinstance(record, ObjectDetections):
             self._scans += 1
             self._detections += len(record.positions)
-            if self._scans >= 2 * self._surveyed and self._successor is None:
+            if self._estimate is not None:
+                if self._scans >= self._surveyed * (1.0 + SURVEY_SHARE):
+                    self._begin_map(self._estimate)
+            elif self._scans >= 2 * self._surveyed and self._successor is None:
                 self._calibrate()
         return updates
 
     def catch_up(self) -> list[Record]:
         """Complete the second map immediately, as at the end of a drive; returns the updates."""
+        if self._estimate is not None:
+            self._begin_map(self._estimate)
         if self._successor is None:
             return []
         self._successor.follow(self._records, len(self._records))
@@ -138,18 +154,37 @@ class LiveSlam:
         self.catch_up()
         return self._slam.finish()
 
+    def save(self, path: str | os.PathLike[str], final: FinalMap) -> None:
+        """Write the map of the drive, which ``finish`` returned, for later drives.
+
+        Raises:
+            LogError: it cannot be written.
+            SavedMapError: it could not be used, or the robot was never relocalized in its prior map.
+        """
+        prior_map = self._prior_map
+        if prior_map is not None and not self.fixes:
+            raise SavedMapError(f"the robot was never relocalized in the given map, so {path} would hold two places")
+        drives = None if prior_map is None else prior_map.drives
+        about = settings_of(self._given, self.calibration, prior_map, extend=self._extend)
+        save_map(Path(path), final.object_map, final.graph, about, earlier_drives=drives)
+
     def _build(self, config: Config) -> Slam:
         return Slam(config, self._prior_map, extend=self._extend, initial_pose=self._initial_pose, frames=self._frames)
 
     def _calibrate(self) -> None:
-        """Estimate the calibration from all records so far, and begin a map by it."""
-        found = survey([SurveyedLog.of(self._records, self._frames)], self._given.calibration)
-        if found is None:
-            return
+        """Start to estimate the calibration from all records so far, in a thread."""
         self._surveyed = self._scans
-        calibration = calibrate(self._given, found, self._delays())
-        self._successor = _Successor(self._build(calibration.config), calibration)
-        self._successor.slam.counters[CALIBRATIONS] = self._slam.counters[CALIBRATIONS] + 1
+        log = SurveyedLog.of(self._records, deepcopy(self._frames))
+        worker = ThreadPoolExecutor(1)
+        self._estimate = worker.submit(_estimate, self._given, log, self._delays())
+        worker.shutdown(wait=False)
+
+    def _begin_map(self, estimate: Future[CalibratedLog | None]) -> None:
+        """Begin a map by the calibration that was estimated."""
+        self._estimate, calibration = None, estimate.result()
+        if calibration is not None:
+            self._successor = _Successor(self._build(calibration.config), calibration)
+            self._successor.slam.counters[CALIBRATIONS] = self._slam.counters[CALIBRATIONS] + 1
 
     def _succeed(self, successor: _Successor) -> list[Record]:
         self._slam, self.calibration, self._successor = successor.slam, successor.calibration, None
@@ -159,6 +194,11 @@ class LiveSlam:
         message = f"calibrated by {self._surveyed} scans: the map was rebuilt"
         stamp_ns = successor.slam.latest_ns
         return [StatusRecord(stamp_ns, self.state.value, "info", message, counters), *successor.updates]
+
+
+def _estimate(given: Config, log: SurveyedLog, delays: LoggingDelays) -> CalibratedLog | None:
+    found = survey([log], given.calibration)
+    return None if found is None else calibrate(given, found, delays)
 
 
 @dataclass(slots=True)

@@ -23,13 +23,22 @@ def provenance_of(
     extend: bool,
 ) -> dict[str, str]:
     """The version, the settings as given and as estimated, the input and the map, as text and JSON."""
+    return settings_of(config, calibration, prior_map, extend=extend) | {
+        "input_sha256": reader.sha256(),
+        "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(prepared.selection.kinds.items())}),
+    }
+
+
+def settings_of(
+    config: Config, calibration: CalibratedLog, prior_map: PriorMap | None, *, extend: bool
+) -> dict[str, str]:
+    """The same without the input, which a live drive does not keep."""
     about = {
         "version": version("descriptellation-slam"),
         "configuration": config.model_dump_json(),
         CHANGED_SETTINGS: changed_settings(config),
-        "input_sha256": reader.sha256(),
-        "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(prepared.selection.kinds.items())}),
         "estimated": json.dumps(dict(calibration.estimated)),
+        "accuracy": calibration.config.calibration.model_dump_json(include={"sigmas", "evidence"}),
         "notes": json.dumps(list(calibration.notes)),
     }
     if prior_map is not None:

@@ -2,8 +2,8 @@
 
 Each pair of the map has a bit for each cell around it. The bits lie cell by cell, those of 64 pairs in a word, so that
 one addition of words adds up what an observed object tells about 64 pairs (bit-sliced counters: O'Neil and Quass,
-SIGMOD 1997). Pairs that are added at once are sorted by class and length: a pair of a query is compared only with those
-that have its classes and its length.
+SIGMOD 1997). Many pairs that are added first are sorted by class and length: a pair of a query is compared only with
+those that have its classes and its length.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ STEP_NATS = 1.25
 MAX_STEPS = 7
 """Most steps of an observed object."""
 PAIRS_AT_ONCE = 4096
-"""Pairs whose bits are computed at a time."""
+"""Pairs whose bits are computed, or that are compared with all pairs of a query, at a time."""
 WORD = 64
 FILLER = np.uint32(0xFFFFFFFF)
 """Classes of what fills the last word."""
@@ -147,7 +147,7 @@ class PairIndex:
             blocks.append(_packed(self._likelihood.bits(pairs).T))
         if not blocks:
             return
-        if not len(self.ends):
+        if not len(self.ends) and len(ends) > PAIRS_AT_ONCE:
             self._sorted = len(ends)
         filler = -len(ends) % WORD
         numbered = ends if numbers is None else numbers[ends]

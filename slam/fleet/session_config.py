@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from logs.container.json_text import parse_json
+from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 
@@ -21,7 +22,9 @@ def session_config(metadata: Mapping[str, str]) -> Config:
     """
     try:
         config = Config.model_validate_json(metadata.get("configuration", "{}"))
-        return config.calibrated(parse_json(metadata.get("estimated", "{}")))
+        calibration = config.calibration.with_values(parse_json(metadata.get("estimated", "{}")))
+        accuracy = Calibration.model_validate_json(metadata.get("accuracy", "{}")).model_dump(exclude_unset=True)
+        return config.model_copy(update={"calibration": calibration.model_copy(update=accuracy)})
     except (ValueError, TypeError, AttributeError) as error:
         raise SavedMapError(
             f"the configuration in the metadata of a map cannot be read ({str(error).splitlines()[0]}); map its log "

@@ -117,6 +117,7 @@ class ContinuityMonitor:
         """
         if self._steps and self._steps[-1].keyframe.odometry.segment != keyframe.odometry.segment:
             self._steps.clear()
+        self.kidnapping_probability = float(np.exp(self._log_prior))
         since_m = self._steps[-1].travel_m if self._steps else -np.inf
         seen = landmarks.rows[landmarks.last_seen_m > since_m]
         self._steps.append(_Step(keyframe, invert(gravity_frame(keyframe.T_local_body)), seen))

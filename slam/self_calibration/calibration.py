@@ -316,6 +316,8 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
         branch, _, name = key.partition(".")
         if corrections.get(key, usual := getattr(getattr(Calibration(), branch), name)) != usual:
             yield f"{meaning.format(corrections[key])}: corrected ({key})"
+        elif key in survey.suspected:
+            yield f"{meaning.format(survey.suspected[key])}: suspected, not corrected ({key})"
     if survey.lacks_heading:
         yield (
             "the heading of the odometry never changes although objects seem to turn: it seems to hold positions "

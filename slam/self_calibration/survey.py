@@ -43,6 +43,13 @@ ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"
 SHIFTS = "x_m", "y_m"
 """Terms and settings of where the sensor sits on the body."""
 SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
+SETTINGS = (
+    SCALES
+    | {"climb_share": "odometry.climb"}
+    | {name: f"detection.{name}" for name in SHIFTS}
+    | {term: f"detection.{name}" for term, name in ANGLES.items()}
+)
+"""Settings of the terms."""
 SAME_HEADING_RAD = 1e-6
 """Headings of an odometry without orientations differ by rounding only."""
 ROUNDS = 10
@@ -62,7 +69,8 @@ class Survey:
     ``detectability``: how often an object in view is detected; ``clutter_density``: of what
     belongs to no track of an object [1/m^3].
 
-    ``corrected``: values of the calibration, by their keys, that corrected the scans; ``delay_s``: by how much
+    ``corrected``: values of the calibration, by their keys, that corrected the scans; ``suspected``: values that would
+    predict what is held out better, but are too small or have another explanation; ``delay_s``: by how much
     detections are of a later time than their stamps say, against the odometry; ``lacks_heading``: whether the heading
     of the odometry never changes, and objects do not stand still by it; ``detour``: the length of the odometry's path
     by that of its every second message.
@@ -87,6 +95,7 @@ class Survey:
     clutter_density: float = 0.0
     labels: LabelNoise = field(default_factory=LabelNoise)
     corrected: Mapping[str, float] = field(default_factory=dict)
+    suspected: Mapping[str, float] = field(default_factory=dict)
     delay_s: float = 0.0
     lacks_heading: bool = False
     detour: float = 1.0
@@ -124,6 +133,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         summarize(scans, tracks),
         labels=labels,
         corrected=corrected | ({"odometry.sources": 2} if any(two_sources) else {}),
+        suspected=_suspected(found, known.with_values(corrected)),
         delay_s=delay_s,
         lacks_heading=bool(np.ptp(motion.headings) < SAME_HEADING_RAD) and not agree(scans),
         detour=detour,
@@ -151,23 +161,37 @@ def _first_change(
         if each.is_earned and each.term in ANGLES and _is_large(each) and not _is_turned_by_hand(given):
             axis = np.eye(3)[list(ANGLES).index(each.term)]
             return _angles(Rotation.from_rotvec(each.value * axis).as_matrix() @ _turned(now.detection))
-        if each.is_earned and each.term in SHIFTS and not given.is_given(key := f"detection.{each.term}"):
+        key = SETTINGS.get(each.term, "")
+        if each.is_earned and each.term in SHIFTS and not given.is_given(key):
             # Where a camera looks ahead only, a bias of its ranges looks like a shift.
             bias_m = sum(abs(other.value) for other in found if other.term == "near_m")
             if abs(each.value) > bias_m:
-                return {key: getattr(now.detection, each.term) + each.value}
+                return {key: _value(each, now)}
         is_climb = each.term == "climb_share" and each.is_sure and each.is_significant
-        if is_climb and abs(each.value) > MIN_REST and not given.is_given("odometry.climb"):
-            return {"odometry.climb": now.odometry.climb + each.value}
-        key = SCALES.get(each.term, "")
-        if key and not given.is_given(key):
-            scale = getattr(now.odometry, key.split(".")[1]) * (1.0 + each.value)
+        if is_climb and abs(each.value) > MIN_REST and not given.is_given(key):
+            return {key: _value(each, now)}
+        if each.term in SCALES and not given.is_given(key):
+            scale = _value(each, now)
             # What is left of a correction is small, and needs to be sure only.
             is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
             if is_rest or (each.is_earned and _is_large(each)):
                 # Objects that seem to move with the body are in another frame than is believed.
                 return {key: scale} if abs(scale - 1.0) < MAX_SHARE else {}
     return {}
+
+
+def _suspected(found: tuple[Correction, ...], now: Calibration) -> dict[str, float]:
+    """What corrections that are earned, but were not made, would change."""
+    return {SETTINGS[each.term]: _value(each, now) for each in found if each.is_earned and each.term in SETTINGS}
+
+
+def _value(each: Correction, now: Calibration) -> float:
+    """What the correction changes its setting to."""
+    branch, name = SETTINGS[each.term].split(".")
+    value = float(getattr(getattr(now, branch), name))
+    if each.term in SCALES:
+        return value * (1.0 + each.value)
+    return value + (float(np.rad2deg(each.value)) if each.term in ANGLES else each.value)
 
 
 def _is_turned_by_hand(given: Calibration) -> bool:

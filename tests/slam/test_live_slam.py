@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from threading import Event
 
 import numpy as np
+import pytest
 
 from logs.messages import ObjectDetections, Record, SlamPose, StatusRecord
+from slam import live_slam
 from slam.common.calibration import Calibration
 from slam.common.config import Config
+from slam.common.errors import SavedMapError
 from slam.evaluation.inputs.records import collect_records
+from slam.fleet.session_config import session_config
 from slam.live_slam import LiveSlam
 from slam.localization.state import CALIBRATIONS
+from slam.object_map.map_io import confirmed, load_map
+from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
 from tests.helpers.short_drives import block_world, drive, keep_until
@@ -47,10 +56,32 @@ def test_live_estimates_do_not_depend_on_what_comes_later():
 
 def test_calibration_is_estimated_each_time_that_scans_have_doubled():
     statuses = [each for step in live_updates() for each in step if isinstance(each, StatusRecord)]
-    counts = [each.counters[CALIBRATIONS] for each in statuses if each.counters.get(CALIBRATIONS)]
+    messages = {each.counters[CALIBRATIONS]: each.message for each in statuses if each.counters.get(CALIBRATIONS)}
+    surveyed = [int(message.split()[2]) for message in messages.values()]
     scans = sum(isinstance(record, ObjectDetections) for record in records())
-    assert max(counts) == np.floor(np.log2(scans * 3 / 4))
-    assert sorted(set(counts)) == list(range(1, max(counts) + 1))
+    assert list(messages) == list(range(1, len(messages) + 1))
+    assert all(later in (2 * count, 2 * count + 1) for count, later in pairwise(surveyed))
+    assert 2 * surveyed[-1] * 5 / 3 > scans
+
+
+def test_messages_do_not_wait_while_the_calibration_is_estimated(monkeypatch: pytest.MonkeyPatch):
+    begun, mapped, done = Event(), Event(), Event()
+
+    def slow(*inputs):
+        begun.set()
+        mapped.wait(2.0)
+        done.set()
+        return survey(*inputs)
+
+    monkeypatch.setattr(live_slam, "survey", slow)
+    slam = LiveSlam(Config())
+    for record in records():
+        slam.process(record)
+        if begun.is_set():
+            break
+    assert begun.is_set()
+    assert not done.is_set()
+    mapped.set()
 
 
 def test_one_pose_is_published_for_each_odometry_message():
@@ -68,6 +99,20 @@ def test_map_is_the_one_that_the_last_calibration_makes_of_all_records():
         again.process(record)
     assert slam.calibration.estimated
     np.testing.assert_array_equal(final.object_map.positions, again.finish().object_map.positions)
+
+
+def test_saved_map_holds_the_landmarks_and_the_calibration(tmp_path: Path):
+    slam = LiveSlam(Config())
+    for record in records():
+        slam.process(record)
+    final = slam.finish()
+    slam.save(tmp_path / "map.mcap", final)
+    saved = load_map(tmp_path / "map.mcap")
+    assert set(saved.objects.ids) == set(confirmed(final.object_map).ids)
+    assert session_config(saved.metadata).calibration == slam.calibration.config.calibration
+    lost = LiveSlam(Config(), saved)
+    with pytest.raises(SavedMapError, match="never relocalized"):
+        lost.save(tmp_path / "extended.mcap", final)
 
 
 def test_calibration_that_is_complete_is_kept():

@@ -39,7 +39,7 @@ def test_replay_uses_the_file_or_estimates_the_same(dslam: Run, robot: Path, tmp
     used, known = load_config(calibration=robot), load_config(again)
     if is_given:
         assert Config.model_validate_json(about["configuration"]) == known == used
-    for part in ("odometry", "detection", "objects"):
+    for part in ("odometry", "detection", "objects", "sigmas", "evidence"):
         assert getattr(known.calibration, part) == getattr(used.calibration, part)
 
 

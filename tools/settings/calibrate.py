@@ -66,6 +66,6 @@ def _show(found: CalibratedLog, output: Path | None) -> None:
         sigma = calibration.sigmas.get(key)
         rows[key] = f"{value:.4g}" + ("" if sigma is None else f" +- {sigma:.2g}")
     rows["from"] = ", ".join(f"{name} {value:.0f}" for name, value in calibration.evidence.items())
-    rows |= {"corrected": "; ".join(found.notes)} if found.notes else {}
+    rows |= {"notes": "; ".join(found.notes)} if found.notes else {}
     rows |= {"written": str(output)} if output is not None else {}
     console.show(console.pairs(rows))

@@ -120,6 +120,15 @@ def test_after_a_new_segment_nothing_from_before_is_expected(street, breaks):
     assert street.drive(20, hidden=street.hide_known()) is None
 
 
+def test_after_a_kidnapping_the_next_one_is_as_improbable_as_before(street):
+    street.carry_off()
+    assert street.drive(int(RANGE_M / STEP_M), hidden=street.hide_known()) is not None
+    assert street.monitor.kidnapping_probability > 0.99
+    street.monitor.restart()
+    street.drive(1, hidden=street.hide_known())
+    assert street.monitor.kidnapping_probability < 1e-3
+
+
 def test_where_a_sensor_sees_is_learned_by_range_and_bearing():
     visibility = Visibility(RANGE_M)
     ahead, behind, far = np.array([[10.0, 1.0]]), np.array([[-10.0, 1.0]]), np.array([[31.0, 0.0]])

@@ -249,6 +249,13 @@ def test_what_was_corrected_is_told_and_what_was_given_stays(surveyed):
     assert calibrate(Config(), surveyed).notes == ()
 
 
+def test_suspicions_are_notes_and_change_nothing(surveyed):
+    calibration = calibrate(Config(), replace(surveyed, suspected={"detection.x_m": -0.3}))
+    assert "detection.x_m" not in calibration.estimated
+    (note,) = calibration.notes
+    assert note.endswith("suspected, not corrected (detection.x_m)")
+
+
 def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
     config = calibrate(Config(), replace(surveyed, labels=LabelNoise(0.7))).config
     assert config.calibration.objects.label_accuracy == 0.7

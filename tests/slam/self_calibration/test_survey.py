@@ -223,7 +223,9 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
     shift, bias = Correction("x_m", 0.5, 0.01, 0.2, True), Correction("near_m", bias_m, 0.2, 0.0, False)
     found = iter([(shift, bias)])
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: next(found, ()))
-    assert survey(turned_records(0.0), ON_BODY).corrected == shifts
+    surveyed = survey(turned_records(0.0), ON_BODY)
+    assert surveyed.corrected == shifts
+    assert surveyed.suspected == ({} if shifts else {"detection.x_m": 0.5})
 
 
 @pytest.mark.slow
