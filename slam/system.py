@@ -34,6 +34,7 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, FinalRecords, judge_outcome
+from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -235,7 +236,7 @@ class Slam:
         if self._frontend.placed is not None:
             tracked, pose = self._frontend.placed
             self._check.add(tracked, pose, self._output.in_map(pose))
-        return [placed, _localization(placed.stamp_ns, self.state, self._mapper, self._closer)]
+        return [placed, _localization(placed.stamp_ns, self.state, self._mapper.tracker.active, self._closer)]
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
@@ -316,14 +317,14 @@ def _refused_noises() -> Iterator[None]:
         ) from error
 
 
-def _localization(stamp_ns: int, state: State, mapper: Mapper, closer: LoopCloser) -> LocalizationRecord:
+def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: LoopCloser) -> LocalizationRecord:
     """Certainty of the robot's pose at a scan."""
-    ratios = mapper.innovation_ratios
+    ratios = active.innovation_ratios
     return LocalizationRecord(
         stamp_ns,
         state.value,
         1.0 if state == State.LOST else closer.kidnapping_probability,
         tuple(ratios),
         np.array(list(ratios.values())),
-        mapper.pose_covariance,
+        active.pose_covariance,
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterator
+from dataclasses import replace
 
 from logs.messages import DetectionAssociations, ObjectDetections, Odometry
 from slam.common.calibration import DetectionCalibration
@@ -42,6 +43,7 @@ class Frontend:
         self._scans = ScanQueue(config.time_offset_s)
         self._track = track
         self._mapper = mapper
+        self._tracker = mapper.tracker
         self._counters = counters
         self._waiting: deque[int] = deque()
         self._untold: list[tuple[Scan, int]] = []
@@ -119,10 +121,10 @@ class Frontend:
         if scan is None:
             return
         segment = self._mapper.segment
-        if segment is None or pose.segment <= segment or self._is_broken or not self._mapper.has_local_map:
+        if segment is None or pose.segment <= segment or self._is_broken or not self._tracker.is_tracking:
             yield from self._map(scan, pose)
             return
-        tracked = self._mapper.rejoin(scan, pose)
+        tracked = self._tracker.rejoin(scan, pose)
         if tracked is not None:
             self._untold = []
             yield from self._corrected(tracked, pose, segment)
@@ -153,7 +155,7 @@ class Frontend:
         self.placed = tracked, pose
         if tracked.correction is not None:
             self._track.correct(pose.stamp_ns, tracked.correction, segment=segment)
-            pose = self._mapper.tracked_pose(pose)
+            pose = replace(pose, T_odom_body=self._tracker.active.T_odom_body)
         yield from self._poses_until(pose.stamp_ns)
         yield self._mapper.add_scan(tracked, pose)
 

@@ -72,7 +72,7 @@ class Drive:
     def rejoined(self) -> Tracked | None:
         """The next scan, after a step of the odometry that no body can have made."""
         self.step += 1
-        tracked = self.mapper.rejoin(self.scan(self.seen()), self.pose(segment=1))
+        tracked = self.mapper.tracker.rejoin(self.scan(self.seen()), self.pose(segment=1))
         if tracked is not None:
             self.use(tracked, self.seen())
         return tracked
