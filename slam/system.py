@@ -28,7 +28,7 @@ from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.matched_noise import optimize_with_matched_noise
-from slam.backend.solver_options import UPDATE_KEYFRAMES, FactorGraphConfig
+from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -79,7 +79,7 @@ class Slam:
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
         self._frames = frames or SensorFrames()
         self._object_map = ObjectMap(config.calibration.objects)
-        self._graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
+        self._graph = FactorGraph(sensor_range_m=config.sensor_range_m)
         known, imported = restore_prior_map(prior_map, self._object_map, self._graph, fixed=not extend)
         self._first_keyframe = len(known)
         self._extends = extend

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, relative, rotation_angle_rad, transform_from_xyz_yaw
@@ -41,7 +40,7 @@ class Drive:
         config = Config.model_validate({"calibration": {"detection": {"common_sigma_m": 0.0}}})
         self.objects, self.rng, self.range_m = objects, np.random.default_rng(0), range_m
         object_map = ObjectMap(config.calibration.objects)
-        self.mapper = Mapper(config, object_map, FactorGraph(FactorGraphConfig()))
+        self.mapper = Mapper(config, object_map, FactorGraph())
         self.object_of: dict[int, int] = {}  # of each landmark
         self.T_fault, self.step, self.corrections = np.eye(4), 0, 0
         self.mapper.add_odometry(self.pose())

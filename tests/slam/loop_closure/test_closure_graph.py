@@ -9,7 +9,6 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import transform_from_xyz_yaw
@@ -42,7 +41,7 @@ class Street:
     def __init__(self, *, pass_m: float = PASS_M, min_travel_m: float = 100.0) -> None:
         self.pass_m = pass_m
         self.map = ObjectMap(ObjectCalibration())
-        self.graph = FactorGraph(FactorGraphConfig(observation_kernel_width=1e6))
+        self.graph = FactorGraph(kernel_width=1e6)
         self.keyframes: list[Keyframe] = []
         self.loops = ClosedLoops(self.map, self.graph, self.keyframes, min_travel_m=min_travel_m)
         self.graph.add_first_keyframe(0, pose(0.0))
