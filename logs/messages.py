@@ -359,8 +359,7 @@ class LocalizationRecord:
 class SceneMarkers:
     """Objects as a viewer shows them: shapes of one class share a colour and a text.
 
-    positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); one with an id that is shown already takes its place.
-    ``removed``: ids that are shown no longer. ``replaces``: nothing that was shown before stays.
+    positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); they take the place of all that were shown before.
     """
 
     stamp_ns: int
@@ -368,8 +367,6 @@ class SceneMarkers:
     positions: FloatArray
     labels: tuple[str, ...]
     ids: tuple[str, ...]
-    removed: tuple[str, ...] = ()
-    replaces: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,11 +51,7 @@ def class_color(label: str) -> tuple[float, float, float, float]:
 def encode_markers(markers: SceneMarkers) -> Message:
     """``markers`` as one update of the scene: an entity with shape and text for each object."""
     now = timestamp(markers.stamp_ns)
-    update = SceneUpdate()
-    if markers.replaces:
-        update.deletions.add(timestamp=now, type=SceneEntityDeletion.ALL)
-    for object_id in markers.removed:
-        update.deletions.add(timestamp=now, type=SceneEntityDeletion.MATCHING_ID, id=object_id)
+    update = SceneUpdate(deletions=[SceneEntityDeletion(timestamp=now, type=SceneEntityDeletion.ALL)])
     colors = {label: Color(**dict(zip("rgba", class_color(label), strict=True))) for label in markers.labels}
     for (x, y, z), label, object_id in zip(markers.positions.tolist(), markers.labels, markers.ids, strict=True):
         entity = update.entities.add(timestamp=now, frame_id=markers.frame_id, id=object_id)

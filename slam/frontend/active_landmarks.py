@@ -14,11 +14,11 @@ from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, relative, rigid, view_change
 from slam.frontend.data_association import squared_distances
 from slam.frontend.input.scan import Scan
-from slam.frontend.local_map import GATE, LocalMap
+from slam.frontend.local_map import LocalMap
 from slam.frontend.pose_posterior import KnownLandmarks, fit_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
-from slam.odometry.noise_scale import NoiseScale
+from slam.odometry.noise_scale import GATE, NoiseScale
 from slam.odometry.pose import OdometryPose
 
 MAX_LANDMARKS = 200

@@ -66,11 +66,6 @@ class Assignment:
         """(D,) whether the detection has a landmark."""
         return self.landmark_rows >= 0
 
-    @property
-    def new(self) -> NDArray[np.bool_]:
-        """(D,) whether the detection is of no landmark; the others are too near to one to say."""
-        return np.equal(self.landmark_rows, NEW)
-
     def of(self, count: int) -> Assignment:
         """That of the first detections."""
         return replace(

@@ -23,6 +23,7 @@ from slam.frontend.input.scan import Scan, with_expected_noise
 from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, is_same_pose, probabilities
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
+from slam.odometry.step_limits import RECENT_STEPS
 from slam.odometry.track import Correction
 
 DECIDED = 0.99
@@ -37,8 +38,6 @@ searched for everywhere around.
 """
 MAX_TURN_RAD = 0.25
 """A pose is used if its rotation errs by less, so that what follows from it is nearly linear in its errors."""
-RECENT_STEPS = 10
-"""A body is as fast as at the fastest of so many steps: a single one is noisy."""
 JUMPED = 0.5
 """Probability that a step that no body can have made is wrong."""
 

@@ -29,7 +29,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
@@ -82,16 +81,11 @@ class Hypothesis:
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
     """``log_odds`` (K,) of the poses given against "somewhere new"; ``posterior_log_odds`` (K,) against that and all
-    poses that cannot be true together with them.
+    poses that cannot be true together with them; poses that can be share theirs.
     """
 
     log_odds: FloatArray
     posterior_log_odds: FloatArray
-
-    @property
-    def probabilities(self) -> FloatArray:
-        """Posterior probabilities (K,); poses that can be true together share theirs."""
-        return np.asarray(expit(self.posterior_log_odds))
 
     @property
     def best(self) -> int:

@@ -72,10 +72,6 @@ class Acceptance:
         """Whether a candidate would be accepted if there was no other."""
         return candidate.score >= self._least_log_odds
 
-    def is_confirmed(self, propagated: Candidate) -> bool:
-        """Whether a candidate at the pose that an accepted closure predicts is accepted."""
-        return self.is_acceptable(propagated)
-
     def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
         """Whether landmarks, seen on some travel first, make a predicted pose less likely than a failure of the
         odometry there.

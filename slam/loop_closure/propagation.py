@@ -81,7 +81,7 @@ class Propagation:
             return None
         candidate = predicted.verified
         agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
-        return candidate if agrees and self._acceptance.is_confirmed(candidate) else None
+        return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def is_contradicted(self, query: Query, predicted: Predicted | None) -> bool:
         """Whether the landmarks that came into view on the last sensor range of travel contradict a predicted place."""

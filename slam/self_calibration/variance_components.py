@@ -101,7 +101,7 @@ class Motion:
     travel_m: FloatArray
     heading_rad: FloatArray
     time_s: FloatArray
-    height_m: FloatArray | None = None
+    height_m: FloatArray
 
     @property
     def turn_rad(self) -> FloatArray:
@@ -192,11 +192,10 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     first, second = first[order], second[order]
     _, start, group = np.unique(key[order], return_index=True, return_inverse=True)
     before, after = tracks.scan[first], tracks.scan[second]
-    body_m = np.zeros(scans) if motion.height_m is None else motion.height_m
     heights = tracks.heights
     d = np.column_stack([tracks.points[second] - tracks.points[first], heights[second] - heights[first]])
-    x = np.column_stack([tracks.offsets[second], heights[second] - body_m[after]])
-    x_before = np.column_stack([tracks.offsets[first], heights[first] - body_m[before]])
+    x = np.column_stack([tracks.offsets[second], heights[second] - motion.height_m[after]])
+    x_before = np.column_stack([tracks.offsets[first], heights[first] - motion.height_m[before]])
     moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
     turned = transform_from_xyz_yaw(np.zeros((len(before), 3)), motion.heading_rad[after] - motion.heading_rad[before])

@@ -54,7 +54,6 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
         positions=np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
         labels=("tree", "pole"),
         ids=("L1", "L2"),
-        removed=("L0",),
     )
     write(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
     (entry,) = read(tmp_path / "log.mcap")

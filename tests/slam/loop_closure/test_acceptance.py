@@ -154,9 +154,8 @@ def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(acceptance)
 
 
 def test_what_is_acceptable_suffices_alone(acceptance):
-    for is_enough in (acceptance.is_acceptable, acceptance.is_confirmed):
-        assert is_enough(candidate(0.0, SURE_LLR))
-        assert not is_enough(candidate(0.0, SURE_LLR - 1.0))
+    assert acceptance.is_acceptable(candidate(0.0, SURE_LLR))
+    assert not acceptance.is_acceptable(candidate(0.0, SURE_LLR - 1.0))
 
 
 def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, patterns):

@@ -106,10 +106,7 @@ class Parts(Patterns):
         return []
 
     def is_acceptable(self, candidate: Candidate) -> bool:
-        return candidate.score >= 20.0
-
-    def is_confirmed(self, propagated: Candidate) -> bool:
-        return propagated.score >= 6.0
+        return candidate.score >= (20.0 if candidate.seed_closure < 0 else 6.0)
 
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
         if self.is_acceptable(candidates[0]):
