@@ -16,7 +16,6 @@ from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima, which_agree
 from slam.loop_closure.verification import Verifier
-from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 from slam.registration.parameters import registration_config
 
@@ -42,14 +41,13 @@ class Acceptance:
     What it remembers of earlier keyframes are the hypotheses of its :class:`slam.localization.localizer.Localizer`.
     """
 
-    def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
+    def __init__(self, config: Config, verifier: Verifier) -> None:
         self.min_objects = registration_config(config).min_inliers
         """Fewest objects that determine a pose."""
         self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -log_odds_of(config.localization.error_probability)
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
-        self._keyframes = keyframes
         self._localizer = Localizer(
             config.localization,
             partial(which_agree, sensor_range_m=self._sensor_range_m),
@@ -129,7 +127,7 @@ class Acceptance:
     def _evidence(self, candidate: Candidate) -> PoseEvidence:
         return PoseEvidence(
             candidate.T_local_query,
-            self._keyframes[candidate.reference].odometry.segment,
+            candidate.reference.odometry.segment,
             -candidate.odometry_penalty,
             -candidate.unpredicted_penalty,
             candidate.rows,

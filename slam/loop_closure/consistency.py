@@ -49,8 +49,8 @@ def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: floa
         index = next(same, None)
         if index is None:
             kept.append(candidate)
-        elif candidate.rank < kept[index].rank:
-            kept[index] = replace(kept[index], rank=candidate.rank)
+        elif candidate.place.rank < kept[index].place.rank:
+            kept[index] = replace(kept[index], place=replace(kept[index].place, rank=candidate.place.rank))
     return kept
 
 

@@ -73,7 +73,7 @@ class Propagation:
         place = self._verifier.predict(seed, query)
         if place is None:
             return None
-        return Predicted(place, self._verifier.verify(query, place, seed_closure=seed.query))
+        return Predicted(place, self._verifier.verify(query, place, seed_closure=seed.query.id))
 
     def confirmed(self, predicted: Predicted | None) -> Candidate | None:
         """The closure at a predicted place, if it is accepted there."""
@@ -111,7 +111,7 @@ class Propagation:
         """Whether a candidate is farther than registration reaches from the place that the seed predicts."""
         seed = self._seed_for(query)
         place = None if seed is None else self._verifier.predict(seed, query)
-        if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
+        if place is None or place.segment != candidate.reference.odometry.segment:
             return False
         apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
         return apart_m > self._verifier.reach_m

@@ -37,8 +37,7 @@ def patterns() -> Patterns:
 
 @pytest.fixture
 def acceptance(patterns: Patterns) -> Acceptance:
-    keyframes = [make_keyframe(number, 2.0 * number) for number in range(60)]
-    return Acceptance(Config(), patterns, keyframes)  # type: ignore[arg-type]
+    return Acceptance(Config(), patterns)  # type: ignore[arg-type]
 
 
 def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):

@@ -51,9 +51,8 @@ class Drive:
 
     def candidate(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> Candidate:
         return make_candidate(
-            query=query,
-            reference=query - ROUND if reference is None else reference,
-            travel_m=STEP_M * query,
+            query=self.keyframes[query],
+            reference=self.keyframes[query - ROUND if reference is None else reference],
             T_reference_query=pose(STEP_M * ROUND + off_m),
             T_local_query=pose(STEP_M * query),
         )

@@ -75,9 +75,8 @@ class Parts(Patterns):
         if llr is None:
             return query.refusal(Stage.REGISTRATION, "nothing fits")
         found = make_candidate(
-            query=query.keyframe.id,
-            reference=max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0,
-            travel_m=query.travel_m,
+            query=query.keyframe,
+            reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
             T_local_query=at(query.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
         )
@@ -124,12 +123,12 @@ class Parts(Patterns):
         return self.is_connected
 
     def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
-        assert candidate.query not in self.closed
-        self.closed[candidate.query] = candidate.reference
+        assert candidate.query.id not in self.closed
+        self.closed[candidate.query.id] = candidate.reference.id
         return candidate.record(Stage.ACCEPTED, reason)
 
     def add_tracked(self, candidate: Candidate) -> None:
-        self.recognised.append(candidate.query)
+        self.recognised.append(candidate.query.id)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         return [], True

@@ -75,9 +75,8 @@ class Street:
     def close(self, query: int, reference: int, pairs: list[tuple[int, int]]) -> None:
         apart_m = (query % STATIONS - reference % STATIONS) * SPACING_M
         candidate = make_candidate(
-            query=query,
-            reference=reference,
-            travel_m=query // STATIONS * self.pass_m + query % STATIONS * SPACING_M,
+            query=self.keyframes[query],
+            reference=self.keyframes[reference],
             T_reference_query=pose(apart_m),
             sigma=0.3,
             pairs=pairs,
@@ -275,7 +274,7 @@ def test_the_nearest_closure_is_the_one_nearest_in_travel(street):
     for travel_m, query in ((PASS_M, 6), (PASS_M + 24.0, 6), (PASS_M + 26.0, 9), (900.0, 9)):
         found = street.loops.nearest(travel_m)
         assert found is not None
-        assert found.candidate.query == query
+        assert found.candidate.query.id == query
 
 
 def test_a_landmark_that_stands_for_two_passes_is_not_merged_into_a_third(street):
