@@ -87,7 +87,7 @@ class ScanLocalizer:
         self._retriever = PlaceRetriever(config, object_map)
         self._retriever.index_inactive_landmarks(self._scan.odometry)
         self._verifier = Verifier(config, self._retriever, track, graph, keyframes, objects.positions[:, :2])
-        self._acceptance = Acceptance(config, self._verifier, keyframes)
+        self._acceptance = Acceptance(config, self._verifier)
 
     def localize(self, scan: ObjectDetections) -> ScanLocalization:
         """The pose of the scan in the map, or the reason why there is none.

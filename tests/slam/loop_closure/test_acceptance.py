@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import logit
 
 from slam.common.config import Config, LocalizationConfig
-from slam.localization.localizer import log_odds_of
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
 PENALTY = 15.0
-SURE_LLR = PENALTY - log_odds_of(LocalizationConfig().error_probability) + 0.5
+SURE_LLR = PENALTY - logit(LocalizationConfig().error_probability) + 0.5
 """A little more than the log odds that are wanted, above the penalty."""
 
 
