@@ -14,7 +14,7 @@ import numpy as np
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import IntArray
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
 from slam.loop_closure.acceptance import Acceptance
@@ -26,7 +26,7 @@ from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.missing_landmarks import MissingLandmarks
-from slam.object_map.submap import SUBMAP_RANGES, gravity_frame, recent_submap, recent_submap_with_unconfirmed
+from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import ImportedPlaces

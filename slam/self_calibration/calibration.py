@@ -12,10 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
-from slam.object_map.submap import SUBMAP_RANGES
 from slam.self_calibration.survey import Survey
 from slam.self_calibration.surveyed_log import MAX_DETOUR
 from slam.self_calibration.variance_components import NoiseComponents
