@@ -12,7 +12,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.config import Config
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY, changed_log_likelihood_ratio
+from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -39,7 +39,6 @@ class Propagation:
         keyframes: Sequence[Keyframe],
     ) -> None:
         self._distance_m = config.propagation_distance_m
-        self._detection_probability = DETECTION_PROBABILITY
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
         self._acceptance = acceptance
@@ -95,7 +94,7 @@ class Propagation:
         is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
             landmarks["first_seen_travel_m"] <= query.travel_m - self._sensor_range_m
         )
-        ratio = changed_log_likelihood_ratio(ratios[~is_old], self._detection_probability)
+        ratio = changed_log_likelihood_ratio(ratios[~is_old])
         return self._acceptance.is_contradicted(ratio, self._sensor_range_m)
 
     def contradicted_since(self, query: Query) -> Keyframe:

@@ -13,7 +13,7 @@ from scipy.special import logit
 
 from logs.closures import STAGES
 from slam.common.config import Config, LocalizationConfig
-from slam.loop_closure import likelihood_ratio, propagation
+from slam.loop_closure import likelihood_ratio
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -129,8 +129,7 @@ def test_closures_make_one_landmark_of_each_object(looped, open_ended):
 
 def count_no_misses(monkeypatch):
     """Objects without a match say nothing against a place."""
-    for module in (likelihood_ratio, propagation):
-        monkeypatch.setattr(module, "DETECTION_PROBABILITY", 1e-6)
+    monkeypatch.setattr(likelihood_ratio, "DETECTION_PROBABILITY", 1e-6)
 
 
 def test_a_drive_without_revisits_accepts_nothing(straying):
