@@ -107,7 +107,7 @@ class Tracker:
 
     def _track(self, scan: Scan, pose: OdometryPose) -> Tracked:
         """The scan at its pose, with the associations that are sure."""
-        tracked = self._associated(scan, self._map.label_indices(scan.labels))
+        tracked = self._associated(scan)
         self._scans += 1
         is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self.active.T_local_body[:3, 3])
         self._failures = self._failures + 1 if is_failing else 0
@@ -130,10 +130,10 @@ class Tracker:
         """
         if not self.is_tracking:
             return None
-        labels = self._map.label_indices(scan.labels)
         T_reported = self.active.T_local_odom @ pose.T_odom_body
         self.active.advance(self._expected(pose), is_guess=True)
-        gathered = self._gathered(self._associated(scan, labels), pose.T_odom_body)
+        tracked = self._associated(scan)
+        gathered = self._gathered(tracked, pose.T_odom_body)
         slip = self._slip(pose.stamp_ns, 0.0, 0.0)
         components = [
             PriorComponent(0.5 * JUMPED, slip),
@@ -142,10 +142,10 @@ class Tracker:
         ]
         mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
         if mode is None:
-            self._untold.append((self._associated(scan, labels), pose.T_odom_body))
+            self._untold.append((tracked, pose.T_odom_body))
             return None
-        moved = self._shifted(self._associated(scan, labels), mode)
-        moved = replace(moved, assignment=moved.assignment.of(len(labels)))
+        moved = self._shifted(tracked, mode)
+        moved = replace(moved, assignment=moved.assignment.of(len(tracked.labels)))
         T_odom = rigid(self.active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
         moved = replace(moved, correction=Correction(T_odom, moved.correction.variances))
@@ -176,8 +176,9 @@ class Tracker:
         T_step = blend(np.eye(4), step, seconds / took_s)
         return replace(pose, T_odom_body=self._T_odom_body @ T_step)
 
-    def _associated(self, scan: Scan, labels: IntArray) -> Tracked:
+    def _associated(self, scan: Scan) -> Tracked:
         """The scan with the assignment at the predicted pose."""
+        labels = self._map.label_indices(scan.labels)
         seen = scan.seen_from(self.active.T_local_body)
         detected = Objects(seen.positions, self._spread(seen), labels)
         beliefs = self._map.beliefs(self.active.rows)
