@@ -46,7 +46,7 @@ class Frontend:
         self._tracker = mapper.tracker
         self._counters = counters
         self._waiting: deque[int] = deque()
-        self._untold: list[tuple[Scan, int]] = []
+        self._untold: list[tuple[Tracked, OdometryPose]] = []
         self._is_broken = False
         self.placed: tuple[Tracked, OdometryPose] | None = None
         """The last scan that was mapped, and where the odometry had the body before that scan corrected it."""
@@ -84,7 +84,7 @@ class Frontend:
         for detections in self._scans.take(self.latest_ns):
             yield from self._place(detections)
         overdue_ns = self.latest_ns - round(MAX_GAP_S * 1e9)
-        if self._untold and self._untold[0][1] <= overdue_ns:
+        if self._untold and self._untold[0][1].stamp_ns <= overdue_ns:
             self._is_broken = True
             yield from self._map_untold()
         yield from self._poses_until(overdue_ns)
@@ -124,12 +124,12 @@ class Frontend:
         if segment is None or pose.segment <= segment or self._is_broken or not self._tracker.is_tracking:
             yield from self._map(scan, pose)
             return
-        tracked = self._tracker.rejoin(scan, pose)
-        if tracked is not None:
+        tracked = self._tracker.rejoin(scan, pose, self._untold)
+        if not tracked.is_lost:
             self._untold = []
             yield from self._corrected(tracked, pose, segment)
             return
-        self._untold.append((scan, pose.stamp_ns))
+        self._untold.append((tracked, pose))
         if len(self._untold) == REJOINING_SCANS:
             self._is_broken = True
             yield from self._map_untold()
@@ -137,10 +137,10 @@ class Frontend:
     def _map_untold(self) -> Iterator[OdometryPose | DetectionAssociations]:
         """Map the scans that did not show that a step was none."""
         untold, self._untold = self._untold, []
-        for scan, stamp_ns in untold:
-            pose = self._track.at(stamp_ns)
+        for tracked, earlier in untold:
+            pose = self._track.at(earlier.stamp_ns)
             if pose is not None:
-                yield from self._map(scan, pose)
+                yield from self._map(tracked.scan, pose)
 
     def _map(self, scan: Scan, pose: OdometryPose) -> Iterator[OdometryPose | DetectionAssociations]:
         """Place a scan where the odometry has it, or near there."""

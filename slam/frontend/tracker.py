@@ -10,6 +10,7 @@ around.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,7 +82,6 @@ class Tracker:
         self._stamp_ns = 0
         self._T_local_body: FloatArray | None = None
         self._T_odom_body: FloatArray | None = None
-        self._untold: list[tuple[Tracked, FloatArray]] = []
         self._speeds = deque([np.zeros(2)], maxlen=RECENT_STEPS)  # rad/s, m/s
         self._velocity = np.eye(4), 1.0  # a motion of the body, and how many seconds it took
 
@@ -93,7 +93,6 @@ class Tracker:
     def restart(self) -> None:
         """Forget the motion, as after a discontinuity of the odometry."""
         self._T_local_body = None
-        self._untold = []
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to, and
@@ -123,17 +122,16 @@ class Tracker:
             tracked = replace(tracked, assignment=undecided)
         return replace(tracked, is_lost=is_lost)
 
-    def rejoin(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
-        """The same for a ``pose`` after a step that no body can have made; None where the detections do not tell.
+    def rejoin(self, scan: Scan, pose: OdometryPose, untold: Sequence[tuple[Tracked, OdometryPose]]) -> Tracked:
+        """The same for a ``pose`` after a step that no body can have made; lost where the detections do not tell.
 
-        What was seen in the scans since that step counts, too, as the odometry has it around the body now.
+        What was seen in the scans since that step, which are ``untold``, counts, too, as the odometry has it around the
+        body now.
         """
-        if not self.is_tracking:
-            return None
         T_reported = self.active.T_local_odom @ pose.T_odom_body
         self.active.advance(self._expected(pose), is_guess=True)
         tracked = self._associated(scan)
-        gathered = self._gathered(tracked, pose.T_odom_body)
+        gathered = self._gathered(tracked, pose, untold)
         slip = self._slip(pose.stamp_ns, 0.0, 0.0)
         components = [
             PriorComponent(0.5 * JUMPED, slip),
@@ -142,8 +140,7 @@ class Tracker:
         ]
         mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
         if mode is None:
-            self._untold.append((tracked, pose.T_odom_body))
-            return None
+            return replace(tracked, is_lost=True)
         moved = self._shifted(tracked, mode)
         moved = replace(moved, assignment=moved.assignment.of(len(tracked.labels)))
         T_odom = rigid(self.active.T_odom_body @ invert(pose.T_odom_body))
@@ -153,10 +150,12 @@ class Tracker:
         self._follow(pose.stamp_ns)
         return moved
 
-    def _gathered(self, tracked: Tracked, T_odom_body: FloatArray) -> Tracked:
+    def _gathered(
+        self, tracked: Tracked, pose: OdometryPose, untold: Sequence[tuple[Tracked, OdometryPose]]
+    ) -> Tracked:
         """A scan together with the objects seen in those before it that did not tell either."""
-        for earlier, T_odom_earlier in reversed(self._untold):
-            T_now_earlier = relative(T_odom_body, T_odom_earlier)
+        for earlier, earlier_pose in reversed(untold):
+            T_now_earlier = relative(pose.T_odom_body, earlier_pose.T_odom_body)
             scan = earlier.scan.seen_from(T_now_earlier)
             offsets = scan.positions[:, None] - tracked.scan.positions
             near = np.einsum("nki,nki->nk", offsets, offsets) < self._config.spacing_m**2
@@ -299,7 +298,6 @@ class Tracker:
 
     def _follow(self, stamp_ns: int) -> None:
         """Remember the pose, corrected by the landmarks, and its velocity."""
-        self._untold = []
         T, before = self.active.T_local_body, self._T_local_body
         seconds = (stamp_ns - self._stamp_ns) * 1e-9
         if before is not None and seconds > 0.0:

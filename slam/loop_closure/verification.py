@@ -93,14 +93,8 @@ class Verifier:
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
         if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:
             return None
-        segment = query.keyframe.odometry.segment
-        found = self._track.nearest(
-            query.T_local_gravity[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query)
-        )
-        if found is None:
-            return None
-        travel_m = self._keyframes[found[0]].odometry.travel_m
-        return Place(query.T_local_gravity, travel_m, segment, 0.0, "association")
+        place = self.place_at(query, query.T_local_gravity, query.keyframe.odometry.segment)
+        return place and replace(place, retrieval_distance=0.0, proposer="association")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
