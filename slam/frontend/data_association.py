@@ -28,6 +28,8 @@ GATE_PROBABILITY = 0.9995
 """Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
 NEW_OBJECT_GATE_PROBABILITY = 0.999999
 """A detection outside the gate of every landmark, but not as far off as that, is left out."""
+DECIDED = 0.99
+"""Probability from which a match, a pose or a landmark is taken to be right."""
 EXCLUDED_RATIO = 0.01
 """A landmark is excluded by its label where another one is so many times likelier."""
 INCONSISTENT_SIGMAS = 6.0

@@ -19,7 +19,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration, ObjectCalibration
 from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
-from slam.frontend.data_association import AMBIGUOUS, NEW, Assignment, Objects, associate
+from slam.frontend.data_association import AMBIGUOUS, DECIDED, NEW, Assignment, Objects, associate
 from slam.frontend.input.scan import Scan, with_expected_noise
 from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, is_same_pose, probabilities
 from slam.object_map.landmarks import ObjectMap
@@ -27,8 +27,6 @@ from slam.odometry.pose import OdometryPose
 from slam.odometry.step_limits import RECENT_STEPS
 from slam.odometry.track import Correction
 
-DECIDED = 0.99
-"""Probability from which a pair of a detection and a landmark is used, and a correction of the odometry made."""
 PRIOR_SCANS = 100
 """Before any is seen, one step of the odometry in so many is taken to err by as much as the body moves."""
 JUMP_PROBABILITY = 1e-4

@@ -34,7 +34,7 @@ from scipy.special import roots_genlaguerre
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw, view_change
-from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.object_tracks import ROUNDING, ObjectTracks
 
 BLOCKS = 8
 """Stretches of the log that the jackknife leaves out one at a time."""
@@ -52,7 +52,6 @@ ROOM_SIGMAS = 4.0
 LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
-ROUNDING = 1e-12
 EXACT = 1e-13
 """Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
 MAX_UNIT_M = 1e100
