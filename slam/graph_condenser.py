@@ -44,7 +44,6 @@ class GraphCondenser:
         """``counters``: of attached keyframes and rejected closures."""
         self._min_travel_m = config.closure_travel_m
         self._radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
-        self._anchor_every = GROUP_KEYFRAMES
         self._map = object_map
         self._graph = graph
         self._keyframes = keyframes
@@ -105,6 +104,6 @@ class GraphCondenser:
             variables,
             travel_m,
             is_settled=(travel_m < settled_m) & np.array([not each.is_prior for each in of]),
-            may_anchor=variables % self._anchor_every == 0,
+            may_anchor=variables % GROUP_KEYFRAMES == 0,
             min_travel_m=self._min_travel_m,
         )

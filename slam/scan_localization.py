@@ -14,7 +14,6 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -77,7 +76,7 @@ class ScanLocalizer:
         object_map = ObjectMap(config.calibration.objects)
         object_map.restore(objects, travel_m=TRAVEL_M)
         self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
-        graph = FactorGraph(FactorGraphConfig(), sensor_range_m=self._sensor_range_m)
+        graph = FactorGraph(sensor_range_m=self._sensor_range_m)
         self._scan = Keyframe(SCAN, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
         keyframes = [restore_map_frame(graph), self._scan]
         graph.add_fixed_keyframe(SCAN, np.eye(4))
@@ -88,7 +87,7 @@ class ScanLocalizer:
         self._retriever = PlaceRetriever(config, object_map)
         self._retriever.index_inactive_landmarks(self._scan.odometry)
         self._verifier = Verifier(config, self._retriever, track, graph, keyframes, objects.positions[:, :2])
-        self._acceptance = Acceptance(config, self._verifier, keyframes)
+        self._acceptance = Acceptance(config, self._verifier)
 
     def localize(self, scan: ObjectDetections) -> ScanLocalization:
         """The pose of the scan in the map, or the reason why there is none.

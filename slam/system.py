@@ -28,12 +28,13 @@ from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.matched_noise import optimize_with_matched_noise
-from slam.backend.solver_options import UPDATE_KEYFRAMES, FactorGraphConfig
+from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, FinalRecords, judge_outcome
+from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -78,7 +79,7 @@ class Slam:
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
         self._frames = frames or SensorFrames()
         self._object_map = ObjectMap(config.calibration.objects)
-        self._graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
+        self._graph = FactorGraph(sensor_range_m=config.sensor_range_m)
         known, imported = restore_prior_map(prior_map, self._object_map, self._graph, fixed=not extend)
         self._first_keyframe = len(known)
         self._extends = extend
@@ -234,7 +235,7 @@ class Slam:
         if self._frontend.placed is not None:
             tracked, pose = self._frontend.placed
             self._check.add(tracked, pose, self._output.in_map(pose))
-        return [placed, _localization(placed.stamp_ns, self.state, self._mapper, self._closer)]
+        return [placed, _localization(placed.stamp_ns, self.state, self._mapper.tracker.active, self._closer)]
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
@@ -315,14 +316,14 @@ def _refused_noises() -> Iterator[None]:
         ) from error
 
 
-def _localization(stamp_ns: int, state: State, mapper: Mapper, closer: LoopCloser) -> LocalizationRecord:
+def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: LoopCloser) -> LocalizationRecord:
     """Certainty of the robot's pose at a scan."""
-    ratios = mapper.innovation_ratios
+    ratios = active.innovation_ratios
     return LocalizationRecord(
         stamp_ns,
         state.value,
         1.0 if state == State.LOST else closer.kidnapping_probability,
         tuple(ratios),
         np.array(list(ratios.values())),
-        mapper.pose_covariance,
+        active.pose_covariance,
     )

@@ -27,7 +27,6 @@ from slam.backend.factors import (
 )
 from slam.backend.gtsam_calls import GtsamCalls
 from slam.backend.incremental_solver import IncrementalSolver
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 
@@ -38,9 +37,9 @@ class EditableGraph:
     ``prior_sigma_m``: standard deviation of what is fixed.
     """
 
-    def __init__(self, config: FactorGraphConfig, *, sensor_range_m: float) -> None:
+    def __init__(self, kernel_width: float, *, sensor_range_m: float) -> None:
         self.prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
-        self._config = config
+        self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
         self._calls = GtsamCalls()
         self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()
@@ -245,7 +244,7 @@ class EditableGraph:
     def _observation_factors(self, observations: Sequence[Observation]) -> list[gtsam.NonlinearFactor]:
         """The solver's factors of observations, each of the variable of its landmark."""
         seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations]
-        return observation_factors(seen, self._config, sensor_range_m=self._sensor_range_m)
+        return observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
 
     def _solver_factor(self, record: Factor) -> gtsam.NonlinearFactor:
         """What the solver is given for a record."""
@@ -260,4 +259,4 @@ class EditableGraph:
                 return landmark_prior_factor(record)
 
     def _incremental_solver(self) -> IncrementalSolver:
-        return IncrementalSolver(self._config, self._calls, sensor_range_m=self._sensor_range_m)
+        return IncrementalSolver(self._calls, sensor_range_m=self._sensor_range_m)

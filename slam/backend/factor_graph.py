@@ -16,10 +16,9 @@ from slam.backend.condensing.condensed_factors import condensed_factors, relativ
 from slam.backend.covariance.marginals import Marginals, compute_marginals, matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
-from slam.backend.factors import Edge, EdgeKind, Factor, Observation
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.incremental_solver import IncrementalSolver
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
@@ -29,12 +28,18 @@ logger = logging.getLogger(__name__)
 
 
 class FactorGraph(EditableGraph):
-    """Incremental estimate during the drive, one batch solution at its end; ``sensor_range_m``: of the detections."""
+    """Incremental estimate during the drive, one batch solution at its end.
+
+    ``sensor_range_m``: of the detections; ``kernel_width``: of the observations' Cauchy kernel, in standard deviations.
+    """
 
     def __init__(
-        self, config: FactorGraphConfig, *, sensor_range_m: float = DetectionCalibration().sensor_range_m
+        self,
+        *,
+        sensor_range_m: float = DetectionCalibration().sensor_range_m,
+        kernel_width: float = OBSERVATION_KERNEL_WIDTH,
     ) -> None:
-        super().__init__(config, sensor_range_m=sensor_range_m)
+        super().__init__(kernel_width, sensor_range_m=sensor_range_m)
         self._marginals: tuple[gtsam.Values, Marginals] | None = None  # with the estimate that they are of
 
     @property
@@ -147,7 +152,7 @@ class FactorGraph(EditableGraph):
         solver = self.settle()
         with self._calls.doing("the estimation of the noise"):
             records = [self._factors[number] for number in solver.factors]
-            found = matched_covariances(solver.graph, solver.values(), records, self._config)
+            found = matched_covariances(solver.graph, solver.values(), records, self._kernel_width)
         self.replace_covariances(
             {number: each for number, each in zip(solver.factors, found, strict=True) if each is not None}
         )
@@ -178,7 +183,7 @@ class FactorGraph(EditableGraph):
         moved = [replace(each, landmark=self._variable_of(each.landmark)) for each in moved]
         T_map_body = np.array([self.pose(each.keyframe) for each in moved]).reshape(-1, 4, 4)
         points = np.array([solver.values().atPoint3(L(each.landmark)) for each in moved]).reshape(-1, 3)
-        self.add_observations(summed_at_estimate(moved, T_map_body, points, self._config))
+        self.add_observations(summed_at_estimate(moved, T_map_body, points, self._kernel_width))
         self._remove(gone)
         self._solver = self._incremental_solver()
         self._solver.restart(solver.values(), solver.factors)
@@ -244,7 +249,7 @@ class FactorGraph(EditableGraph):
         if self._marginals is None or self._marginals[0] is not values:
             with self._calls.doing("the marginal covariances"):
                 records = [self._factors[number] for number in solver.factors]
-                self._marginals = values, compute_marginals(solver.graph, values, records, self._config)
+                self._marginals = values, compute_marginals(solver.graph, values, records, self._kernel_width)
         return self._marginals[1]
 
     def _check_landmarks(self, landmarks: IntArray) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from slam.backend.edge_kind import EdgeKind as EdgeKind
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
@@ -26,6 +25,8 @@ CAMERA_RANGES = 1e6
 CAMERA_AXES = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 ORTHONORMAL_TOLERANCE = 1e-6
 CLOSURE_KERNEL_WIDTH = 1.0
+OBSERVATION_KERNEL_WIDTH = 1.5
+"""Widths of the Cauchy kernels, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +118,7 @@ def _measurement(edge: Edge) -> tuple[gtsam.Pose3, gtsam.noiseModel.Base]:
 
 
 def observation_factors(
-    observations: Sequence[Observation], config: FactorGraphConfig, *, sensor_range_m: float
+    observations: Sequence[Observation], kernel_width: float, *, sensor_range_m: float
 ) -> list[gtsam.NonlinearFactor]:
     """The GTSAM factors of observations: the error is that of the position in the body frame, with its covariance.
 
@@ -137,7 +138,7 @@ def observation_factors(
     inflations = np.array([observation.covariance_inflation for observation in observations])
     noises = inflations[:, None, None] * (CAMERA_AXES @ covariances @ CAMERA_AXES.T)
     # The width of the kernel is in standard deviations of one observation, before the inflation.
-    widths = config.observation_kernel_width / np.sqrt(inflations)
+    widths = kernel_width / np.sqrt(inflations)
     kernels = {width: gtsam.noiseModel.mEstimator.Cauchy.Create(width) for width in dict.fromkeys(widths.tolist())}
     distance_m = CAMERA_RANGES * sensor_range_m
     camera = gtsam.Cal3_S2Stereo(distance_m, distance_m, 0.0, 0.0, 0.0, distance_m)

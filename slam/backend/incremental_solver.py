@@ -11,10 +11,11 @@ from gtsam.symbol_shorthand import X
 
 from slam.backend.gtsam_calls import GtsamCalls, first_line, graph_of
 from slam.backend.solver import Solver, Value
-from slam.backend.solver_options import FactorGraphConfig
 
 logger = logging.getLogger(__name__)
 
+RELINEARIZE_RAD = 0.05
+"""Rotation that relinearises a pose."""
 RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
 """Unit of length in which a position changes by as much as a rotation in radians, in sensor ranges."""
 
@@ -22,9 +23,8 @@ RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
 class IncrementalSolver(Solver):
     """iSAM2 (Kaess et al. 2012), and what is added to it by its next update."""
 
-    def __init__(self, config: FactorGraphConfig, calls: GtsamCalls, *, sensor_range_m: float) -> None:
+    def __init__(self, calls: GtsamCalls, *, sensor_range_m: float) -> None:
         super().__init__(calls)
-        self._config = config
         self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
@@ -113,13 +113,11 @@ class IncrementalSolver(Solver):
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:
         """An empty one, with thresholds in radians and in units of length that are a fraction of the sensor range."""
-        rotation = self._config.relinearize_threshold
-        translation = rotation * self._relinearize_unit_m
+        translation = RELINEARIZE_RAD * self._relinearize_unit_m
         thresholds = gtsam.ISAM2ThresholdMap()
-        thresholds.insert(("x", np.repeat([rotation, translation], 3)))
+        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, translation], 3)))
         thresholds.insert(("l", np.repeat(translation, 3)))
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(thresholds)
-        parameters.relinearizeSkip = self._config.relinearize_skip
         parameters.setFactorization(factorization)
         return gtsam.ISAM2(parameters)

@@ -20,10 +20,10 @@ _LIMITS = ReadingLimits()
 _Name = Annotated[str, StringConstraints(min_length=1)]
 KEYFRAME_RANGES = 1.0 / 15.0
 """Travel from one keyframe to the next in sensor ranges, unless a distance is given: submaps have 25 keyframes."""
-CLOSURE_RANGES = 10.0 / 3.0
-"""Least travel between the keyframes of a closure: twice that of a submap, so that the two share no landmark."""
-PROPAGATION_RANGES = 5.0 / 3.0
-"""Travel over which a closure predicts others: that of a submap."""
+SUBMAP_RANGES = 5.0 / 3.0
+"""Landmarks seen within that much travel, in sensor ranges, make a submap. Over that travel a closure predicts others,
+and between the keyframes of a closure lies twice as much, so that their submaps share no landmark.
+"""
 
 
 class KeyframeConfig(Branch):
@@ -129,13 +129,13 @@ class Config(Branch):
     def closure_travel_m(self) -> float:
         """Least travel [m] between the two keyframes of a closure."""
         given = self.loop_closure.min_travel_m
-        return CLOSURE_RANGES * self.sensor_range_m if given is None else given
+        return 2.0 * SUBMAP_RANGES * self.sensor_range_m if given is None else given
 
     @property
     def propagation_distance_m(self) -> float:
         """Travel [m] over which an accepted closure predicts those before and after it."""
         given = self.loop_closure.propagation_distance_m
-        return PROPAGATION_RANGES * self.sensor_range_m if given is None else given
+        return SUBMAP_RANGES * self.sensor_range_m if given is None else given
 
     def calibrated(self, values: Mapping[str, float]) -> Config:
         """The same with other values of some dotted keys of the calibration, like "odometry.yaw_sigma"."""

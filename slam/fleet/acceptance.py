@@ -17,13 +17,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logit
 
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert, yaw_rad
 from slam.fleet.joins import Join
-from slam.localization.localizer import log_odds_of
 from slam.loop_closure.consistency import AGREE_RAD, AGREE_RANGES, CLOSURE_SIGMA_RAD
 from slam.object_map.map_io import SavedMap, are_of_kind
 
@@ -72,7 +72,7 @@ def judge_pairs(maps: Sequence[SavedMap], joins: Sequence[Join], config: Config)
         of_pair[join.reference_map, join.query_map].append(join)
     penalty = search_penalty(maps)
     pairs = len(maps) * (len(maps) - 1) // 2
-    min_log_odds = float(np.log(max(pairs, 1))) - log_odds_of(config.localization.error_probability)
+    min_log_odds = float(np.log(max(pairs, 1))) - float(logit(config.localization.error_probability))
     judged = []
     for (first, second), each in sorted(of_pair.items()):
         agree = _agreement(each, [maps[first], maps[second]], config)

@@ -18,10 +18,10 @@ from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.geometry import adjoint, covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
-from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
+from slam.object_map.submap import gravity_frame
 
 MIN_DISTANCE_SHARE = 0.02
 """A landmark nearer to a place, in lengths of a stretch, has no bearing there; the places beside it observe it."""

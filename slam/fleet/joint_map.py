@@ -14,7 +14,6 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import PRIOR_SIGMA_RANGES, Edge, EdgeKind, PosePrior
 from slam.backend.graph_record import edges_of, observations_of
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
@@ -133,7 +132,7 @@ def _chained(count: int, pairs: Sequence[MapPair]) -> FloatArray:
 def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, config: Config) -> Part:
     """All places and landmarks of parts whose places are at ``T_map_place`` already, estimated together."""
     object_map = ObjectMap(config.calibration.objects)
-    graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
+    graph = FactorGraph(sensor_range_m=config.sensor_range_m)
     rows_of, observations = dict[int, IntArray](), []
     for number, part in group.parts.items():
         rows_of[number] = object_map.restore(_carried(part.saved, T_map_place[group.rows(number)]), travel_m=0.0)

@@ -5,7 +5,7 @@ All of them are in the EKF of :mod:`slam.frontend.local_map`; those that are con
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,11 +14,11 @@ from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, relative, rigid, view_change
 from slam.frontend.data_association import squared_distances
 from slam.frontend.input.scan import Scan
-from slam.frontend.local_map import GATE, LocalMap
+from slam.frontend.local_map import LocalMap
 from slam.frontend.pose_posterior import KnownLandmarks, fit_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
-from slam.odometry.noise_scale import NoiseScale
+from slam.odometry.noise_scale import GATE, NoiseScale
 from slam.odometry.pose import OdometryPose
 
 MAX_LANDMARKS = 200
@@ -33,14 +33,6 @@ FIXING_LANDMARKS = 3
 MIN_SWERVE_S = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """Predicted positions (A, 3) m of landmarks, and covariances (A, 3, 3) m^2, relative to the robot."""
-
-    positions: FloatArray
-    covariances: FloatArray
-
-
 class ActiveLandmarks:
     """The landmarks of the object map that are active, and the pose of the robot relative to them."""
 
@@ -50,8 +42,7 @@ class ActiveLandmarks:
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
         self._noise = NoiseScale(SLIP_INFLATION**2)
-        self.detections_innovation_ratio = 0.0
-        """The last median squared distance of detections from their landmarks, by its variance and the gate."""
+        self._detections_innovation_ratio = 0.0  # by the median squared distance of detections from their landmarks
         self.pose_covariance: FloatArray | None = None
         """(6, 6) of the body's pose against the landmarks in view, axes of the body; None before three were seen."""
 
@@ -59,6 +50,11 @@ class ActiveLandmarks:
     def rows(self) -> IntArray:
         """Rows (A,) of the active landmarks in the object map."""
         return self._local.ids
+
+    @property
+    def positions(self) -> FloatArray:
+        """(A, 3) m of the active landmarks, local frame."""
+        return self._local.positions
 
     @property
     def T_local_body(self) -> FloatArray:
@@ -110,7 +106,7 @@ class ActiveLandmarks:
 
         Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
         """
-        views = ((self._local.positions - T[:3, 3]) @ T[:3, :3] for T in (T_before, self.T_local_body))
+        views = ((self.positions - T[:3, 3]) @ T[:3, :3] for T in (T_before, self.T_local_body))
         variances = view_change(*views)[:, None] * self._config.calibration.detection.view_variances
         self._local.move(np.arange(len(variances)), np.zeros_like(variances), variances)
 
@@ -130,15 +126,14 @@ class ActiveLandmarks:
         variances = np.maximum(later_m2 - earlier_m2, 0.0)
         self._local.move(slots, shifts, np.repeat(variances[:, None], 3, axis=1))
 
-    def predict(self) -> Prediction:
-        """The predicted positions of the active landmarks from the propagated pose."""
-        return Prediction(*self._local.predict(np.arange(len(self.rows))))
+    def predict(self) -> tuple[FloatArray, FloatArray]:
+        """Predicted positions (A, 3) m of the active landmarks, and covariances (A, 3, 3) m^2 relative to the robot."""
+        return self._local.predict(np.arange(len(self.rows)))
 
-    def known_landmarks(self, slots: IntArray | None = None) -> KnownLandmarks:
-        """The active landmarks, or some of them by their indices in ``rows``, with their joint covariance."""
-        slots = np.arange(len(self.rows)) if slots is None else slots
-        joint = self._local.relative_covariance(slots)
-        return KnownLandmarks(*self._local.predict(slots), self._map.beliefs(self.rows[slots]), joint)
+    def known_landmarks(self) -> KnownLandmarks:
+        """The active landmarks with their joint covariance."""
+        joint = self._local.relative_covariance(np.arange(len(self.rows)))
+        return KnownLandmarks(*self.predict(), self._map.beliefs(self.rows), joint)
 
     def shift(self, T_correction: FloatArray, covariance: FloatArray) -> FloatArray:
         """Correct the pose of the body by (4, 4) in the local frame, and add a covariance (6, 6) to its error, local
@@ -165,7 +160,7 @@ class ActiveLandmarks:
             positions, covariances = self._local.predict(indices)
             seen = scan.seen_from(self.T_local_body)
             distances, _ = squared_distances(seen.positions - positions, covariances + seen.covariances)
-            self.detections_innovation_ratio = float(np.median(distances)) / GATE
+            self._detections_innovation_ratio = float(np.median(distances)) / GATE
         corrects = landmarks["state"] == LandmarkState.CONFIRMED
         if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
@@ -183,19 +178,21 @@ class ActiveLandmarks:
         if len(slots) < 3:
             self._local.update(slots, offsets, covariances)
             return
-        R, before = self.T_local_body[:3, :3], self._local.positions[slots] - self.T_local_body[:3, 3]
+        R, before = self.T_local_body[:3, :3], self.positions[slots] - self.T_local_body[:3, 3]
         joint = self._local.relative_covariance(slots)
         self._local.update(slots, offsets, covariances)
-        after = (self._local.positions[slots] - self.T_local_body[:3, 3]) @ self.T_local_body[:3, :3] @ R.T
+        after = (self.positions[slots] - self.T_local_body[:3, 3]) @ self.T_local_body[:3, :3] @ R.T
         fit, corrected = fit_of(before), self._local.relative_covariance(slots)
         reduction = fit @ (joint - corrected) @ fit.T
         self.pose_covariance = covariance_in_axes(fit @ corrected @ fit.T, R)
         self._noise.add(fit @ (after - before).ravel(), reduction)
 
     @property
-    def odometry_innovation_ratio(self) -> float:
-        """The last squared correction of the odometry by its variance and the gate."""
-        return self._noise.innovation_ratio
+    def innovation_ratios(self) -> dict[str, float]:
+        """By source, the ratio of the last squared innovation to its variance and the gate: above 1 the others
+        contradict the source.
+        """
+        return {"odometry": self._noise.innovation_ratio, "detections": self._detections_innovation_ratio}
 
     def add(self, rows: IntArray) -> None:
         """Make landmarks active; they are tentative until they are confirmed."""
@@ -209,7 +206,7 @@ class ActiveLandmarks:
     def surplus(self) -> BoolArray:
         """(A,) which landmarks are too far to be seen again soon, or too many to keep: the longest unseen ones."""
         landmarks, rows = self._map.rows, self.rows
-        distances = np.linalg.norm(self._local.positions - self.T_local_body[:3, 3], axis=1)
+        distances = np.linalg.norm(self.positions - self.T_local_body[:3, 3], axis=1)
         gone = distances > ACTIVE_RADII * self._config.calibration.detection.farthest_m
         confirmed = landmarks["state"][rows] == LandmarkState.CONFIRMED
         for members in (np.flatnonzero(confirmed & ~gone), np.flatnonzero(~confirmed & ~gone)):
@@ -221,8 +218,8 @@ class ActiveLandmarks:
 
     def _store(self) -> None:
         """Write the positions and covariances of the active landmarks to the object map."""
-        predicted = self.predict()
-        self._map.assign(self.rows, position_local=predicted.positions, covariance_local=predicted.covariances)
+        positions, covariances = self.predict()
+        self._map.assign(self.rows, position_local=positions, covariance_local=covariances)
 
 
 def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:

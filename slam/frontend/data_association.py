@@ -28,6 +28,8 @@ GATE_PROBABILITY = 0.9995
 """Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
 NEW_OBJECT_GATE_PROBABILITY = 0.999999
 """A detection outside the gate of every landmark, but not as far off as that, is left out."""
+DECIDED = 0.99
+"""Probability from which a match, a pose or a landmark is taken to be right."""
 EXCLUDED_RATIO = 0.01
 """A landmark is excluded by its label where another one is so many times likelier."""
 INCONSISTENT_SIGMAS = 6.0
@@ -65,11 +67,6 @@ class Assignment:
     def matched(self) -> NDArray[np.bool_]:
         """(D,) whether the detection has a landmark."""
         return self.landmark_rows >= 0
-
-    @property
-    def new(self) -> NDArray[np.bool_]:
-        """(D,) whether the detection is of no landmark; the others are too near to one to say."""
-        return np.equal(self.landmark_rows, NEW)
 
     def of(self, count: int) -> Assignment:
         """That of the first detections."""

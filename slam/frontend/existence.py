@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import betaln
 
 from slam.common.arrays import BoolArray, IntArray
+from slam.frontend.data_association import DECIDED
 from slam.object_map.landmarks import LandmarkState
-
-EXISTENCE_PROBABILITY = 0.99
-"""Probability from which a landmark exists."""
 
 
 def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolArray:
@@ -33,4 +31,4 @@ def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolA
     matches = landmarks["observations"][seen] - 1
     missed = np.maximum(scan - landmarks["first_scan"][seen] - matches, 0)
     odds = prior + betaln(matches + 1.0, missed + 1.0) + landmarks["log_likelihood_ratio"][seen]
-    return np.asarray((matches == 0) | (odds >= np.log(EXISTENCE_PROBABILITY / (1.0 - EXISTENCE_PROBABILITY))))
+    return np.asarray((matches == 0) | (odds >= np.log(DECIDED / (1.0 - DECIDED))))

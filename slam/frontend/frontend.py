@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterator
+from dataclasses import replace
 
 from logs.messages import DetectionAssociations, ObjectDetections, Odometry
 from slam.common.calibration import DetectionCalibration
@@ -42,9 +43,10 @@ class Frontend:
         self._scans = ScanQueue(config.time_offset_s)
         self._track = track
         self._mapper = mapper
+        self._tracker = mapper.tracker
         self._counters = counters
         self._waiting: deque[int] = deque()
-        self._untold: list[tuple[Scan, int]] = []
+        self._untold: list[tuple[Tracked, OdometryPose]] = []
         self._is_broken = False
         self.placed: tuple[Tracked, OdometryPose] | None = None
         """The last scan that was mapped, and where the odometry had the body before that scan corrected it."""
@@ -82,7 +84,7 @@ class Frontend:
         for detections in self._scans.take(self.latest_ns):
             yield from self._place(detections)
         overdue_ns = self.latest_ns - round(MAX_GAP_S * 1e9)
-        if self._untold and self._untold[0][1] <= overdue_ns:
+        if self._untold and self._untold[0][1].stamp_ns <= overdue_ns:
             self._is_broken = True
             yield from self._map_untold()
         yield from self._poses_until(overdue_ns)
@@ -119,15 +121,15 @@ class Frontend:
         if scan is None:
             return
         segment = self._mapper.segment
-        if segment is None or pose.segment <= segment or self._is_broken or not self._mapper.has_local_map:
+        if segment is None or pose.segment <= segment or self._is_broken or not self._tracker.is_tracking:
             yield from self._map(scan, pose)
             return
-        tracked = self._mapper.rejoin(scan, pose)
-        if tracked is not None:
+        tracked = self._tracker.rejoin(scan, pose, self._untold)
+        if not tracked.is_lost:
             self._untold = []
             yield from self._corrected(tracked, pose, segment)
             return
-        self._untold.append((scan, pose.stamp_ns))
+        self._untold.append((tracked, pose))
         if len(self._untold) == REJOINING_SCANS:
             self._is_broken = True
             yield from self._map_untold()
@@ -135,10 +137,10 @@ class Frontend:
     def _map_untold(self) -> Iterator[OdometryPose | DetectionAssociations]:
         """Map the scans that did not show that a step was none."""
         untold, self._untold = self._untold, []
-        for scan, stamp_ns in untold:
-            pose = self._track.at(stamp_ns)
+        for tracked, earlier in untold:
+            pose = self._track.at(earlier.stamp_ns)
             if pose is not None:
-                yield from self._map(scan, pose)
+                yield from self._map(tracked.scan, pose)
 
     def _map(self, scan: Scan, pose: OdometryPose) -> Iterator[OdometryPose | DetectionAssociations]:
         """Place a scan where the odometry has it, or near there."""
@@ -153,7 +155,7 @@ class Frontend:
         self.placed = tracked, pose
         if tracked.correction is not None:
             self._track.correct(pose.stamp_ns, tracked.correction, segment=segment)
-            pose = self._mapper.tracked_pose(pose)
+            pose = replace(pose, T_odom_body=self._tracker.active.T_odom_body)
         yield from self._poses_until(pose.stamp_ns)
         yield self._mapper.add_scan(tracked, pose)
 

@@ -24,11 +24,10 @@ from scipy.linalg import solve_triangular
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import covariance_in_axes, left_jacobian, make_transform, rigid, rotation_of, skew
+from slam.odometry.noise_scale import GATE
 
 POSE = 6
 """Entries of the error before the landmarks: rotation, then translation."""
-GATE = 11.34
-"""Chi-squared with 3 degrees of freedom at 99 %: a measurement farther off is weighted down by its distance."""
 
 
 class LocalMap:
@@ -123,7 +122,7 @@ class LocalMap:
         blocks = entries[:, :, None], entries[:, None, :]
         own = S[blocks] + covariances
         distances = np.einsum("ki,ki->k", innovations, np.linalg.solve(own, innovations[..., None])[..., 0])
-        excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights
+        excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights, beyond the gate
         S[blocks] = own + excess[:, None, None] * covariances
         # One triangular solution for the gain and for what it is applied to.
         known = np.column_stack([HP, innovations.ravel()])

@@ -7,7 +7,6 @@ the last one to the factor graph (map frame).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +16,12 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import DetectionCalibration
 from slam.common.config import Config
 from slam.common.geometry import relative
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.data_association import AMBIGUOUS, NEW
 from slam.frontend.existence import which_exist
-from slam.frontend.input.scan import Scan, with_expected_noise
+from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
@@ -61,7 +59,7 @@ class Mapper:
         self._map = object_map
         self._graph = graph
         self._active = ActiveLandmarks(config, object_map)
-        self._tracker = Tracker(config.calibration.objects, config.calibration.detection, self._active, object_map)
+        self.tracker = Tracker(config.calibration.objects, config.calibration.detection, self._active, object_map)
         self._pending = PendingObservations(config, object_map)
         self._message_count = 0
         self._sensors: set[str] = set()
@@ -72,30 +70,6 @@ class Mapper:
     def segment(self) -> int | None:
         """Segment of the last keyframe; None before the first."""
         return self.keyframes[-1].odometry.segment if self.keyframes else None
-
-    @property
-    def has_local_map(self) -> bool:
-        """Whether there are landmarks around that a scan can be placed among."""
-        return self._tracker.is_tracking
-
-    @property
-    def innovation_ratios(self) -> dict[str, float]:
-        """By source, the ratio of the last squared innovation to its variance and the gate: above 1 the others
-        contradict the source.
-        """
-        return {
-            "odometry": self._active.odometry_innovation_ratio,
-            "detections": self._active.detections_innovation_ratio,
-        }
-
-    @property
-    def pose_covariance(self) -> FloatArray | None:
-        """(6, 6) of the pose against the landmarks in view, axes of the body; None before three were seen."""
-        return self._active.pose_covariance
-
-    def tracked_pose(self, pose: OdometryPose) -> OdometryPose:
-        """A pose of the odometry as the last scan corrected it."""
-        return replace(pose, T_odom_body=self._active.T_odom_body)
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
@@ -112,7 +86,7 @@ class Mapper:
         if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
             self._active.restart(pose)
-            self._tracker.restart()
+            self.tracker.restart()
         keyframe = Keyframe(len(self.keyframes), pose, self._active.at(pose))
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
@@ -129,28 +103,7 @@ class Mapper:
         """Estimate the pose of a scan, predicted by ``pose``, among the landmarks, and associate its detections."""
         self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
-        labels = self._map.label_indices(scan.labels)
-        tracked = self._tracker.track(scan, labels, pose)
-        tracked = _with_expected_noise(tracked, self._active, self._config.calibration.detection)
-        self._update(tracked)
-        if not tracked.is_lost:
-            self._tracker.follow(pose.stamp_ns)
-        return tracked
-
-    def rejoin(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
-        """The same for a ``pose`` after a step that no body can have made; None where the detections do not tell."""
-        labels = self._map.label_indices(scan.labels)
-        tracked = self._tracker.rejoin(scan, labels, pose)
-        if tracked is not None:
-            self._update(tracked)
-            self._tracker.follow(pose.stamp_ns)
-        return tracked
-
-    def _update(self, tracked: Tracked) -> None:
-        """Correct the active landmarks and the pose among them by a scan."""
-        known = tracked.landmark_rows >= 0
-        rows, is_uncertain = tracked.landmark_rows[known], tracked.assignment.is_uncertain
-        self._active.update(rows, tracked.scan.of(known), is_uncertain=is_uncertain)
+        return self.tracker.locate(scan, pose)
 
     def add_scan(self, tracked: Tracked, pose: OdometryPose) -> DetectionAssociations:
         """Bring the landmarks up to date by a scan, whose keyframe is the last one."""
@@ -282,15 +235,6 @@ class Mapper:
         for row in rows.tolist():
             self._pending.drop(row)
         self._graph.remove_landmarks(ended)
-
-
-def _with_expected_noise(tracked: Tracked, active: ActiveLandmarks, config: DetectionCalibration) -> Tracked:
-    """The scan with the noise of detections by the ranges of their landmarks."""
-    T, landmarks = active.T_local_body, tracked.assignment.landmark_rows
-    ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
-    ranges[known] = np.linalg.norm(active.predict().positions[landmarks[known]] - T[:3, 3], axis=1)
-    scan = with_expected_noise(tracked.scan, ranges, config)
-    return replace(tracked, scan=scan, seen=scan.seen_from(T))
 
 
 def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:

@@ -10,6 +10,7 @@ around.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,15 +19,14 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration, ObjectCalibration
 from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
-from slam.frontend.data_association import AMBIGUOUS, NEW, Assignment, Objects, associate
-from slam.frontend.input.scan import Scan
+from slam.frontend.data_association import AMBIGUOUS, DECIDED, NEW, Assignment, Objects, associate
+from slam.frontend.input.scan import Scan, with_expected_noise
 from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, is_same_pose, probabilities
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
+from slam.odometry.step_limits import RECENT_STEPS
 from slam.odometry.track import Correction
 
-DECIDED = 0.99
-"""Probability from which a pair of a detection and a landmark is used, and a correction of the odometry made."""
 PRIOR_SCANS = 100
 """Before any is seen, one step of the odometry in so many is taken to err by as much as the body moves."""
 JUMP_PROBABILITY = 1e-4
@@ -37,8 +37,6 @@ searched for everywhere around.
 """
 MAX_TURN_RAD = 0.25
 """A pose is used if its rotation errs by less, so that what follows from it is nearly linear in its errors."""
-RECENT_STEPS = 10
-"""A body is as fast as at the fastest of so many steps: a single one is noisy."""
 JUMPED = 0.5
 """Probability that a step that no body can have made is wrong."""
 
@@ -75,35 +73,43 @@ class Tracker:
     ) -> None:
         self._config = config
         self._detection = detection
-        self._active = active
+        self.active = active
         self._map = object_map
         self._scans, self._slips = PRIOR_SCANS, 1
         self._failures = 0
         self._stamp_ns = 0
         self._T_local_body: FloatArray | None = None
         self._T_odom_body: FloatArray | None = None
-        self._untold: list[tuple[Tracked, FloatArray]] = []
         self._speeds = deque([np.zeros(2)], maxlen=RECENT_STEPS)  # rad/s, m/s
         self._velocity = np.eye(4), 1.0  # a motion of the body, and how many seconds it took
 
     @property
     def is_tracking(self) -> bool:
         """Whether scans have been placed since the last restart, and landmarks are active."""
-        return self._T_local_body is not None and len(self._active.rows) > 1
+        return self._T_local_body is not None and len(self.active.rows) > 1
 
     def restart(self) -> None:
         """Forget the motion, as after a discontinuity of the odometry."""
         self._T_local_body = None
-        self._untold = []
 
-    def track(self, scan: Scan, labels: IntArray, pose: OdometryPose) -> Tracked:
-        """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to."""
-        tracked = self._associated(scan, labels)
+    def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
+        """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to, and
+        correct them and the pose by it.
+        """
+        tracked = self._with_expected_noise(self._track(scan, pose))
+        self._update(tracked)
+        if not tracked.is_lost:
+            self._follow(pose.stamp_ns)
+        return tracked
+
+    def _track(self, scan: Scan, pose: OdometryPose) -> Tracked:
+        """The scan at its pose, with the associations that are sure."""
+        tracked = self._associated(scan)
         self._scans += 1
-        is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self._active.T_local_body[:3, 3])
+        is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self.active.T_local_body[:3, 3])
         self._failures = self._failures + 1 if is_failing else 0
         is_ambiguous = tracked.assignment.is_contested and tracked.assignment.is_uncertain
-        if len(self._active.rows) > 1 and (is_failing or is_ambiguous):
+        if len(self.active.rows) > 1 and (is_failing or is_ambiguous):
             search = self._search_of(tracked)
             if is_failing or search.is_pose_uncertain:
                 tracked = self._decided(tracked, search.modes(self._components(pose, is_failing=is_failing)))
@@ -114,36 +120,40 @@ class Tracker:
             tracked = replace(tracked, assignment=undecided)
         return replace(tracked, is_lost=is_lost)
 
-    def rejoin(self, scan: Scan, labels: IntArray, pose: OdometryPose) -> Tracked | None:
-        """Place a scan after a step to ``pose`` that no body can have made; None where the detections do not tell.
+    def rejoin(self, scan: Scan, pose: OdometryPose, untold: Sequence[tuple[Tracked, OdometryPose]]) -> Tracked:
+        """The same for a ``pose`` after a step that no body can have made; lost where the detections do not tell.
 
-        What was seen in the scans since that step counts, too, as the odometry has it around the body now.
+        What was seen in the scans since that step, which are ``untold``, counts, too, as the odometry has it around the
+        body now.
         """
-        if not self.is_tracking:
-            return None
-        T_reported = self._active.T_local_odom @ pose.T_odom_body
-        self._active.advance(self._expected(pose), is_guess=True)
-        gathered = self._gathered(self._associated(scan, labels), pose.T_odom_body)
+        T_reported = self.active.T_local_odom @ pose.T_odom_body
+        self.active.advance(self._expected(pose), is_guess=True)
+        tracked = self._associated(scan)
+        gathered = self._gathered(tracked, pose, untold)
         slip = self._slip(pose.stamp_ns, 0.0, 0.0)
         components = [
             PriorComponent(0.5 * JUMPED, slip),
-            PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self._active.T_local_body)),
+            PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self.active.T_local_body)),
             self._anywhere(0.5 * JUMPED),
         ]
         mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
         if mode is None:
-            self._untold.append((self._associated(scan, labels), pose.T_odom_body))
-            return None
-        moved = self._shifted(self._associated(scan, labels), mode)
-        moved = replace(moved, assignment=moved.assignment.of(len(labels)))
-        T_odom = rigid(self._active.T_odom_body @ invert(pose.T_odom_body))
+            return replace(tracked, is_lost=True)
+        moved = self._shifted(tracked, mode)
+        moved = replace(moved, assignment=moved.assignment.of(len(tracked.labels)))
+        T_odom = rigid(self.active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
-        return replace(moved, correction=Correction(T_odom, moved.correction.variances))
+        moved = replace(moved, correction=Correction(T_odom, moved.correction.variances))
+        self._update(moved)
+        self._follow(pose.stamp_ns)
+        return moved
 
-    def _gathered(self, tracked: Tracked, T_odom_body: FloatArray) -> Tracked:
+    def _gathered(
+        self, tracked: Tracked, pose: OdometryPose, untold: Sequence[tuple[Tracked, OdometryPose]]
+    ) -> Tracked:
         """A scan together with the objects seen in those before it that did not tell either."""
-        for earlier, T_odom_earlier in reversed(self._untold):
-            T_now_earlier = relative(T_odom_body, T_odom_earlier)
+        for earlier, earlier_pose in reversed(untold):
+            T_now_earlier = relative(pose.T_odom_body, earlier_pose.T_odom_body)
             scan = earlier.scan.seen_from(T_now_earlier)
             offsets = scan.positions[:, None] - tracked.scan.positions
             near = np.einsum("nki,nki->nk", offsets, offsets) < self._config.spacing_m**2
@@ -153,7 +163,7 @@ class Tracker:
                 scan=tracked.scan.joined(scan.of(other)),
                 labels=np.concatenate([tracked.labels, earlier.labels[other]]),
             )
-        return replace(tracked, seen=tracked.scan.seen_from(self._active.T_local_body))
+        return replace(tracked, seen=tracked.scan.seen_from(self.active.T_local_body))
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
         """The pose if the body has gone on as before."""
@@ -163,18 +173,14 @@ class Tracker:
         T_step = blend(np.eye(4), step, seconds / took_s)
         return replace(pose, T_odom_body=self._T_odom_body @ T_step)
 
-    def _associated(self, scan: Scan, labels: IntArray) -> Tracked:
+    def _associated(self, scan: Scan) -> Tracked:
         """The scan with the assignment at the predicted pose."""
-        seen = scan.seen_from(self._active.T_local_body)
-        predicted = self._active.predict()
-        assignment = associate(
-            Objects(seen.positions, self._spread(seen), labels),
-            predicted.positions,
-            predicted.covariances,
-            self._map.beliefs(self._active.rows),
-            self._config,
-        )
-        return Tracked(scan, labels, seen, self._active.rows, assignment)
+        labels = self._map.label_indices(scan.labels)
+        seen = scan.seen_from(self.active.T_local_body)
+        detected = Objects(seen.positions, self._spread(seen), labels)
+        beliefs = self._map.beliefs(self.active.rows)
+        assignment = associate(detected, *self.active.predict(), beliefs, self._config)
+        return Tracked(scan, labels, seen, self.active.rows, assignment)
 
     def _spread(self, seen: Scan) -> FloatArray:
         """Covariances (D, 3, 3) m^2 of detections, whose view of the objects may be any: by these they are assigned."""
@@ -183,7 +189,7 @@ class Tracker:
 
     def _search_of(self, tracked: Tracked) -> ModeSearch:
         seen = Objects(tracked.seen.positions, self._spread(tracked.seen), tracked.labels)
-        return ModeSearch(seen, self._active.known_landmarks(), self._active.T_local_body[:3, 3], self._config)
+        return ModeSearch(seen, self.active.known_landmarks(), self.active.T_local_body[:3, 3], self._config)
 
     def _is_failing(self, assignment: Assignment, seen: FloatArray, origin: FloatArray) -> bool:
         """Whether the detections ``seen`` (D, 3) m from a body at ``origin`` (3,) m do not fit the landmarks: fewer are
@@ -191,7 +197,7 @@ class Tracker:
         """
         if assignment.is_inconsistent:
             return True
-        positions = self._active.predict().positions
+        positions = self.active.positions
         matched = np.isin(np.arange(len(positions)), assignment.landmark_rows)
         seen_m = np.linalg.norm(seen - origin, axis=1)
         in_view = np.linalg.norm(positions - origin, axis=1) < seen_m.max(initial=0.0)
@@ -205,8 +211,8 @@ class Tracker:
         if is_failing or self._slips > 1:
             components.append(PriorComponent(slips, self._slip(pose.stamp_ns, *self._odometry_step(pose))))
         if is_failing and self._T_local_body is not None:
-            T_expected = self._active.T_local_odom @ self._expected(pose).T_odom_body
-            T_motion = T_expected @ invert(self._active.T_local_body)
+            T_expected = self.active.T_local_odom @ self._expected(pose).T_odom_body
+            T_motion = T_expected @ invert(self.active.T_local_body)
             components.append(PriorComponent(JUMP_PROBABILITY, self._slip(pose.stamp_ns, 0.0, 0.0), T_motion))
         # The wide search is repeated at ever longer intervals while it fails.
         if is_failing and self._failures > 1 and self._failures & (self._failures - 1) == 0:
@@ -228,7 +234,7 @@ class Tracker:
 
     def _anywhere(self, weight: float) -> PriorComponent:
         """Any place among the landmarks around, at any heading."""
-        extent_m = np.maximum(np.ptp(self._active.predict().positions, axis=0), 1e-3)
+        extent_m = np.maximum(np.ptp(self.active.positions, axis=0), 1e-3)
         spread = np.array([1e-3, 1e-3, np.pi, *extent_m[:2], 1e-1 * extent_m[:2].max()])
         return PriorComponent(weight, np.diag(spread**2), is_anywhere=True)
 
@@ -258,30 +264,43 @@ class Tracker:
             return None
         if np.linalg.eigvalsh(best.covariance[:3, :3])[-1] > MAX_TURN_RAD**2:
             return None
-        origin = apply(best.T_motion, self._active.T_local_body[:3, 3])
+        origin = apply(best.T_motion, self.active.T_local_body[:3, 3])
         positions = apply(best.T_motion, tracked.seen.positions)
         return None if self._is_failing(best.assignment, positions, origin) else best
 
     def _shifted(self, tracked: Tracked, mode: Mode) -> Tracked:
         """The scan at a pose that the odometry does not have."""
-        before = self._active.T_local_body
-        T_odom = self._active.shift(mode.T_motion, mode.component.added)
-        shift = relative(before, self._active.T_local_body)
+        before = self.active.T_local_body
+        T_odom = self.active.shift(mode.T_motion, mode.component.added)
+        shift = relative(before, self.active.T_local_body)
         shift_m2 = float(shift[:3, 3] @ shift[:3, 3]) / 3.0
         turn_rad2 = float(rotation_angle_rad(shift)) ** 2
         tilt, heading, position = np.diagonal(mode.covariance)[[0, 2, 3]]
         variances = np.array([position + shift_m2, tilt + turn_rad2, heading + turn_rad2])
-        seen = tracked.scan.seen_from(self._active.T_local_body)
+        seen = tracked.scan.seen_from(self.active.T_local_body)
         return replace(tracked, seen=seen, assignment=mode.assignment, correction=Correction(T_odom, variances))
 
-    def follow(self, stamp_ns: int) -> None:
+    def _with_expected_noise(self, tracked: Tracked) -> Tracked:
+        """The scan with the noise of detections by the ranges of their landmarks."""
+        T, landmarks = self.active.T_local_body, tracked.assignment.landmark_rows
+        ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
+        ranges[known] = np.linalg.norm(self.active.positions[landmarks[known]] - T[:3, 3], axis=1)
+        scan = with_expected_noise(tracked.scan, ranges, self._detection)
+        return replace(tracked, scan=scan, seen=scan.seen_from(T))
+
+    def _update(self, tracked: Tracked) -> None:
+        """Correct the active landmarks and the pose among them by a scan."""
+        known = tracked.landmark_rows >= 0
+        rows, is_uncertain = tracked.landmark_rows[known], tracked.assignment.is_uncertain
+        self.active.update(rows, tracked.scan.of(known), is_uncertain=is_uncertain)
+
+    def _follow(self, stamp_ns: int) -> None:
         """Remember the pose, corrected by the landmarks, and its velocity."""
-        self._untold = []
-        T, before = self._active.T_local_body, self._T_local_body
+        T, before = self.active.T_local_body, self._T_local_body
         seconds = (stamp_ns - self._stamp_ns) * 1e-9
         if before is not None and seconds > 0.0:
             step = relative(before, T)
             self._velocity = step, seconds
             motion = np.array([float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))])
             self._speeds.append(motion / seconds)
-        self._stamp_ns, self._T_local_body, self._T_odom_body = stamp_ns, T, self._active.T_odom_body
+        self._stamp_ns, self._T_local_body, self._T_odom_body = stamp_ns, T, self.active.T_odom_body

@@ -17,12 +17,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
-from slam.localization.localizer import log_odds_of
 from slam.localization.pose_prior import failure_probability
 from slam.localization.visibility import Visibility
 from slam.object_map.landmarks import LandmarkState, ObjectMap
@@ -97,7 +96,7 @@ class ContinuityMonitor:
     def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
         self.memory_m = 2.0 * sensor_range_m
         self._log_prior = float(np.log(failure_probability(config.failures_per_km, self.memory_m)))
-        self._least_llr = -log_odds_of(config.error_probability) - self._log_prior
+        self._least_llr = -float(logit(config.error_probability)) - self._log_prior
         self.kidnapping_probability = 0.0
         """Posterior probability of the likeliest kidnapping at the last keyframe."""
         self._visibility = Visibility(sensor_range_m)

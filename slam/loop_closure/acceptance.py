@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from logs.messages import LoopClosureRecord
 from slam.common.config import Config
-from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima, which_agree
+from slam.loop_closure.localizer import Localizer
 from slam.loop_closure.verification import Verifier
-from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 from slam.registration.parameters import registration_config
 
@@ -39,20 +37,20 @@ class Decision:
 class Acceptance:
     """Accepts the candidate that is wrong with a probability below ``error_probability``.
 
-    What it remembers of earlier keyframes are the hypotheses of its :class:`slam.localization.localizer.Localizer`.
+    What it remembers of earlier keyframes are the hypotheses of its :class:`slam.loop_closure.localizer.Localizer`.
     """
 
-    def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
+    def __init__(self, config: Config, verifier: Verifier) -> None:
         self.min_objects = registration_config(config).min_inliers
         """Fewest objects that determine a pose."""
         self._failures_per_km = config.localization.failures_per_km
-        self._least_log_odds = -log_odds_of(config.localization.error_probability)
+        self._least_log_odds = -float(logit(config.localization.error_probability))
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
-        self._keyframes = keyframes
         self._localizer = Localizer(
             config.localization,
             partial(which_agree, sensor_range_m=self._sensor_range_m),
+            verifier.are_consistent,
             memory_m=config.propagation_distance_m,
         )
 
@@ -64,17 +62,13 @@ class Acceptance:
         """The hypotheses, propagated by the odometry."""
         places = (
             self._verifier.place_at(query, T_local_query, segment)
-            for segment, T_local_query in self._localizer.predictions(query.T_local_gravity)
+            for segment, T_local_query in self._localizer.predictions(query)
         )
         return [place for place in places if place is not None]
 
     def is_acceptable(self, candidate: Candidate) -> bool:
         """Whether a candidate would be accepted if there was no other."""
         return candidate.score >= self._least_log_odds
-
-    def is_confirmed(self, propagated: Candidate) -> bool:
-        """Whether a candidate at the pose that an accepted closure predicts is accepted."""
-        return self.is_acceptable(propagated)
 
     def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
         """Whether landmarks, seen on some travel first, make a predicted pose less likely than a failure of the
@@ -90,7 +84,7 @@ class Acceptance:
         Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern
         of objects fits as well.
         """
-        posterior = self._posterior(query, candidates)
+        posterior = self._localizer.update(query, candidates)
         likeliest = candidates[posterior.best]
         others = [each for each in candidates if each is not likeliest]
         log_odds = float(posterior.posterior_log_odds[posterior.best])
@@ -101,7 +95,7 @@ class Acceptance:
         if self._is_sure(log_odds):
             rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
-            posterior = self._posterior(query, compared)
+            posterior = self._localizer.update(query, compared)
             is_best = self._agree(compared[posterior.best], best)
             best_rival = max((each.log_likelihood_ratio for each in compared if each is not best), default=None)
             itself = next(i for i, each in enumerate(compared) if self._agree(each, best))
@@ -119,25 +113,6 @@ class Acceptance:
         unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
         return Decision(
             (*rejected, record), contradicts_odometry=is_best and unpredicted >= self._least_log_odds > best.score
-        )
-
-    def _posterior(self, query: Query, candidates: Sequence[Candidate]) -> Posterior:
-        """The posterior of the candidates of one query."""
-        return self._localizer.update(
-            query.T_local_gravity,
-            query.travel_m,
-            [self._evidence(each) for each in candidates],
-            lambda i, j: self._verifier.are_consistent(candidates[i], candidates[j]),
-        )
-
-    def _evidence(self, candidate: Candidate) -> PoseEvidence:
-        return PoseEvidence(
-            candidate.T_local_query,
-            self._keyframes[candidate.reference].odometry.segment,
-            -candidate.odometry_penalty,
-            -candidate.unpredicted_penalty,
-            candidate.rows,
-            candidate.log_likelihood_ratios,
         )
 
     def _is_sure(self, log_odds: float) -> bool:

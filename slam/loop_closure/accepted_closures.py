@@ -77,14 +77,14 @@ class AcceptedClosures:
         is_new = nearest is None or (abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m)
         if is_new:
             self._loops.insert(candidate)
-        represented_by = candidate.query if is_new or nearest is None else nearest.candidate.query
+        represented_by = (candidate if is_new or nearest is None else nearest.candidate).query.id
         self._accepted.append(Accepted(candidate, represented_by))
-        self._closed[candidate.query] = candidate.reference
+        self._closed[candidate.query.id] = candidate.reference.id
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
 
     def add_tracked(self, candidate: Candidate) -> None:
         """Remember a place that was recognised by landmarks still associated: there is no loop to close."""
-        self._tracked[candidate.query] = candidate.reference
+        self._tracked[candidate.query.id] = candidate.reference.id
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
@@ -97,16 +97,16 @@ class AcceptedClosures:
         connecting = [
             loop.candidate.travel_m
             for loop in self._loops.loops
-            if self._crosses_break(loop.candidate) and self._keyframes[loop.candidate.query].odometry.segment == segment
+            if loop.candidate.crosses_break and loop.candidate.query.odometry.segment == segment
         ]
         connected_m = min(connecting, default=-np.inf)
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
         self._tracked = {query: reference for query, reference in self._tracked.items() if query < since}
-        self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
+        self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query.id >= since])
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
-        revoked = self._revoke(lambda each: max(each.candidate.query, each.represented_by) >= since)
+        revoked = self._revoke(lambda each: max(each.candidate.query.id, each.represented_by) >= since)
         reason = "revoked: expected landmarks not observed"
         return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
 
@@ -116,7 +116,7 @@ class AcceptedClosures:
         Closures across a discontinuity of the odometry are kept: without them nothing relates the two segments.
         Returns the records of the removed closures and a warning, empty if there is none.
         """
-        loops = [loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)]
+        loops = [loop for loop in self._loops.loops if not loop.candidate.crosses_break]
         if not loops:
             return [], ""
         factors, keyframes = self._graph.factors, self._graph.keyframe_variables
@@ -130,11 +130,11 @@ class AcceptedClosures:
             odometry_inflation=SLIP_INFLATION,
         )
         reasons = {
-            loop.candidate.query: f"removed as an outlier: kernel weight {weight:.2g}"
+            loop.candidate.query.id: f"removed as an outlier: kernel weight {weight:.2g}"
             for loop, weight, is_kept in zip(loops, solution.weights.tolist(), solution.kept, strict=True)
             if not is_kept
         }
-        self._loops.remove([loop for loop in loops if loop.candidate.query in reasons])
+        self._loops.remove([loop for loop in loops if loop.candidate.query.id in reasons])
         removed = self._revoke(lambda each: each.represented_by in reasons)
         records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
         return records, solution.message
@@ -143,14 +143,14 @@ class AcceptedClosures:
         """Closures before the returned travel are not revoked any more, now that the robot has come to ``travel_m``."""
         trusted_m = travel_m - self._trusted_after_m
         doubtful = any(
-            self._crosses_break(loop.candidate) and loop.candidate.travel_m > trusted_m for loop in self._loops.loops
+            loop.candidate.crosses_break and loop.candidate.travel_m > trusted_m for loop in self._loops.loops
         )
         return -np.inf if doubtful else trusted_m
 
     def forget_condensed(self) -> None:
         """Forget the closures whose factors were condensed, and those that they represent: they are part of the map."""
         self._loops.forget_condensed()
-        factors = {loop.candidate.query for loop in self._loops.loops}
+        factors = {loop.candidate.query.id for loop in self._loops.loops}
         self._accepted = [each for each in self._accepted if each.represented_by in factors]
 
     def _revoke(self, is_revoked: Callable[[Accepted], bool]) -> list[Accepted]:
@@ -158,9 +158,5 @@ class AcceptedClosures:
         revoked = [each for each in self._accepted if is_revoked(each)]
         self._accepted = [each for each in self._accepted if not is_revoked(each)]
         for each in revoked:
-            self._closed.pop(each.candidate.query, None)
+            self._closed.pop(each.candidate.query.id, None)
         return revoked
-
-    def _crosses_break(self, candidate: Candidate) -> bool:
-        reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
-        return reference.odometry.segment != query.odometry.segment

@@ -38,17 +38,15 @@ class Candidate:
     reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`.
-    ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank`` and
-    ``proposer``: as in :class:`slam.place_recognition.place.Place`.
+    ``place``: what proposed it; ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found
+    it.
     ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
     computed. ``is_tracked``: most inliers are one landmark on both sides, which data association never lost.
     """
 
-    query: int
-    reference: int
-    query_stamp_ns: int
-    reference_stamp_ns: int
-    travel_m: float
+    query: Keyframe
+    reference: Keyframe
+    place: Place
     T_reference_query: FloatArray
     T_local_query: FloatArray
     covariance: FloatArray
@@ -58,13 +56,20 @@ class Candidate:
     matched_fraction: float
     odometry_penalty: float
     unpredicted_penalty: float
-    retrieval_distance: float
-    seed_closure: int = -1
-    rank: int = 0
-    proposer: str = ""
+    seed_closure: int = NOWHERE
     posterior_log_odds: float | None = None
     best_rival_llr: float | None = None
     is_tracked: bool = False
+
+    @property
+    def travel_m(self) -> float:
+        """Travel up to the query."""
+        return self.query.odometry.travel_m
+
+    @property
+    def crosses_break(self) -> bool:
+        """Whether the odometry breaks between its keyframes."""
+        return self.reference.odometry.segment != self.query.odometry.segment
 
     @property
     def log_likelihood_ratio(self) -> float:
@@ -78,29 +83,29 @@ class Candidate:
 
     def edge(self) -> Edge:
         """The between-factor of this closure."""
-        return Edge(self.reference, self.query, self.T_reference_query, self.covariance, EdgeKind.LOOP_CLOSURE)
+        return Edge(self.reference.id, self.query.id, self.T_reference_query, self.covariance, EdgeKind.LOOP_CLOSURE)
 
     def record(
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
     ) -> LoopClosureRecord:
         """The candidate with its decision, as a record of a log."""
         return LoopClosureRecord(
-            stamp_ns=self.query_stamp_ns,
-            query_keyframe_id=self.query,
-            reference_keyframe_id=self.reference,
+            stamp_ns=self.query.odometry.stamp_ns,
+            query_keyframe_id=self.query.id,
+            reference_keyframe_id=self.reference.id,
             accepted=stage == Stage.ACCEPTED,
             stage=stage.value,
             reason=reason,
-            retrieval_distance=self.retrieval_distance,
+            retrieval_distance=self.place.retrieval_distance,
             inlier_count=len(self.pairs),
             inlier_fraction=self.matched_fraction,
             score=self.score,
             T_reference_query=self.T_reference_query,
             covariance=self.covariance,
-            reference_stamp_ns=self.reference_stamp_ns,
+            reference_stamp_ns=self.reference.odometry.stamp_ns,
             inserted=inserted,
-            rank=self.rank,
-            proposer=self.proposer,
+            rank=self.place.rank,
+            proposer=self.place.proposer,
             log_likelihood_ratio=self.log_likelihood_ratio,
             odometry_penalty=self.odometry_penalty,
             posterior_log_odds=self.posterior_log_odds,

@@ -33,12 +33,11 @@ class ClosedLoops:
         self, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe], *, min_travel_m: float
     ) -> None:
         self._min_travel_m = min_travel_m
-        self._keyframes = keyframes
         self._segments = SegmentConnectivity(keyframes)
         self._map = object_map
         self._graph = graph
         self.loops: list[ClosedLoop] = []
-        self._lasting: list[tuple[int, int]] = []  # reference and query of condensed closures across breaks
+        self._lasting: list[Candidate] = []  # condensed closures across breaks
 
     def nearest(self, travel_m: float) -> ClosedLoop | None:
         """The closure whose query is nearest in travel."""
@@ -54,7 +53,7 @@ class ClosedLoops:
         If its keyframes are in segments that were not connected before, the later segment is first moved rigidly to
         where the closure puts it.
         """
-        moved = self._segments.connect(candidate.reference, candidate.query)
+        moved = self._segments.connect(candidate.reference.id, candidate.query.id)
         edge = candidate.edge()
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
         self.loops.append(ClosedLoop(candidate, factor))
@@ -71,18 +70,14 @@ class ClosedLoops:
         self.loops = [loop for loop in self.loops if loop.factor not in gone]
         self._merge_again(self._map.undo_merges(), gone)
         self._segments.reset()
-        for ends in [*self._lasting, *((each.candidate.reference, each.candidate.query) for each in self.loops)]:
-            self._segments.connect(*ends)
+        for each in [*self._lasting, *(loop.candidate for loop in self.loops)]:
+            self._segments.connect(each.reference.id, each.query.id)
 
     def forget_condensed(self) -> None:
         """Forget the closures whose factors are no longer in the graph: nothing can remove them."""
         held = self._graph.factors
         ended = [loop.candidate for loop in self.loops if loop.factor not in held]
-        self._lasting += [
-            (each.reference, each.query)
-            for each in ended
-            if self._keyframes[each.reference].odometry.segment != self._keyframes[each.query].odometry.segment
-        ]
+        self._lasting += [each for each in ended if each.crosses_break]
         self.loops = [loop for loop in self.loops if loop.factor in held]
 
     def _merge_again(self, merges: Sequence[LandmarkMerge], gone: set[int]) -> None:

@@ -12,10 +12,11 @@ from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import invert, yaw_rad
 from slam.loop_closure.candidate import Candidate
 from slam.odometry.noise import SLIP_INFLATION
+from slam.registration.parameters import DISTINCT_RANGES
 
 # Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
 # the objects in a row, or more. In sensor ranges.
-AGREE_RANGES = 2.0 / 30.0
+AGREE_RANGES = DISTINCT_RANGES
 AGREE_RAD = np.deg2rad(5.0)
 TILT_SIGMA_RAD = np.deg2rad(1.0)
 """Error of gravity between two traversals."""
@@ -49,8 +50,8 @@ def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: floa
         index = next(same, None)
         if index is None:
             kept.append(candidate)
-        elif candidate.rank < kept[index].rank:
-            kept[index] = replace(kept[index], rank=candidate.rank)
+        elif candidate.place.rank < kept[index].place.rank:
+            kept[index] = replace(kept[index], place=replace(kept[index].place, rank=candidate.place.rank))
     return kept
 
 

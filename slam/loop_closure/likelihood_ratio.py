@@ -99,16 +99,16 @@ def compute_log_likelihood_ratio(
     return LikelihoodRatio(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
 
 
-def changed_log_likelihood_ratio(per_object: FloatArray, detection_probability: float) -> float:
+def changed_log_likelihood_ratio(per_object: FloatArray) -> float:
     """The LLR of objects (N,) in a place that may have changed since it was mapped [nats].
 
     It is the logarithm of the product of their likelihood ratios, integrated over the P_D that all of them share, with
-    a beta prior of mean ``detection_probability`` and the weight of ``PRIOR_OBJECTS`` objects (beta-binomial).
-    ``per_object`` are the LLR_i with P_D = ``detection_probability``; those that expect no match are zero.
+    a beta prior of mean ``DETECTION_PROBABILITY`` and the weight of ``PRIOR_OBJECTS`` objects (beta-binomial).
+    ``per_object`` are the LLR_i with that P_D; those that expect no match are zero.
     """
-    ratios = np.maximum(np.expm1(per_object) / detection_probability, -1.0)  # N(...) / lambda_i - 1
+    ratios = np.maximum(np.expm1(per_object) / DETECTION_PROBABILITY, -1.0)  # N(...) / lambda_i - 1
     shares = (np.arange(GRID) + 0.5) / GRID
-    a, b = PRIOR_OBJECTS * detection_probability, PRIOR_OBJECTS * (1.0 - detection_probability)
+    a, b = PRIOR_OBJECTS * DETECTION_PROBABILITY, PRIOR_OBJECTS * (1.0 - DETECTION_PROBABILITY)
     log_prior = (a - 1.0) * np.log(shares) + (b - 1.0) * np.log1p(-shares)
     log_likelihoods = np.log1p(shares[:, None] * ratios).sum(axis=1)
     return float(logsumexp(log_prior + log_likelihoods) - logsumexp(log_prior))

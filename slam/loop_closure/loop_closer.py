@@ -14,7 +14,7 @@ import numpy as np
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import IntArray
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
 from slam.loop_closure.acceptance import Acceptance
@@ -26,7 +26,7 @@ from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.missing_landmarks import MissingLandmarks
-from slam.object_map.submap import SUBMAP_RANGES, gravity_frame, recent_submap, recent_submap_with_unconfirmed
+from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import ImportedPlaces
@@ -74,7 +74,7 @@ class LoopCloser:
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._looked_up: Query | None = None
         self._rejected_by_odometry: set[int] = set()
-        self._acceptance = Acceptance(config, self._verifier, keyframes)
+        self._acceptance = Acceptance(config, self._verifier)
         self._propagation = Propagation(config, self._verifier, self._acceptance, object_map, keyframes)
 
     @property
@@ -236,18 +236,18 @@ class LoopCloser:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""
         logger.info(
             "closed a loop: keyframe %d is at keyframe %d (score %.1f)",
-            candidate.query,
-            candidate.reference,
+            candidate.query.id,
+            candidate.reference.id,
             candidate.score,
         )
         records = [self._accept(candidate, "")]
         seed = candidate
-        for query in self._propagation.queries_before(candidate.query):
+        for query in self._propagation.queries_before(candidate.query.id):
             if self.closures.is_closed(query.keyframe.id):
                 continue
             propagated = self._propagation.confirmed(self._propagation.predict_from(seed, query))
             if propagated is not None:
-                records.append(self._accept(propagated, f"propagated from the closure of keyframe {seed.query}"))
+                records.append(self._accept(propagated, f"propagated from the closure of keyframe {seed.query.id}"))
                 seed = propagated
         self._propagation.seed = candidate
         return records
@@ -255,6 +255,6 @@ class LoopCloser:
     def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
         """Accept a closure, which predicts the next ones."""
         self._propagation.seed = candidate
-        if self._keyframes[candidate.reference].is_prior:
-            self._missing.add(self._keyframes[candidate.query], candidate.T_local_query, candidate.pairs[:, 1])
+        if candidate.reference.is_prior:
+            self._missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
         return self.closures.add(candidate, reason)

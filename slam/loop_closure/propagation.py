@@ -12,7 +12,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.config import Config
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY, changed_log_likelihood_ratio
+from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -39,7 +39,6 @@ class Propagation:
         keyframes: Sequence[Keyframe],
     ) -> None:
         self._distance_m = config.propagation_distance_m
-        self._detection_probability = DETECTION_PROBABILITY
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
         self._acceptance = acceptance
@@ -73,7 +72,7 @@ class Propagation:
         place = self._verifier.predict(seed, query)
         if place is None:
             return None
-        return Predicted(place, self._verifier.verify(query, place, seed_closure=seed.query))
+        return Predicted(place, self._verifier.verify(query, place, seed_closure=seed.query.id))
 
     def confirmed(self, predicted: Predicted | None) -> Candidate | None:
         """The closure at a predicted place, if it is accepted there."""
@@ -81,7 +80,7 @@ class Propagation:
             return None
         candidate = predicted.verified
         agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
-        return candidate if agrees and self._acceptance.is_confirmed(candidate) else None
+        return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def is_contradicted(self, query: Query, predicted: Predicted | None) -> bool:
         """Whether the landmarks that came into view on the last sensor range of travel contradict a predicted place."""
@@ -95,7 +94,7 @@ class Propagation:
         is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
             landmarks["first_seen_travel_m"] <= query.travel_m - self._sensor_range_m
         )
-        ratio = changed_log_likelihood_ratio(ratios[~is_old], self._detection_probability)
+        ratio = changed_log_likelihood_ratio(ratios[~is_old])
         return self._acceptance.is_contradicted(ratio, self._sensor_range_m)
 
     def contradicted_since(self, query: Query) -> Keyframe:
@@ -111,7 +110,7 @@ class Propagation:
         """Whether a candidate is farther than registration reaches from the place that the seed predicts."""
         seed = self._seed_for(query)
         place = None if seed is None else self._verifier.predict(seed, query)
-        if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
+        if place is None or place.segment != candidate.reference.odometry.segment:
             return False
         apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
         return apart_m > self._verifier.reach_m

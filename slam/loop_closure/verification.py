@@ -68,12 +68,12 @@ class Verifier:
 
     def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
         """The pose that a closure predicts for another keyframe of its segment, by the odometry between the two."""
-        seed = self._keyframes[seed_closure.query]
+        seed = seed_closure.query
         if seed.odometry.segment != query.keyframe.odometry.segment:
             return None
         T_seed_query = invert(gravity_frame(seed.T_local_body)) @ query.T_local_gravity
         T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
-        reference_pose = self._keyframes[seed_closure.reference].odometry
+        reference_pose = seed_closure.reference.odometry
         place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0, "prediction")
         reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
@@ -93,14 +93,8 @@ class Verifier:
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
         if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:
             return None
-        segment = query.keyframe.odometry.segment
-        found = self._track.nearest(
-            query.T_local_gravity[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query)
-        )
-        if found is None:
-            return None
-        travel_m = self._keyframes[found[0]].odometry.travel_m
-        return Place(query.T_local_gravity, travel_m, segment, 0.0, "association")
+        place = self.place_at(query, query.T_local_gravity, query.keyframe.odometry.segment)
+        return place and replace(place, retrieval_distance=0.0, proposer="association")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
@@ -157,10 +151,11 @@ class Verifier:
 
         They are by less than ``gate_sigma`` standard deviations, as two observations of one object are.
         """
-        first, second = sorted((a, b), key=lambda candidate: candidate.reference)
+        first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
-        T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
-        sigmas = self._track.drift_sigmas(first.reference, second.reference)
+        start, end = first.reference.id, second.reference.id
+        T_predicted = invert(self._graph.pose(start)) @ self._graph.pose(end)
+        sigmas = self._track.drift_sigmas(start, end)
         sigma_m = self._config.calibration.objects.landmark_sigma_m
         penalty = odometry_penalty(T_predicted, T_implied, sigmas, sigma_m)
         return penalty < 0.5 * self._registration.gate_sigma**2
@@ -171,8 +166,8 @@ class Verifier:
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects that stand in rows, or in a repeated pattern, would fit as well."""
-        reference = self._keyframes[candidate.reference].odometry
-        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0, candidate.proposer)
+        reference = candidate.reference.odometry
+        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0, candidate.place.proposer)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         shifted = shifted_along_track(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
         repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
@@ -204,11 +199,9 @@ class Verifier:
         T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
         T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ T_gravity_body
         return Candidate(
-            query=query.keyframe.id,
-            reference=reference.id,
-            query_stamp_ns=query.keyframe.odometry.stamp_ns,
-            reference_stamp_ns=reference.odometry.stamp_ns,
-            travel_m=query.travel_m,
+            query=query.keyframe,
+            reference=reference,
+            place=place,
             T_reference_query=T_reference_query,
             T_local_query=T_local_gravity,
             covariance=covariance_in_axes(
@@ -220,10 +213,7 @@ class Verifier:
             matched_fraction=ratio.matched_fraction,
             odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
-            retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
-            rank=place.rank,
-            proposer=place.proposer,
             is_tracked=2 * int(np.sum(seen == met)) > len(seen),
         )
 

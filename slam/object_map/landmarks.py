@@ -96,6 +96,8 @@ class ObjectMap:
 
     def __init__(self, config: ObjectCalibration) -> None:
         self._rows = np.zeros(64, dtype=LANDMARK)
+        self.rows: NDArray[np.void] = self._rows[:0]
+        """(L,) structured array of ``LANDMARK``: a view that cannot be written to, another one with more landmarks."""
         self._beliefs = ClassBeliefs(config)
         self._size = 0
         self._reasons: dict[int, str] = {}
@@ -104,13 +106,6 @@ class ObjectMap:
 
     def __len__(self) -> int:
         return self._size
-
-    @property
-    def rows(self) -> NDArray[np.void]:
-        """(L,) structured array of ``LANDMARK``: a view that cannot be written to."""
-        view = self._rows[: self._size]
-        view.flags.writeable = False
-        return view
 
     def assign(self, rows: IntArray | slice, **fields: ArrayLike) -> None:
         """Set fields of ``LANDMARK`` of landmarks (N,), each to values (N, ...) or to one for all."""
@@ -160,6 +155,8 @@ class ObjectMap:
         new = np.arange(self._size, self._size + len(positions_local))
         self._reserve(self._size + len(positions_local))
         self._size += len(positions_local)
+        self.rows = self._rows[: self._size]
+        self.rows.flags.writeable = False
         landmarks = self._rows
         landmarks["state"][new] = LandmarkState.TENTATIVE
         landmarks["observations"][new] = 1

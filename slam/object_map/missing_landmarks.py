@@ -9,9 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import SUBMAP_RANGES
 from slam.common.geometry import apply, invert
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
+from slam.object_map.submap import gravity_frame
 from slam.odometry.keyframe import Keyframe
 
 MIN_CLOSURES = 6

@@ -12,12 +12,11 @@ import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
+from slam.common.config import SUBMAP_RANGES
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
-SUBMAP_RANGES = 5.0 / 3.0
-"""Landmarks seen within that much travel, in sensor ranges, make a submap."""
 # A traversal reaches that far before and after a place, in multiples of the least travel between two traversals.
 TRAVERSAL_EXTENT = 1.1
 # Seen once only, a landmark is rather a false detection.

@@ -15,10 +15,10 @@ from slam.common.arrays import FloatArray
 WINDOW = 20
 """Corrections after which the scale is estimated again."""
 GATE = 11.34
-"""Chi-squared with 3 degrees of freedom at 99 %: larger corrections contradict the odometry."""
+"""Chi-squared with 3 degrees of freedom at 99 %: what is beyond contradicts its covariance."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
 """Translation, tilt and heading in a pose error, rotation first."""
-DIMENSIONS = np.array([3, 2, 1])
+DIMENSIONS = np.array([axes.stop - axes.start for axes in AXES])
 MEDIAN = chdtri(DIMENSIONS, 0.5) / DIMENSIONS
 """Of the squares of normal errors by their variances."""
 

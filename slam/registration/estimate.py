@@ -23,14 +23,12 @@ class Registration:
 
     ``T_reference_query`` (4, 4) carries query points, times ``scale``, into the reference frame. ``covariance`` (6, 6)
     is that of its right perturbation ``T Exp([rotation rad, translation m])``. ``pairs`` (K, 2) are the inliers, one to
-    one, as (query, reference) indices by increasing query; ``inliers`` (K,) are their rows in the given
-    correspondences, or in ``pairs`` if there were none. ``score`` is the support: the sum over the inliers of 1 -
+    one, as (query, reference) indices by increasing query. ``score`` is the support: the sum over the inliers of 1 -
     (residual / gate)^2.
     """
 
     T_reference_query: FloatArray | None
     covariance: FloatArray | None
-    inliers: IntArray
     pairs: IntArray
     score: float
     reason: str
@@ -44,7 +42,7 @@ class Registration:
 
 def not_found(reason: str) -> Registration:
     """The answer "no", and why."""
-    return Registration(None, None, np.zeros(0, np.int64), np.zeros((0, 2), np.int64), 0.0, reason)
+    return Registration(None, None, np.zeros((0, 2), np.int64), 0.0, reason)
 
 
 def estimate(pose: FloatArray, columns: Columns, config: RegistrationConfig) -> Registration:
@@ -70,7 +68,7 @@ def estimate(pose: FloatArray, columns: Columns, config: RegistrationConfig) -> 
     T = make_transform(R, columns.reference_centre + np.array([x, y, z]) - origin)
     covariance = _covariance(information, scale * columns.query_centre, columns.query_centre, config)
     support = float((1.0 - ratio[chosen]).sum())
-    return Registration(T, covariance, columns.given[chosen], columns.pairs[chosen], support, "", scale)
+    return Registration(T, covariance, columns.pairs[chosen], support, "", scale)
 
 
 def _too_few(count: int, config: RegistrationConfig) -> str:

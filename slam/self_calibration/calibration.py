@@ -12,10 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
-from slam.object_map.submap import SUBMAP_RANGES
 from slam.self_calibration.survey import Survey
 from slam.self_calibration.surveyed_log import MAX_DETOUR
 from slam.self_calibration.variance_components import NoiseComponents
@@ -174,6 +173,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     lengths = config.calibrated(_lengths(config, survey))
     between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
     scan_m = survey.travel_m / survey.scans
+    # What heights have in common is put down to the detector, because gravity and the ground hold the odometry.
+    rise = found.rise + found.rise_by_travel * survey.median_range_m
     return {
         "odometry.translation_sigma": np.sqrt(drift * found.translation_by_travel),
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
@@ -186,14 +187,15 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.range_sigma_ratio": ratio,
         "detection.common_sigma_m": np.sqrt(found.view),
-        "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
+        # So large that what all objects in view have in common is not averaged out by them.
+        "detection.height_sigma_m": np.sqrt(found.height + max(survey.objects, 1.0) * rise),
         "detection.common_height_sigma_m": np.sqrt(found.view_height),
         # Errors stay the same while the view changes by 1 rad.
         "detection.covariance_inflation": max(
             objects * survey.median_range_m / max(lengths.keyframe_distance_m, scan_m), 1.0
         ),
         "objects.landmark_sigma_m": np.sqrt(between_passes),
-        "objects.landmark_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
+        "objects.landmark_height_sigma_m": np.sqrt(found.height + found.view_height + 2.0 * rise),
     }
 
 
@@ -233,15 +235,6 @@ def _sight_noise(survey: Survey, found: NoiseComponents) -> tuple[float, float, 
     across = max(found.tangential + found.tangential_by_range * square_m, least)
     along = max(found.radial + found.radial_by_range * square_m, least)
     return found.tangential, found.tangential_by_range, min(float(np.sqrt(along / across)), 1.0 / MIN_SIGMA)
-
-
-def _height_sigma(survey: Survey, horizontal: float) -> float:
-    """Noise of a detection's height beyond the ``horizontal`` variance [m^2].
-
-    It is so large that what all objects in view have in common is not averaged out by them.
-    """
-    own = max(survey.heights.own - horizontal, 0.0)
-    return float(np.sqrt(own + max(survey.objects, 1.0) * survey.heights.common))
 
 
 def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:

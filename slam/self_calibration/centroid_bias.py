@@ -13,16 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from slam.common.arrays import FloatArray
+from slam.self_calibration.corrections import CAUCHY, MIN_PAIRS, ROUNDS
 from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.variance_components import BLOCKS
 
 LEAST_VIEW_CHANGE = 0.1
 """Rays that differ less do not determine the bias."""
-LEAST_PAIRS = 200
-BLOCKS = 8
 SIGNIFICANT = 4.0
 """Standard errors from which a bias is believed."""
-ROUNDS = 10
-CAUCHY = 2.0
 
 
 def centroid_biases(tracks: ObjectTracks) -> FloatArray:
@@ -36,7 +34,7 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
     block = tracks.scan[second] * BLOCKS // (int(tracks.scan.max()) + 1) if len(second) else second
     for label in range(count):
         chosen = tracks.labels[first] == label
-        if int(chosen.sum()) < LEAST_PAIRS:
+        if int(chosen.sum()) < MIN_PAIRS:
             continue
         found = _regress(turned[chosen], moved[chosen])
         parts = [

@@ -17,8 +17,8 @@ import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.self_calibration.object_tracks import SurveyScan, follow_objects, objects_among
+from slam.self_calibration.variance_components import LEAST_PAIRS
 
-LEAST_PAIRS = 100
 SLIGHT = 0.2
 """Kappa up to which agreement is slight (Landis and Koch, Biometrics 1977): labels say next to nothing."""
 RENAMING = 1e-6

@@ -33,8 +33,8 @@ RATIO_ROUNDS, LEAST_STEPS, MAX_RATIO = 2, 100, 1e3
 """Rounds in which the ratio of the noise along the ray and across it is found, the least steps of tracks that tell it,
 and how large it may be.
 """
-LEAST_SHARE = 1e-12
-"""Squared distances that are a smaller share of the squared room are rounding."""
+ROUNDING = 1e-12
+"""Squares that are a smaller share of what they are compared with are rounding."""
 MOST_DISTANCES = 2**20
 """Held at a time, 8 MB, however many objects a scan has."""
 
@@ -107,7 +107,7 @@ def _noise_ratio(tracks: ObjectTracks) -> float:
     steps, offsets = tracks.points[row] - tracks.points[row - 1], tracks.offsets[row]
     along = np.median(np.abs(np.einsum("ni,ni->n", steps, offsets)))
     across = np.median(np.abs(steps[:, 1] * offsets[:, 0] - steps[:, 0] * offsets[:, 1]))
-    is_exact = max(along, across) < LEAST_SHARE * float(np.mean(offsets**2))
+    is_exact = max(along, across) < ROUNDING * float(np.mean(offsets**2))
     return 1.0 if is_exact else float(np.clip(along / max(across, along / MAX_RATIO), 1.0 / MAX_RATIO, MAX_RATIO))
 
 
@@ -134,7 +134,7 @@ def objects_among(tracks: ObjectTracks) -> ObjectTracks:
 def _existence(tracks: ObjectTracks) -> FloatArray:
     """Probability (S,), for each detection, that its track is of an object."""
     _, first, row = np.unique(tracks.track, return_index=True, return_inverse=True)
-    shares = np.maximum(tracks.steps**2, LEAST_SHARE * tracks.rooms**2)
+    shares = np.maximum(tracks.steps**2, ROUNDING * tracks.rooms**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         closeness = np.nan_to_num(np.log(tracks.rooms**2 / shares))
     closeness[first] = 0.0  # a track begins there

@@ -14,7 +14,6 @@ from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.corrections import Correction, estimate_corrections
 from slam.self_calibration.frames import agree, better_frame, find_orientation, roll_pitch_yaw_deg
-from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (
     Detectability,
@@ -65,9 +64,8 @@ class Survey:
     the same scan, NaN where classes never share a scan; ``objects``: mean number a scan; ``interval_s``: median time
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
-    could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
-    ``detectability``: how often an object in view is detected; ``clutter_density``: of what
-    belongs to no track of an object [1/m^3].
+    could be tracked; ``labels``: how far they can be trusted; ``detectability``: how often an object in view is
+    detected; ``clutter_density``: of what belongs to no track of an object [1/m^3].
 
     ``corrected``: values of the calibration, by their keys, that corrected the scans; ``suspected``: values that would
     predict what is held out better, but are too small or have another explanation; ``delay_s``: by how much
@@ -90,7 +88,6 @@ class Survey:
     claimed_ratio: float
     shared_bias_m: float
     components: ComponentEstimate | None
-    heights: HeightNoise = field(default_factory=HeightNoise)
     detectability: Detectability = field(default_factory=Detectability)
     clutter_density: float = 0.0
     labels: LabelNoise = field(default_factory=LabelNoise)
@@ -273,7 +270,6 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         claimed_ratio=_claimed_ratio(tracks, components),
         shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
         components=components,
-        heights=estimate_height_noise(tracks),
         detectability=detectability_of(tracks),
         clutter_density=clutter_density(scans, len(tracks.track), float(np.sqrt(variance))),
     )

@@ -34,7 +34,7 @@ from scipy.special import roots_genlaguerre
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw, view_change
-from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.object_tracks import ROUNDING, ObjectTracks
 
 BLOCKS = 8
 """Stretches of the log that the jackknife leaves out one at a time."""
@@ -52,7 +52,6 @@ ROOM_SIGMAS = 4.0
 LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
-ROUNDING = 1e-12
 EXACT = 1e-13
 """Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
 MAX_UNIT_M = 1e100
@@ -101,7 +100,7 @@ class Motion:
     travel_m: FloatArray
     heading_rad: FloatArray
     time_s: FloatArray
-    height_m: FloatArray | None = None
+    height_m: FloatArray
 
     @property
     def turn_rad(self) -> FloatArray:
@@ -192,11 +191,10 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     first, second = first[order], second[order]
     _, start, group = np.unique(key[order], return_index=True, return_inverse=True)
     before, after = tracks.scan[first], tracks.scan[second]
-    body_m = np.zeros(scans) if motion.height_m is None else motion.height_m
     heights = tracks.heights
     d = np.column_stack([tracks.points[second] - tracks.points[first], heights[second] - heights[first]])
-    x = np.column_stack([tracks.offsets[second], heights[second] - body_m[after]])
-    x_before = np.column_stack([tracks.offsets[first], heights[first] - body_m[before]])
+    x = np.column_stack([tracks.offsets[second], heights[second] - motion.height_m[after]])
+    x_before = np.column_stack([tracks.offsets[first], heights[first] - motion.height_m[before]])
     moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
     turned = transform_from_xyz_yaw(np.zeros((len(before), 3)), motion.heading_rad[after] - motion.heading_rad[before])

@@ -8,14 +8,17 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.loop_closure.candidate import Candidate
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+from slam.place_recognition.place import Place
 
 HERE = np.eye(4)
 
 
 def make_candidate(
     *,
-    query: int = 50,
-    reference: int = 3,
+    query: int | Keyframe = 50,
+    reference: int | Keyframe = 3,
     travel_m: float = 300.0,
     T_reference_query: FloatArray = HERE,
     T_local_query: FloatArray = HERE,
@@ -25,14 +28,14 @@ def make_candidate(
     odometry_penalty: float = 0.0,
     unpredicted_penalty: float = 0.0,
 ) -> Candidate:
-    """``llrs``: LLR of each landmark of the query; ``sigma`` is that of angles [rad] and of positions [m]."""
+    """``travel_m``: of a query that is given by its number; ``llrs``: LLR of each landmark of the query; ``sigma`` is
+    that of angles [rad] and of positions [m].
+    """
     llr_of = llrs or {0: 25.0}
     return Candidate(
-        query=query,
-        reference=reference,
-        query_stamp_ns=10**9 * query,
-        reference_stamp_ns=10**9 * reference,
-        travel_m=travel_m,
+        query=query if isinstance(query, Keyframe) else _keyframe(query, travel_m),
+        reference=reference if isinstance(reference, Keyframe) else _keyframe(reference, 0.0),
+        place=Place(T_local_query, 0.0, 0, 0.5, ""),
         T_reference_query=T_reference_query,
         T_local_query=T_local_query,
         covariance=sigma**2 * np.eye(6),
@@ -42,5 +45,8 @@ def make_candidate(
         matched_fraction=1.0,
         odometry_penalty=odometry_penalty,
         unpredicted_penalty=unpredicted_penalty,
-        retrieval_distance=0.5,
     )
+
+
+def _keyframe(number: int, travel_m: float) -> Keyframe:
+    return Keyframe(number, OdometryPose(10**9 * number, HERE, travel_m, 0, 1.0), HERE)

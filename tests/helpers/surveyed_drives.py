@@ -104,7 +104,7 @@ class SurveyedDrive:
         travel_m = np.cumsum(
             np.linalg.norm(np.diff(self.true_positions, axis=0, prepend=self.true_positions[:1]), axis=1)
         )
-        return Motion(self.scale * travel_m, self.true_headings, self.times_s)
+        return Motion(self.scale * travel_m, self.true_headings, self.times_s, np.zeros_like(travel_m))
 
     @property
     def tracks(self) -> ObjectTracks:

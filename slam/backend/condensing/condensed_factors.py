@@ -9,7 +9,6 @@ import numpy as np
 from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import Edge, EdgeKind, Factor, Observation
 from slam.backend.observation_sums import sum_observations
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.geometry import adjoint, invert
 
@@ -116,7 +115,7 @@ def condensed_factors(
 
 
 def summed_at_estimate(
-    observations: Sequence[Observation], T_map_body: FloatArray, points_map: FloatArray, config: FactorGraphConfig
+    observations: Sequence[Observation], T_map_body: FloatArray, points_map: FloatArray, kernel_width: float
 ) -> list[Observation]:
     """Observations of one landmark from one keyframe as one, each with the weight that the robust kernel gives it.
 
@@ -124,7 +123,7 @@ def summed_at_estimate(
         observations: (N,).
         T_map_body: (N, 4, 4), the estimates of their keyframes.
         points_map: (N, 3) m, those of their landmarks.
-        config: the kernel.
+        kernel_width: of the observations, in standard deviations.
     """
     if not observations:
         return []
@@ -133,7 +132,7 @@ def summed_at_estimate(
     positions = np.array([each.position for each in observations])
     residuals = positions - np.einsum("nji,nj->ni", T_map_body[:, :3, :3], points_map - T_map_body[:, :3, 3])
     squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariances), residuals)
-    weights = 1.0 / (1.0 + squares / config.observation_kernel_width**2)
+    weights = 1.0 / (1.0 + squares / kernel_width**2)
     return sum_observations(
         np.array([each.keyframe for each in observations]),
         np.array([each.landmark for each in observations]),

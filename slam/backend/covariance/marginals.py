@@ -20,7 +20,6 @@ from slam.backend.covariance.covariance_estimation import (
     variance_factors,
 )
 from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, Factor, LandmarkPrior, Observation
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 
 logger = logging.getLogger(__name__)
@@ -53,7 +52,7 @@ class Marginals:
 
 
 def compute_marginals(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, factors: Sequence[Factor], config: FactorGraphConfig
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, factors: Sequence[Factor], kernel_width: float
 ) -> Marginals:
     """Covariances of all variables of an optimised graph, with the noise that the drive itself shows.
 
@@ -64,25 +63,25 @@ def compute_marginals(
         graph: its factors, among them empty places.
         values: the optimum.
         factors: what each factor of the graph was made of, in its order, without the empty places.
-        config: the kernels of the observations.
+        kernel_width: of the observations, in standard deviations.
 
     Raises:
         np.linalg.LinAlgError: the graph does not determine all variables.
     """
     keys, points = _ordered_keys(values)
-    system = _linearize(graph, values, factors, config)
+    system = _linearize(graph, values, factors, kernel_width)
     blocks = covariance_blocks(system, variance_factors(system))
     return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
 
 
 def matched_covariances(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, factors: Sequence[Factor], config: FactorGraphConfig
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, factors: Sequence[Factor], kernel_width: float
 ) -> list[FloatArray | None]:
     """For each factor the covariance (6, 6) that the drive itself shows; None where it is the configured one.
 
     Arguments as of ``compute_marginals``.
     """
-    system = _linearize(graph, values, factors, config)
+    system = _linearize(graph, values, factors, kernel_width)
     try:
         found = variance_factors(system)
     except np.linalg.LinAlgError as error:
@@ -117,7 +116,7 @@ def _linearize(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     factors: Sequence[Factor],
-    config: FactorGraphConfig,
+    kernel_width: float,
 ) -> LinearSystem:
     keys, points = _ordered_keys(values)
     owners = np.repeat(np.arange(len(keys)), np.where(np.arange(len(keys)) < points, POINT_SIZE, POSE_SIZE))
@@ -130,7 +129,7 @@ def _linearize(
     shape = (int(sizes.sum()), len(owners))
     weighted = np.zeros(shape[0])
     weighted[row[is_right]] = entry[is_right]
-    unweighting, kernel_weight = _undo_kernels(factors, np.add.reduceat(weighted**2, starts), config)
+    unweighting, kernel_weight = _undo_kernels(factors, np.add.reduceat(weighted**2, starts), kernel_width)
     scale = np.repeat(unweighting, sizes)
     places = (row[~is_right], column[~is_right])
     jacobian = sparse.csr_array((entry[~is_right] * scale[row[~is_right]], places), shape=shape)
@@ -143,9 +142,7 @@ def _linearize(
     )
 
 
-def _undo_kernels(
-    factors: Sequence[Factor], squares: FloatArray, config: FactorGraphConfig
-) -> tuple[FloatArray, FloatArray]:
+def _undo_kernels(factors: Sequence[Factor], squares: FloatArray, kernel_width: float) -> tuple[FloatArray, FloatArray]:
     """What takes the kernels' weights off the rows of factors (F,), but for those of outliers, and the factors'
     kernel weights.
 
@@ -156,7 +153,7 @@ def _undo_kernels(
     inflations = np.array([each.covariance_inflation for each in factors if isinstance(each, Observation)])
     is_closure = np.array([isinstance(each, Edge) and each.kind == EdgeKind.LOOP_CLOSURE for each in factors])
     for chosen, width, own, size in (
-        (is_observation, config.observation_kernel_width, inflations, POINT_SIZE),
+        (is_observation, kernel_width, inflations, POINT_SIZE),
         (is_closure, CLOSURE_KERNEL_WIDTH, 1.0, POSE_SIZE),
     ):
         if chosen.any():

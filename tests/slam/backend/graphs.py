@@ -7,11 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
-PLAIN = FactorGraphConfig(observation_kernel_width=1e6)
+PLAIN = 1e6
+"""Width of a kernel that gives every observation its full weight."""
 EDGE_COVARIANCE = np.diag(np.repeat([0.05**2, 0.2**2], 3))
 SEEN_COVARIANCE = 0.02**2 * np.eye(3)
 KEYFRAMES, LANDMARKS = 12, 15
@@ -60,9 +60,9 @@ def sightings(seed: int = 2, sigma_m: float = 0.005) -> list[Observation]:
     return found
 
 
-def build(edges: list[Edge], observations: list[Observation], config: FactorGraphConfig = PLAIN) -> FactorGraph:
+def build(edges: list[Edge], observations: list[Observation], kernel_width: float = PLAIN) -> FactorGraph:
     """The graph as a drive builds it: keyframe by keyframe, with an update after each."""
-    graph = FactorGraph(config)
+    graph = FactorGraph(kernel_width=kernel_width)
     graph.add_first_keyframe(0, true_poses()[0])
     for k in range(KEYFRAMES):
         if k > 0:

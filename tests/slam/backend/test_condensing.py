@@ -11,8 +11,7 @@ from slam.backend.condensing.anchors import find_anchors
 from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Observation, between_factor
-from slam.backend.solver_options import FactorGraphConfig
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
 from slam.common.geometry import adjoint, apply, invert, relative, transform_from_xyz_yaw
 from tests.slam.backend.graphs import PLAIN
@@ -35,11 +34,11 @@ def true_landmarks() -> FloatArray:
     return np.random.default_rng(0).uniform([-14, -14, -1], [14, 14, 3], (LANDMARKS, 3))
 
 
-def driven(rounds: int, config: FactorGraphConfig = PLAIN, *, seed: int = 1) -> FactorGraph:
+def driven(rounds: int, kernel_width: float = PLAIN, *, seed: int = 1) -> FactorGraph:
     """Rounds in which each keyframe sees the eight landmarks nearest to it."""
     rng = np.random.default_rng(seed)
     T, landmarks = true_poses(rounds), true_landmarks()
-    graph = FactorGraph(config)
+    graph = FactorGraph(kernel_width=kernel_width)
     graph.add_first_keyframe(0, T[0])
     for k in range(len(T)):
         if k > 0:
@@ -67,8 +66,8 @@ def anchors_of(graph: FactorGraph, *, settled: int) -> dict[int, int]:
     )
 
 
-def condensed(rounds: int, config: FactorGraphConfig = PLAIN, *, settled: int | None = None) -> FactorGraph:
-    graph = driven(rounds, config)
+def condensed(rounds: int, kernel_width: float = PLAIN, *, settled: int | None = None) -> FactorGraph:
+    graph = driven(rounds, kernel_width)
     graph.optimize()
     graph.condense(anchors_of(graph, settled=rounds * ROUND if settled is None else settled))
     return graph
@@ -304,8 +303,8 @@ def test_an_outlier_has_hardly_any_weight_in_a_sum():
     right = [Observation(0, 5, np.array([10.0, 0.0, 0.0]), 0.01 * np.eye(3)) for _ in range(2)]
     wrong = Observation(0, 5, np.array([10.0, 3.0, 0.0]), 0.01 * np.eye(3))
     at, point = np.tile(np.eye(4), (3, 1, 1)), np.tile([10.0, 0.0, 0.0], (3, 1))
-    cauchy = summed_at_estimate([*right, wrong], at, point, FactorGraphConfig())
-    plain = summed_at_estimate([*right, wrong], at, point, FactorGraphConfig(observation_kernel_width=1e6))
+    cauchy = summed_at_estimate([*right, wrong], at, point, OBSERVATION_KERNEL_WIDTH)
+    plain = summed_at_estimate([*right, wrong], at, point, 1e6)
     assert len(cauchy) == len(plain) == 1
     assert cauchy[0].position[1] < 0.01
     assert plain[0].position[1] == pytest.approx(1.0)
@@ -314,8 +313,7 @@ def test_an_outlier_has_hardly_any_weight_in_a_sum():
 
 def test_common_landmarks_tell_the_relative_pose_as_surely_as_a_solver_says():
     T, landmarks = true_poses(1)[0], true_landmarks()
-    config = FactorGraphConfig(observation_kernel_width=1e6)
-    graph = FactorGraph(config)
+    graph = FactorGraph(kernel_width=1e6)
     graph.add_first_keyframe(0, T)
     graph.add_next_keyframe(Edge(0, 1, np.eye(4), 1e4 * np.eye(6), "odometry"))
     seen = apply(invert(T), landmarks)

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.backend.factors import Edge
-from slam.backend.solver_options import FactorGraphConfig
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge
 from slam.common.geometry import invert
 from tests.slam.backend.graphs import (
     KEYFRAMES,
@@ -28,16 +27,14 @@ from tests.slam.backend.graphs import (
 
 @pytest.mark.parametrize("width", [30.0, 1e6])
 def test_the_truth_is_recovered_from_initial_values_that_are_metres_off(width):
-    config = FactorGraphConfig(observation_kernel_width=width)
-    assert worst_pose_error_m(build(noisy_edges(), [], config)) > 1.0
-    graph = build(noisy_edges(), sightings(), config)
+    assert worst_pose_error_m(build(noisy_edges(), [], width)) > 1.0
+    graph = build(noisy_edges(), sightings(), width)
     assert graph.optimize().converged
     assert_is_true(graph)
 
 
 def test_a_rough_solution_takes_fewer_steps_and_leads_to_the_same_one():
-    config = FactorGraphConfig()
-    graph, rough = (build(noisy_edges(), sightings(), config) for _ in range(2))
+    graph, rough = (build(noisy_edges(), sightings(), OBSERVATION_KERNEL_WIDTH) for _ in range(2))
     steps = graph.optimize().iterations
     assert rough.optimize(roughly=True).iterations < steps
     rough.optimize()
@@ -71,17 +68,13 @@ def test_a_robust_kernel_holds_against_one_mirrored_observation():
     observations = sightings()
     observations[20] = replace(observations[20], position=observations[20].position * [1, -1, 1])
     exact = [edge(i, i + 1, invert(true_poses()[i]) @ true_poses()[i + 1]) for i in range(KEYFRAMES - 1)]
-    graph = build(exact, observations, FactorGraphConfig())
+    graph = build(exact, observations, OBSERVATION_KERNEL_WIDTH)
     graph.optimize()
     assert_is_true(graph)
 
 
 def test_the_incremental_and_the_batch_estimate_agree():
-    graph = build(
-        noisy_edges(),
-        sightings(),
-        FactorGraphConfig(observation_kernel_width=1e6, relinearize_skip=1),
-    )
+    graph = build(noisy_edges(), sightings())
     before = graph.poses()
     rows = graph.landmarks
     landmarks_before = graph.landmark_positions(rows)

@@ -80,4 +80,4 @@ def test_it_is_refused_by_name_and_nothing_is_left_of_it(name, is_optimized):
 )
 def test_a_graph_begins_with_a_keyframe_that_is_held(add, told):
     with pytest.raises(FactorGraphError, match=told):
-        add(FactorGraph(PLAIN))
+        add(FactorGraph(kernel_width=PLAIN))

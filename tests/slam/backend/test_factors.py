@@ -10,8 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
-from slam.backend.factors import Edge, Observation, between_factor, observation_factors
-from slam.backend.solver_options import FactorGraphConfig
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, Observation, between_factor, observation_factors
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
@@ -53,8 +52,7 @@ def test_a_closure_that_is_far_off_counts_less_and_less():
 
 
 def ranged(off_m: float, width: float, inflation: float = 1.0) -> float:
-    config = FactorGraphConfig(observation_kernel_width=width)
-    (factor,) = observation_factors([observed(inflation=inflation)], config, sensor_range_m=30.0)
+    (factor,) = observation_factors([observed(inflation=inflation)], width, sensor_range_m=30.0)
     return float(factor.error(values(np.eye(4), FAR * (1.0 + off_m / 10.0))))
 
 
@@ -79,7 +77,7 @@ def test_the_error_of_an_observation_is_that_of_the_position_in_the_body(seed, s
     position, off = rng.uniform(-sensor_range_m, sensor_range_m, 3), rng.normal(size=3)
     A = rng.normal(size=(3, 3))
     observation = replace(observed(position), covariance=1e-4 * np.eye(3) + 0.01 * A @ A.T)
-    plain = FactorGraphConfig(observation_kernel_width=1e6)
+    plain = 1e6
     (factor,) = observation_factors([observation], plain, sensor_range_m=sensor_range_m)
     T_map_body = make_transform(Rotation.random(random_state=rng).as_matrix(), 100.0 * rng.normal(size=3))
     R, seen = T_map_body[:3, :3], position + off
@@ -110,7 +108,7 @@ def test_what_is_no_covariance_becomes_no_factor(variance):
         between_factor(edge("odometry", covariance=np.diag([1.0] * 5 + [variance])))
     observation = replace(observed(), covariance=np.diag([1.0, variance, 1.0]))
     with pytest.raises(FactorGraphError, match="landmark 0 from keyframe 0"):
-        observation_factors([observation], FactorGraphConfig(), sensor_range_m=30.0)
+        observation_factors([observation], OBSERVATION_KERNEL_WIDTH, sensor_range_m=30.0)
 
 
 def test_a_covariance_of_another_size_is_refused():

@@ -32,7 +32,7 @@ def drive(drift_rad: float, seed: int) -> FactorGraph:
     rng, T = np.random.default_rng(seed), true_poses()
     R = T[:, :3, :3]
     landmarks = rng.uniform([-5.0, -8.0, -3.0], [KEYFRAMES * STEP_M + 5.0, 8.0, 3.0], (200, 3))
-    graph = FactorGraph(PLAIN)
+    graph = FactorGraph(kernel_width=PLAIN)
     graph.add_first_keyframe(0, T[0])
     upright = np.diag([TILT_RAD**2, TILT_RAD**2, 1e-6])
     for k in range(KEYFRAMES):
@@ -76,6 +76,6 @@ def test_drifting_tilt_is_estimated(seed):
 
 
 def test_graph_without_odometry_is_optimised():
-    graph = FactorGraph(PLAIN)
+    graph = FactorGraph(kernel_width=PLAIN)
     graph.add_first_keyframe(0, np.eye(4))
     assert optimize_with_matched_noise(graph).converged

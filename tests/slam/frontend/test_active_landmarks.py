@@ -81,7 +81,7 @@ class Bench:
     def see(self, rows: IntArray, positions: FloatArray | None = None, *, is_uncertain: bool = False) -> None:
         """Detect landmarks, where they are or at ``positions`` (N, 3) m, local frame."""
         indices = [self.active.rows.tolist().index(row) for row in rows]
-        where = self.active.predict().positions[indices] if positions is None else np.array(positions)
+        where = self.active.positions[indices] if positions is None else np.array(positions)
         covariances = np.tile(SIGMA_M**2 * np.eye(3), (len(rows), 1, 1))
         used = np.ones(len(rows), dtype=np.bool_)
         seen = apply(invert(self.active.T_local_body), where)
@@ -94,7 +94,7 @@ class Bench:
     def sigma_m(self, row: int) -> float:
         """Of the position of a landmark relative to the robot, the largest of any horizontal direction."""
         index = self.active.rows.tolist().index(row)
-        covariance = self.active.predict().covariances[index]
+        covariance = self.active.predict()[1][index]
         return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
 
 
@@ -115,7 +115,7 @@ def test_error_of_a_landmark_changes_with_the_view_of_it() -> None:
     bench = Bench(odometry=odometry, detection=detection)
     rows = bench.add([[40.0, 0.0, 0.0], [80.0, 0.0, 0.0]])
     bench.advance(20.0, step_m=0.5)
-    covariances = bench.active.predict().covariances[rows]
+    covariances = bench.active.predict()[1][rows]
     grown = np.diagonal(covariances, axis1=1, axis2=2) - SIGMA_M**2
     changed_rad = np.log([[2.0], [4.0 / 3.0]])
     np.testing.assert_allclose(grown, changed_rad * np.square([0.3, 0.3, 0.1]), rtol=1e-3)
@@ -126,9 +126,9 @@ def test_moving_landmark_is_expected_where_its_velocity_takes_it() -> None:
     bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]], confirmed=False)
     bench.map.assign(np.array([0]), velocity_local=[2.0, 0.0, 0.0])
     bench.advance(1.5)
-    prediction = bench.active.predict()
-    np.testing.assert_allclose(prediction.positions, [[23.0, 3.0, 0.0], [20.0, -3.0, 0.0]])
-    assert prediction.covariances[0, 0, 0] > prediction.covariances[1, 0, 0]
+    positions, covariances = bench.active.predict()
+    np.testing.assert_allclose(positions, [[23.0, 3.0, 0.0], [20.0, -3.0, 0.0]])
+    assert covariances[0, 0, 0] > covariances[1, 0, 0]
 
 
 # How long they are kept

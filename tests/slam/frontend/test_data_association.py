@@ -161,7 +161,6 @@ def test_no_match_without_detections_or_landmarks(detections: int, landmarks: in
     found = random_scene(np.random.default_rng(0), detections, landmarks).assigned()
     assert found.landmark_rows.tolist() == [NEW] * detections
     assert found.landmark_rows.dtype == np.int64
-    assert found.new.all()
     assert not found.is_contested
 
 
@@ -174,7 +173,6 @@ def test_gate_is_that_of_the_chi_squared_distribution(factor: float, row: int) -
 def test_detection_is_new_only_outside_the_outer_gate(factor: float, row: int) -> None:
     assignment = plain_scene([factor * OUTER_GATE_M], [0]).assigned(ObjectCalibration(new_object_density=1e-6))
     assert assignment.landmark_rows.tolist() == [row]
-    assert assignment.new.tolist() == [row == NEW]
     assert not assignment.matched[0]
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from logs.messages import DetectionAssociations, ObjectDetections, Odometry
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -33,7 +32,7 @@ class Drive:
         config = Config()
         self.counters = Counter[str]()
         object_map = ObjectMap(config.calibration.objects)
-        self.mapper = Mapper(config, object_map, FactorGraph(FactorGraphConfig()))
+        self.mapper = Mapper(config, object_map, FactorGraph())
         track = OdometryTrack(self.counters)
         self.frontend = Frontend(config.calibration.detection, SensorFrames(), track, self.mapper, self.counters)
         self.rng, self.objects, self.frame_id = np.random.default_rng(0), forest(), frame_id

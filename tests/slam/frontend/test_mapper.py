@@ -8,7 +8,6 @@ import pytest
 from logs.messages import DetectionAssociations, Odometry
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Observation
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
@@ -37,7 +36,7 @@ class Bench:
     def __init__(self, **branches: dict[str, object]) -> None:
         self.config = Config.model_validate({"calibration": branches})
         self.map = ObjectMap(self.config.calibration.objects)
-        self.graph = FactorGraph(FactorGraphConfig())
+        self.graph = FactorGraph()
         self.mapper = Mapper(self.config, self.map, self.graph)
         self.track = OdometryTrack()
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, relative, rotation_angle_rad, transform_from_xyz_yaw
@@ -41,7 +40,7 @@ class Drive:
         config = Config.model_validate({"calibration": {"detection": {"common_sigma_m": 0.0}}})
         self.objects, self.rng, self.range_m = objects, np.random.default_rng(0), range_m
         object_map = ObjectMap(config.calibration.objects)
-        self.mapper = Mapper(config, object_map, FactorGraph(FactorGraphConfig()))
+        self.mapper = Mapper(config, object_map, FactorGraph())
         self.object_of: dict[int, int] = {}  # of each landmark
         self.T_fault, self.step, self.corrections = np.eye(4), 0, 0
         self.mapper.add_odometry(self.pose())
@@ -69,11 +68,11 @@ class Drive:
         self.use(tracked, which)
         return tracked
 
-    def rejoined(self) -> Tracked | None:
+    def rejoined(self) -> Tracked:
         """The next scan, after a step of the odometry that no body can have made."""
         self.step += 1
-        tracked = self.mapper.rejoin(self.scan(self.seen()), self.pose(segment=1))
-        if tracked is not None:
+        tracked = self.mapper.tracker.rejoin(self.scan(self.seen()), self.pose(segment=1), [])
+        if not tracked.is_lost:
             self.use(tracked, self.seen())
         return tracked
 
@@ -193,7 +192,7 @@ def test_gap_over_which_the_odometry_was_right_is_rejoined() -> None:
     drive.drive(12)
     drive.step += 15
     tracked = drive.rejoined()
-    assert tracked is not None
+    assert not tracked.is_lost
     assert known(tracked) > 0.7
     assert drive.error()[0] < 0.2
 
@@ -203,7 +202,7 @@ def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
     drive.drive(12)
     body = T_true(drive.step + 1)
     drive.T_fault = body @ transform_from_xyz_yaw(np.zeros(3), 2.5) @ invert(body)
-    assert drive.rejoined() is not None
+    assert not drive.rejoined().is_lost
     assert drive.error()[0] < 0.2
     assert drive.error()[1] < 0.02
 
@@ -214,8 +213,8 @@ def test_unknown_place_is_not_rejoined(seed: int) -> None:
     drive.drive(20)
     drive.T_fault = invert(T_true(drive.step + 1))
     drive.objects = forest(60, seed=9 + seed)[:, [1, 0, 2]] + T_true(drive.step)[:3, 3]
-    assert drive.rejoined() is None
+    assert drive.rejoined().is_lost
 
 
-def test_nothing_is_rejoined_before_anything_was_tracked() -> None:
-    assert Drive(forest()).rejoined() is None
+def test_nothing_is_tracked_at_first() -> None:
+    assert not Drive(forest()).mapper.tracker.is_tracking

@@ -9,7 +9,6 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Factor, Observation, observation_factors
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
@@ -17,7 +16,7 @@ from slam.localization.prior_map import restore
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
 
-CONFIG = FactorGraphConfig(observation_kernel_width=1e6)
+WIDTH = 1e6
 SURE = np.diag(np.repeat([1e-4, 1e-4], 3))
 LOOSE = np.diag(np.repeat([0.1, 4.0], 3))
 SEEN = 0.05**2 * np.eye(3)
@@ -38,7 +37,7 @@ def saved() -> SavedMap:
     labels = object_map.label_indices(("tree", "lamp", "tree", "bench"))
     rows = object_map.add(OBJECTS, np.tile(SEEN, (4, 1, 1)), labels, stamp_ns=5, scan=0, travel_m=0.0)
     object_map.confirm(rows)
-    graph = FactorGraph(CONFIG)
+    graph = FactorGraph(kernel_width=WIDTH)
     graph.add_first_keyframe(0, POSES[0])
     for k in (1, 2):
         graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
@@ -52,7 +51,7 @@ def saved() -> SavedMap:
 
 
 def loaded(saved: SavedMap, *, fixed: bool) -> tuple[ObjectMap, FactorGraph]:
-    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(CONFIG)
+    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(kernel_width=WIDTH)
     assert [keyframe.id for keyframe in restore(saved, object_map, graph, fixed=fixed)] == [0, 1, 2]
     return object_map, graph
 
@@ -79,8 +78,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
 
 def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
     """An object seen far beside where others see it: the kernel, narrowed by covariance_inflation, shuts it out."""
-    config = FactorGraphConfig()
-    graph = FactorGraph(config)
+    graph = FactorGraph()
     graph.add_first_keyframe(0, POSES[0])
     for k in (1, 2):
         graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
@@ -95,7 +93,7 @@ def test_observations_that_share_their_errors_come_back_as_robust_as_they_were()
     )
     objects.confirm(rows)
     objects.assign(rows, position_map=before)
-    again = FactorGraph(config)
+    again = FactorGraph()
     restore(
         SavedMap(objects.to_record(9), graph.to_record(9, np.arange(3))),
         ObjectMap(ObjectCalibration()),
@@ -205,10 +203,9 @@ def test_factors_made_at_once_are_those_made_one_by_one() -> None:
         observations.append(
             Observation(0, row, rng.uniform(1.0, 20.0, 3), A @ A.T + 0.01 * np.eye(3), float(rng.choice([1.0, 500.0])))
         )
-    config = FactorGraphConfig()
-    together = observation_factors(observations, config, sensor_range_m=30.0)
+    together = observation_factors(observations, WIDTH, sensor_range_m=30.0)
     for observation, factor in zip(observations, together, strict=True):
-        assert factor.equals(observation_factors([observation], config, sensor_range_m=30.0)[0], 1e-12)
+        assert factor.equals(observation_factors([observation], WIDTH, sensor_range_m=30.0)[0], 1e-12)
     other = replace(observations[0], covariance=2.0 * observations[0].covariance)
-    assert not together[0].equals(observation_factors([other], config, sensor_range_m=30.0)[0], 1e-12)
-    assert observation_factors([], config, sensor_range_m=30.0) == []
+    assert not together[0].equals(observation_factors([other], WIDTH, sensor_range_m=30.0)[0], 1e-12)
+    assert observation_factors([], WIDTH, sensor_range_m=30.0) == []

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import logit
 
 from slam.common.config import Config, LocalizationConfig
-from slam.localization.localizer import log_odds_of
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
 PENALTY = 15.0
-SURE_LLR = PENALTY - log_odds_of(LocalizationConfig().error_probability) + 0.5
+SURE_LLR = PENALTY - logit(LocalizationConfig().error_probability) + 0.5
 """A little more than the log odds that are wanted, above the penalty."""
 
 
@@ -37,8 +37,7 @@ def patterns() -> Patterns:
 
 @pytest.fixture
 def acceptance(patterns: Patterns) -> Acceptance:
-    keyframes = [make_keyframe(number, 2.0 * number) for number in range(60)]
-    return Acceptance(Config(), patterns, keyframes)  # type: ignore[arg-type]
+    return Acceptance(Config(), patterns)  # type: ignore[arg-type]
 
 
 def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
@@ -154,9 +153,8 @@ def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(acceptance)
 
 
 def test_what_is_acceptable_suffices_alone(acceptance):
-    for is_enough in (acceptance.is_acceptable, acceptance.is_confirmed):
-        assert is_enough(candidate(0.0, SURE_LLR))
-        assert not is_enough(candidate(0.0, SURE_LLR - 1.0))
+    assert acceptance.is_acceptable(candidate(0.0, SURE_LLR))
+    assert not acceptance.is_acceptable(candidate(0.0, SURE_LLR - 1.0))
 
 
 def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, patterns):

@@ -11,11 +11,11 @@ from slam.common.config import LocalizationConfig, LoopClosureConfig
 from slam.registration.parameters import RegistrationConfig
 
 MODULES = (
-    "localization/localizer.py",
     "localization/pose_prior.py",
     "loop_closure/acceptance.py",
     "loop_closure/consistency.py",
     "loop_closure/likelihood_ratio.py",
+    "loop_closure/localizer.py",
     "loop_closure/query_priors.py",
 )
 """All that computes the posterior probability of a candidate."""

@@ -7,7 +7,6 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
@@ -32,7 +31,7 @@ class Drive:
     """A street driven twice, without objects; the second round may be another segment of the odometry."""
 
     def __init__(self, *, second_segment: int = 0) -> None:
-        graph = FactorGraph(FactorGraphConfig(observation_kernel_width=1e6))
+        graph = FactorGraph(kernel_width=1e6)
         self.keyframes: list[Keyframe] = []
         self.closures = AcceptedClosures(Config(), ObjectMap(ObjectCalibration()), graph, self.keyframes)
         self.graph = graph
@@ -52,9 +51,8 @@ class Drive:
 
     def candidate(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> Candidate:
         return make_candidate(
-            query=query,
-            reference=query - ROUND if reference is None else reference,
-            travel_m=STEP_M * query,
+            query=self.keyframes[query],
+            reference=self.keyframes[query - ROUND if reference is None else reference],
             T_reference_query=pose(STEP_M * ROUND + off_m),
             T_local_query=pose(STEP_M * query),
         )

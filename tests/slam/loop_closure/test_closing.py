@@ -75,9 +75,8 @@ class Parts(Patterns):
         if llr is None:
             return query.refusal(Stage.REGISTRATION, "nothing fits")
         found = make_candidate(
-            query=query.keyframe.id,
-            reference=max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0,
-            travel_m=query.travel_m,
+            query=query.keyframe,
+            reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
             T_local_query=at(query.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
         )
@@ -106,10 +105,7 @@ class Parts(Patterns):
         return []
 
     def is_acceptable(self, candidate: Candidate) -> bool:
-        return candidate.score >= 20.0
-
-    def is_confirmed(self, propagated: Candidate) -> bool:
-        return propagated.score >= 6.0
+        return candidate.score >= (20.0 if candidate.seed_closure < 0 else 6.0)
 
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
         if self.is_acceptable(candidates[0]):
@@ -127,12 +123,12 @@ class Parts(Patterns):
         return self.is_connected
 
     def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
-        assert candidate.query not in self.closed
-        self.closed[candidate.query] = candidate.reference
+        assert candidate.query.id not in self.closed
+        self.closed[candidate.query.id] = candidate.reference.id
         return candidate.record(Stage.ACCEPTED, reason)
 
     def add_tracked(self, candidate: Candidate) -> None:
-        self.recognised.append(candidate.query)
+        self.recognised.append(candidate.query.id)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         return [], True

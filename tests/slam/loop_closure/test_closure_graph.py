@@ -9,7 +9,6 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import transform_from_xyz_yaw
@@ -42,7 +41,7 @@ class Street:
     def __init__(self, *, pass_m: float = PASS_M, min_travel_m: float = 100.0) -> None:
         self.pass_m = pass_m
         self.map = ObjectMap(ObjectCalibration())
-        self.graph = FactorGraph(FactorGraphConfig(observation_kernel_width=1e6))
+        self.graph = FactorGraph(kernel_width=1e6)
         self.keyframes: list[Keyframe] = []
         self.loops = ClosedLoops(self.map, self.graph, self.keyframes, min_travel_m=min_travel_m)
         self.graph.add_first_keyframe(0, pose(0.0))
@@ -76,9 +75,8 @@ class Street:
     def close(self, query: int, reference: int, pairs: list[tuple[int, int]]) -> None:
         apart_m = (query % STATIONS - reference % STATIONS) * SPACING_M
         candidate = make_candidate(
-            query=query,
-            reference=reference,
-            travel_m=query // STATIONS * self.pass_m + query % STATIONS * SPACING_M,
+            query=self.keyframes[query],
+            reference=self.keyframes[reference],
             T_reference_query=pose(apart_m),
             sigma=0.3,
             pairs=pairs,
@@ -276,7 +274,7 @@ def test_the_nearest_closure_is_the_one_nearest_in_travel(street):
     for travel_m, query in ((PASS_M, 6), (PASS_M + 24.0, 6), (PASS_M + 26.0, 9), (900.0, 9)):
         found = street.loops.nearest(travel_m)
         assert found is not None
-        assert found.candidate.query == query
+        assert found.candidate.query.id == query
 
 
 def test_a_landmark_that_stands_for_two_passes_is_not_merged_into_a_third(street):

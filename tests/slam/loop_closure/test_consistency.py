@@ -103,5 +103,5 @@ def test_of_equal_places_the_best_is_kept_and_the_best_place_comes_first():
     elsewhere = make_candidate(query=4, T_local_query=moved(T_BASE, 30.0), llrs={0: 20.0})
     turned = make_candidate(query=5, T_local_query=moved(T_BASE, turn_rad=np.pi), llrs={0: 35.0})
     found = suppress_non_maxima([weak, elsewhere, penalized, strong, turned], sensor_range_m=RANGE_M)
-    assert [candidate.query for candidate in found] == [5, 2, 4]
+    assert [candidate.query.id for candidate in found] == [5, 2, 4]
     assert suppress_non_maxima([], sensor_range_m=RANGE_M) == []

@@ -7,7 +7,6 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
@@ -24,7 +23,7 @@ def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[Obje
     """A map of those landmarks, seen without noise along a straight street."""
     object_map, graph = (
         ObjectMap(ObjectCalibration()),
-        FactorGraph(FactorGraphConfig(observation_kernel_width=1e6)),
+        FactorGraph(kernel_width=1e6),
     )
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
     graph.add_first_keyframe(0, T[0])
@@ -130,7 +129,7 @@ def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
 
 def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
-    graph = FactorGraph(FactorGraphConfig())
+    graph = FactorGraph()
     known = {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])}
     graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
     for row in (0, 1):

@@ -302,8 +302,8 @@ def test_objects_without_a_match_are_a_beta_binomial():
     missed = np.log1p(-0.85)
     for count in (1, 6, 20):
         expected = betaln(8.5, 1.5 + count) - betaln(8.5, 1.5)
-        assert changed_log_likelihood_ratio(np.full(count, missed), 0.85) == pytest.approx(expected, abs=0.01)
-    assert changed_log_likelihood_ratio(np.zeros(9), 0.85) == pytest.approx(0.0)
+        assert changed_log_likelihood_ratio(np.full(count, missed)) == pytest.approx(expected, abs=0.01)
+    assert changed_log_likelihood_ratio(np.zeros(9)) == pytest.approx(0.0)
 
 
 def test_matches_among_many_changed_objects_count():
@@ -312,5 +312,5 @@ def test_matches_among_many_changed_objects_count():
     ratios[:4] = 6.0
     assert ratios.sum() < -20.0
     expected = betaln(12.5, 29.5) - betaln(8.5, 1.5) + 4.0 * np.log((np.exp(6.0) - 0.15) / 0.85)
-    assert changed_log_likelihood_ratio(ratios, 0.85) == pytest.approx(expected, abs=0.1)
+    assert changed_log_likelihood_ratio(ratios) == pytest.approx(expected, abs=0.1)
     assert expected > 0.0

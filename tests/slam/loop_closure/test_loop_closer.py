@@ -9,11 +9,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from scipy.special import logit
 
 from logs.closures import STAGES
 from slam.common.config import Config, LocalizationConfig
-from slam.localization.localizer import log_odds_of
-from slam.loop_closure import likelihood_ratio, propagation
+from slam.loop_closure import likelihood_ratio
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 
 # So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
 NO_MEMORY = {"localization": {"max_hypotheses": 0}}
-LEAST_LOG_ODDS = -log_odds_of(LocalizationConfig().error_probability)
+LEAST_LOG_ODDS = -logit(LocalizationConfig().error_probability)
 ONE_TRY = {"top_k": 1, "max_candidates": 2, "propagation_distance_m": 0.0}
 
 
@@ -129,8 +129,7 @@ def test_closures_make_one_landmark_of_each_object(looped, open_ended):
 
 def count_no_misses(monkeypatch):
     """Objects without a match say nothing against a place."""
-    for module in (likelihood_ratio, propagation):
-        monkeypatch.setattr(module, "DETECTION_PROBABILITY", 1e-6)
+    monkeypatch.setattr(likelihood_ratio, "DETECTION_PROBABILITY", 1e-6)
 
 
 def test_a_drive_without_revisits_accepts_nothing(straying):

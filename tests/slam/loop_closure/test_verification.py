@@ -117,7 +117,7 @@ def row(spacing_m: float, count: int = 9) -> FloatArray:
 
 def test_the_relative_pose_is_that_of_the_bodies_tilt_included():
     found = Scene(scattered()).verified()
-    assert (found.query, found.reference, found.rank) == (QUERY, HERE, 1)
+    assert (found.query.id, found.reference.id, found.place.rank) == (QUERY, HERE, 1)
     np.testing.assert_allclose(found.T_reference_query, invert(body(HERE)) @ body(QUERY), atol=1e-6)
     assert len(found.pairs) == 12
 
@@ -168,7 +168,11 @@ def test_the_reference_is_no_keyframe_of_the_same_traversal():
 
 def test_a_closure_predicts_within_its_segment():
     scene = Scene(scattered())
-    seed = make_candidate(query=QUERY - 5, reference=HERE - 5, T_local_query=gravity_frame(body(QUERY - 5)))
+    seed = make_candidate(
+        query=scene.keyframes[QUERY - 5],
+        reference=scene.keyframes[HERE - 5],
+        T_local_query=gravity_frame(body(QUERY - 5)),
+    )
     place = scene.verifier.predict(seed, scene.query)
     assert place is not None
     np.testing.assert_allclose(place.T_local_query, gravity_frame(body(QUERY)), atol=1e-9)

@@ -76,7 +76,6 @@ def test_the_pose_is_found_among_false_correspondences(seed: int, false_share: f
     assert error_deg < 1.0
     assert is_one_to_one(registration)
     assert len(registration.pairs) >= 0.8 * 120 * (1.0 - false_share)
-    np.testing.assert_array_equal(problem.correspondences[registration.inliers], registration.pairs)
     assert np.linalg.det(registration.T_reference_query[:3, :3]) == pytest.approx(1.0)
 
 
@@ -322,7 +321,7 @@ def test_what_determines_nothing_has_a_reason(
     assert reason in registration.reason
     assert registration.T_reference_query is None
     assert registration.covariance is None
-    assert len(registration.inliers) == len(registration.pairs) == 0
+    assert len(registration.pairs) == 0
 
 
 coordinates = st.sampled_from([0.0, 1.0, 4.0, 7.5, 30.0])

@@ -12,7 +12,6 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
-from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
 from slam.self_calibration.survey import Survey, summarize
@@ -182,11 +181,22 @@ def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
 
 
 def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed):
-    swaying = replace(surveyed, heights=HeightNoise(own=0.0, common=0.04))
+    level = dict.fromkeys(("height", "view_height", "rise", "rise_by_travel"), 0.0)
+    errors = replace(surveyed.components.standard_errors, **level)
+    steady, swaying = (
+        replace(
+            surveyed,
+            components=replace(
+                surveyed.components,
+                variances=replace(surveyed.components.variances, **level | {"rise": rise}),
+                standard_errors=errors,
+            ),
+        )
+        for rise in (0.0, 0.04)
+    )
     found = calibrate(Config(), swaying).config
     assert found.calibration.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
     assert found.calibration.objects.landmark_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))
-    steady = replace(surveyed, heights=HeightNoise(own=1e-6, common=0.0))
     assert calibrate(Config(), steady).config.calibration.detection.height_sigma_m == 0.0, "as the position says"
 
 

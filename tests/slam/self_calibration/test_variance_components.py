@@ -165,7 +165,7 @@ def test_too_few_detections_tell_nothing(count):
         np.zeros(count),
     )
     times = np.arange(float(count))
-    assert estimate_components(tracks, Motion(times, times, times)) is None
+    assert estimate_components(tracks, Motion(times, times, times, times)) is None
 
 
 @pytest.mark.filterwarnings("error")
@@ -177,7 +177,7 @@ def test_a_log_without_any_noise_has_none() -> None:
     offsets = points - np.stack([0.3 * scan, np.zeros(len(scan))], axis=1)
     none = np.zeros(len(track))
     tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none, none + np.inf, none)
-    motion = Motion(np.arange(count) * 0.3, np.zeros(count), np.arange(count) * 0.1)
+    motion = Motion(np.arange(count) * 0.3, np.zeros(count), np.arange(count) * 0.1, np.zeros(count))
     found = estimate_components(tracks, motion)
     assert found is not None
     assert np.isfinite(astuple(found.variances)).all()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
+from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
 from descriptors.registry import make_index
@@ -24,7 +25,6 @@ from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
-from slam.localization.localizer import log_odds_of
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratio
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
@@ -163,7 +163,7 @@ def verify(
         if ratio.total > best_llr:
             best, best_llr = found.T_reference_query, ratio.total
     log_odds = best_llr - np.log(max(len(objects), 1))
-    return best, bool(log_odds >= -log_odds_of(config.localization.error_probability))
+    return best, bool(log_odds >= -logit(config.localization.error_probability))
 
 
 def _measure(world: LabelledMap, smallest: int, keys: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import SUBMAP_RANGES
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.object_map.submap import SUBMAP_RANGES, Submap
+from slam.object_map.submap import Submap
 from tools.lab.retrieval.labelled_map import LabelledMap
 
 MIN_OBJECTS = 8

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import (
+    OBSERVATION_KERNEL_WIDTH,
     Edge,
     Factor,
     Observation,
@@ -19,11 +20,10 @@ from slam.backend.factors import (
     observation_factors,
     prior_factor,
 )
-from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
-PLAIN = FactorGraphConfig(observation_kernel_width=1e6)
+PLAIN = 1e6
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
 SEEN_COVARIANCE = 0.01 * np.eye(3)
 
@@ -49,8 +49,8 @@ def sightings(T: FloatArray, rng: np.random.Generator) -> list[Observation]:
     return found
 
 
-def built(T: FloatArray, edges: list[Edge], observations: list[Observation], config: FactorGraphConfig) -> FactorGraph:
-    graph = FactorGraph(config)
+def built(T: FloatArray, edges: list[Edge], observations: list[Observation], kernel_width: float) -> FactorGraph:
+    graph = FactorGraph(kernel_width=kernel_width)
     graph.add_first_keyframe(0, T[0])
     for edge in edges:
         graph.add_next_keyframe(edge)
@@ -106,7 +106,7 @@ def test_the_record_holds_them_and_they_follow_the_graph() -> None:
     graph.add_edge(Edge(0, 9, T[9], 1e-4 * EDGE_COVARIANCE, "odometry"))
     after = graph.to_record(0, np.arange(len(T))).pose_covariances
     assert np.all(np.diagonal(after[9]) < 0.1 * np.diagonal(before[9]))
-    assert FactorGraph(PLAIN).pose_covariances().shape == (0, 6, 6)
+    assert FactorGraph(kernel_width=PLAIN).pose_covariances().shape == (0, 6, 6)
 
 
 @pytest.mark.parametrize("width", [1.5, 1e6])
@@ -116,10 +116,9 @@ def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(
 ) -> None:
     """By the kernels' own weights it would be told twice too large."""
     rng = np.random.default_rng(5)
-    config = FactorGraphConfig(observation_kernel_width=width)
     place, squares = np.array([8.0, 3.0, 1.0]), list[float]()
     for _ in range(80):
-        graph = FactorGraph(config)
+        graph = FactorGraph(kernel_width=width)
         graph.add_first_keyframe(0, np.eye(4))
         seen = place + rng.normal(scale=0.1, size=(30, 3))
         graph.add_observations([Observation(0, 0, each, SEEN_COVARIANCE, covariance_inflation) for each in seen])
@@ -135,7 +134,7 @@ def test_outliers_say_next_to_nothing() -> None:
     place, row = np.array([8.0, 3.0, 1.0]), np.array([0])
     good = [Observation(0, 0, place + rng.normal(scale=0.1, size=3), SEEN_COVARIANCE) for _ in range(30)]
     bad = [Observation(0, 0, place + rng.normal(scale=2.0, size=3), SEEN_COVARIANCE) for _ in range(10)]
-    one, other = (built(np.eye(4)[None], [], seen, FactorGraphConfig()) for seen in (good, good + bad))
+    one, other = (built(np.eye(4)[None], [], seen, OBSERVATION_KERNEL_WIDTH) for seen in (good, good + bad))
     ratio = np.trace(other.landmark_covariances(row)[0]) / np.trace(one.landmark_covariances(row)[0])
     assert 0.9 < ratio < 1.1
 

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
+from scipy.special import expit
 
 from slam.common.arrays import FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
+from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.consistency import which_agree
+from slam.loop_closure.localizer import Localizer, Posterior
+from tests.helpers.candidates import make_candidate
+from tests.slam.loop_closure.doubles import make_keyframe, make_submap
 
 MEMORY_M = 50.0
 PRIOR = -15.0
@@ -26,9 +32,14 @@ def evidence(
     segment: int = 0,
     log_prior: float = PRIOR,
     log_uniform: float = -100.0,
-) -> PoseEvidence:
-    rows, ratios = np.array(list(llrs)), np.array(list(llrs.values()))
-    return PoseEvidence(T, segment, log_prior, log_uniform, rows, ratios)
+) -> Candidate:
+    return make_candidate(
+        reference=make_keyframe(0, 0.0, segment=segment),
+        T_local_query=T,
+        llrs=llrs,
+        odometry_penalty=-log_prior,
+        unpredicted_penalty=-log_uniform,
+    )
 
 
 class Robot:
@@ -36,18 +47,21 @@ class Robot:
 
     def __init__(self, *, max_hypotheses: int = 5) -> None:
         config = LocalizationConfig(max_hypotheses=max_hypotheses)
-        self.localizer = Localizer(config, lambda a, b: which_agree(a, b, sensor_range_m=30.0), memory_m=MEMORY_M)
-        self.travel_m = 0.0
+        self.localizer = Localizer(
+            config, partial(which_agree, sensor_range_m=30.0), lambda *_: self.together, memory_m=MEMORY_M
+        )
+        self.travel_m, self.together = 0.0, False
 
     @property
-    def T_odom(self) -> FloatArray:
-        return pose(self.travel_m, 5.0, 0.3)
+    def query(self) -> Query:
+        return Query(make_keyframe(1, self.travel_m), make_submap(np.zeros((0, 3))), pose(self.travel_m, 5.0, 0.3))
 
     def drive(self, length_m: float) -> None:
         self.travel_m += length_m
 
-    def measure(self, *measured: PoseEvidence, together: bool = False) -> Posterior:
-        return self.localizer.update(self.T_odom, self.travel_m, measured, lambda i, j: together)
+    def measure(self, *measured: Candidate, together: bool = False) -> Posterior:
+        self.together = together
+        return self.localizer.update(self.query, measured)
 
 
 @pytest.fixture
@@ -63,14 +77,14 @@ def there(travel_m: float) -> FloatArray:
 def test_one_pose_against_somewhere_new(robot):
     posterior = robot.measure(evidence(pose(), {1: 10.0, 2: 8.0}))
     assert posterior.log_odds == pytest.approx([3.0])
-    assert posterior.probabilities == pytest.approx([1.0 / (1.0 + np.exp(-3.0))])
-    assert robot.measure(evidence(pose(500.0), {3: 15.0})).probabilities == pytest.approx([0.5])
+    assert posterior.posterior_log_odds == pytest.approx([3.0])
+    assert robot.measure(evidence(pose(500.0), {3: 15.0})).posterior_log_odds == pytest.approx([0.0], abs=1e-9)
 
 
 def test_two_poses_that_fit_alike_are_ambiguous_unless_both_can_be_true(robot):
     alike = evidence(pose(), {1: 40.0}), evidence(pose(80.0), {1: 40.0})
-    assert robot.measure(*alike).probabilities == pytest.approx([0.5, 0.5])
-    assert Robot().measure(*alike, together=True).probabilities == pytest.approx([1.0, 1.0])
+    assert expit(robot.measure(*alike).posterior_log_odds) == pytest.approx([0.5, 0.5])
+    assert expit(Robot().measure(*alike, together=True).posterior_log_odds) == pytest.approx([1.0, 1.0])
 
 
 def test_posterior_odds_are_against_the_rivals_and_somewhere_new():
@@ -147,7 +161,7 @@ def test_what_is_no_longer_measured_is_forgotten(robot):
 def test_forgetting_everything(robot):
     robot.measure(evidence(there(0.0), {1: -6.0}))
     robot.localizer.reset()
-    assert robot.localizer.predictions(robot.T_odom) == []
+    assert robot.localizer.predictions(robot.query) == []
     assert robot.measure(evidence(there(0.0), {2: 3.0})).log_odds == pytest.approx([3.0 + PRIOR])
 
 
@@ -157,7 +171,7 @@ def test_the_likeliest_hypotheses_are_predicted_by_the_odometry():
         evidence(pose(-300.0), {1: 5.0}), evidence(there(0.0), {1: 9.0}), evidence(pose(300.0), {1: 7.0}, segment=4)
     )
     robot.drive(10.0)
-    predicted = robot.localizer.predictions(robot.T_odom)
+    predicted = robot.localizer.predictions(robot.query)
     assert [segment for segment, _ in predicted] == [0, 4]
     np.testing.assert_allclose(predicted[0][1], there(10.0), atol=1e-9)
 
@@ -165,7 +179,7 @@ def test_the_likeliest_hypotheses_are_predicted_by_the_odometry():
 def test_a_hypothesis_with_landmarks_against_it_is_not_measured_again(robot):
     robot.measure(evidence(there(0.0), {1: 3.0, 2: -2.0}), evidence(pose(900.0), {3: 3.0, 4: -4.0}))
     robot.drive(2.0)
-    (predicted,) = robot.localizer.predictions(robot.T_odom)
+    (predicted,) = robot.localizer.predictions(robot.query)
     np.testing.assert_allclose(predicted[1], there(2.0), atol=1e-9)
 
 
@@ -173,9 +187,4 @@ def test_a_hypothesis_that_is_measured_again_is_not_kept_twice(robot):
     for _ in range(3):
         robot.measure(evidence(there(robot.travel_m), {1: 9.0}))
         robot.drive(2.0)
-    assert len(robot.localizer.predictions(robot.T_odom)) == 1
-
-
-def test_log_odds():
-    assert log_odds_of(0.5) == 0.0
-    assert log_odds_of(0.995) == pytest.approx(np.log(199.0))
+    assert len(robot.localizer.predictions(robot.query)) == 1

@@ -29,35 +29,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseEvidence:
-    """The evidence of one keyframe about one pose.
-
-    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``rows`` (N,): landmarks of the
-    query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
-    """
-
-    T_local_query: FloatArray
-    segment: int
-    log_prior: float
-    log_uniform: float
-    rows: IntArray
-    log_likelihood_ratios: FloatArray
+from slam.loop_closure.candidate import Candidate, Query
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """A pose of the robot in the frame of a segment, by ``T_local_odom`` (4, 4) from the frame of its odometry.
 
-    ``evidence``: LLR of each landmark in the submap; ``left_behind``: of those that were in it before; ``measured_m``:
-    travel at which it was last measured.
+    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``evidence``: LLR of each
+    landmark in the submap; ``left_behind``: of those that were in it before; ``measured_m``: travel at which it was
+    last measured.
     """
 
     T_local_odom: FloatArray
@@ -82,16 +67,11 @@ class Hypothesis:
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
     """``log_odds`` (K,) of the poses given against "somewhere new"; ``posterior_log_odds`` (K,) against that and all
-    poses that cannot be true together with them.
+    poses that cannot be true together with them; poses that can be share theirs.
     """
 
     log_odds: FloatArray
     posterior_log_odds: FloatArray
-
-    @property
-    def probabilities(self) -> FloatArray:
-        """Posterior probabilities (K,); poses that can be true together share theirs."""
-        return np.asarray(expit(self.posterior_log_odds))
 
     @property
     def best(self) -> int:
@@ -106,14 +86,17 @@ class Localizer:
         self,
         config: LocalizationConfig,
         which_agree: Callable[[FloatArray, FloatArray], BoolArray],
+        are_consistent: Callable[[Candidate, Candidate], bool],
         *,
         memory_m: float,
     ) -> None:
-        """``which_agree``: which estimates (..., 4, 4) of poses agree, pair by pair; ``memory_m``: travel after which a
-        hypothesis that is not measured any more is dropped.
+        """``which_agree``: which estimates (..., 4, 4) of poses agree, pair by pair; ``are_consistent``: whether two
+        candidates can be true together: a place that was passed twice; ``memory_m``: travel after which a hypothesis
+        that is not measured any more is dropped.
         """
         self._config = config
         self._which_agree = which_agree
+        self._are_consistent = are_consistent
         self._memory_m = memory_m
         self._hypotheses: list[Hypothesis] = []
 
@@ -121,35 +104,24 @@ class Localizer:
         """Forget all hypotheses."""
         self._hypotheses = []
 
-    def predictions(self, T_odom_query: FloatArray) -> list[tuple[int, FloatArray]]:
-        """Segment and pose (4, 4) at a keyframe of the likeliest hypotheses, for them to be measured there.
+    def predictions(self, query: Query) -> list[tuple[int, FloatArray]]:
+        """Segment and pose (4, 4) at a query of the likeliest hypotheses, for them to be measured there.
 
         Those with landmarks against them are left out: retrieval proposes them again if that changes.
         """
         supported = [each for each in self._hypotheses if each.log_likelihood_ratio > 0.0]
         likely = sorted(supported, key=lambda each: -each.log_odds)[: self._config.max_hypotheses]
-        return [(each.segment, each.T_local_odom @ T_odom_query) for each in likely]
+        return [(each.segment, each.T_local_odom @ query.T_local_gravity) for each in likely]
 
-    def update(
-        self,
-        T_odom_query: FloatArray,
-        travel_m: float,
-        measured: Sequence[PoseEvidence],
-        are_consistent: Callable[[int, int], bool],
-    ) -> Posterior:
-        """Update the poses, at least one, with the evidence of a keyframe, and return their posterior.
-
-        Args:
-            T_odom_query: (4, 4), gravity frame of the keyframe in the frame of the odometry.
-            travel_m: travel up to it.
-            measured: the poses; no two of them agree.
-            are_consistent: whether two of them, by their indices, can be true together: a place that was passed twice.
+    def update(self, query: Query, candidates: Sequence[Candidate]) -> Posterior:
+        """Update the poses with the candidates of a query, at least one, of which no two agree; returns their
+        posterior.
         """
-        known = [each for each in self._hypotheses if travel_m - each.measured_m <= self._memory_m]
-        agree = self._agreements(known, measured, T_odom_query)
+        known = [each for each in self._hypotheses if query.travel_m - each.measured_m <= self._memory_m]
+        agree = self._agreements(known, candidates, query.T_local_gravity)
         joined = [
-            _joined(new, [known[k] for k in np.flatnonzero(same)], T_odom_query, travel_m)
-            for new, same in zip(measured, agree, strict=True)
+            _joined(new, [known[k] for k in np.flatnonzero(same)], query)
+            for new, same in zip(candidates, agree, strict=True)
         ]
         others = [known[k] for k in np.flatnonzero(~agree.any(axis=0))]
         self._hypotheses = joined + others
@@ -157,7 +129,7 @@ class Localizer:
         same = np.eye(len(joined), dtype=bool)
         for i in range(len(joined)):
             for j in range(i):
-                same[i, j] = same[j, i] = are_consistent(i, j)
+                same[i, j] = same[j, i] = self._are_consistent(candidates[i], candidates[j])
         together = np.logaddexp.reduce(np.where(same, log_odds, -np.inf), axis=1)
         others = np.logaddexp.reduce(np.where(same, -np.inf, log_odds), axis=1)
         log_fits = np.array([each.log_uniform + each.log_likelihood_ratio for each in joined])
@@ -165,37 +137,33 @@ class Localizer:
         return Posterior(log_odds, together - np.logaddexp(others, log_new))
 
     def _agreements(
-        self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray
+        self, known: Sequence[Hypothesis], candidates: Sequence[Candidate], T_odom_query: FloatArray
     ) -> BoolArray:
-        """Which hypotheses lead, by the odometry, to which of the measured poses: (measured, known)."""
+        """Which hypotheses lead, by the odometry, to which of the candidates: (candidates, known)."""
         if not known:
-            return np.zeros((len(measured), 0), dtype=np.bool_)
+            return np.zeros((len(candidates), 0), dtype=np.bool_)
         T_carried = np.array([each.T_local_odom for each in known]) @ T_odom_query
         segments = np.array([each.segment for each in known])
         return np.array(
-            [(segments == new.segment) & self._which_agree(T_carried, new.T_local_query) for new in measured]
+            [
+                (segments == new.reference.odometry.segment) & self._which_agree(T_carried, new.T_local_query)
+                for new in candidates
+            ]
         )
 
 
-def _joined(
-    measured: PoseEvidence, before: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
-) -> Hypothesis:
-    """The hypothesis at a measured pose, with the evidence behind the robot of its predecessors in ``before``."""
-    evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
+def _joined(candidate: Candidate, before: Sequence[Hypothesis], query: Query) -> Hypothesis:
+    """The hypothesis at a candidate, with the evidence behind the robot of its predecessors in ``before``."""
+    evidence = dict(zip(candidate.rows.tolist(), candidate.log_likelihood_ratios.tolist(), strict=True))
     earlier: dict[int, float] = {}
     for each in before:
         earlier |= {**each.left_behind, **each.evidence}
     return Hypothesis(
-        measured.T_local_query @ invert(T_odom_query),
-        measured.segment,
-        measured.log_prior,
-        measured.log_uniform,
+        candidate.T_local_query @ invert(query.T_local_gravity),
+        candidate.reference.odometry.segment,
+        -candidate.odometry_penalty,
+        -candidate.unpredicted_penalty,
         evidence,
         {row: llr for row, llr in earlier.items() if row not in evidence},
-        travel_m,
+        query.travel_m,
     )
-
-
-def log_odds_of(probability: float) -> float:
-    """log(p / (1 - p))."""
-    return float(np.log(probability) - np.log1p(-probability))
