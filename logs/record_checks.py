@@ -46,14 +46,12 @@ def check_objects(record: Any) -> None:
     """
     _check_stamp(record)
     _check_text(record, "frame_id")
-    count = len(record.labels) if isinstance(record.labels, tuple) else 0
-    for name in ("labels", "track_ids"):
-        texts = getattr(record, name)
-        is_given = name == "labels" or texts is not None
-        if is_given and not (
-            isinstance(texts, tuple) and {*map(type, texts)} <= {str, np.str_} and len(texts) == count
-        ):
-            raise _error(record, name, "not a tuple of texts; give one for each position")
+    labels, tracks = record.labels, record.track_ids
+    if not _are_texts(labels):
+        raise _error(record, "labels", "not a tuple of texts; give one for each position")
+    count = len(labels)
+    if tracks is not None and not (_are_texts(tracks) and len(tracks) == count):
+        raise _error(record, "track_ids", f"not a tuple of {count} texts; give one for each label")
     _check_array(record, "positions", (count, 3))
     _check_array(record, "scores", (count,))
     for name, shape in (("covariances", (count, 3, 3)), ("sizes", (count, 3))):
@@ -69,6 +67,10 @@ def _check_stamp(record: Any) -> None:
 def _check_text(record: Any, name: str) -> None:
     if not isinstance(getattr(record, name), str):
         raise _error(record, name, f"{getattr(record, name)!r:.40}; give a text")
+
+
+def _are_texts(values: Any) -> bool:
+    return isinstance(values, tuple) and {*map(type, values)} <= {str, np.str_}
 
 
 def _check_array(record: Any, name: str, shape: tuple[int, ...]) -> None:

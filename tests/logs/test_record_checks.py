@@ -44,7 +44,7 @@ def test_poses(T_odom_body: Any, fault: str) -> None:
 
 @pytest.mark.parametrize("stamp_ns", [1.5, None, "1", 2**63])
 def test_stamps(stamp_ns: Any) -> None:
-    with pytest.raises(InvalidRecordError, match="stamp_ns is .*; give a whole number of nanoseconds"):
+    with pytest.raises(InvalidRecordError, match=r"stamp_ns is .*; give a whole number of nanoseconds"):
         m.Odometry(stamp_ns, np.eye(4))
 
 
@@ -58,7 +58,7 @@ def test_stamps(stamp_ns: Any) -> None:
         ({"labels": (1, 2)}, "labels is not a tuple of texts"),
         ({"labels": ["a", "b"]}, "labels is not a tuple of texts"),
         ({"labels": None}, "labels is not a tuple of texts"),
-        ({"track_ids": ("1",)}, "track_ids is not a tuple of texts; give one for each position"),
+        ({"track_ids": ("1",)}, "track_ids is not a tuple of 2 texts; give one for each label"),
         ({"sizes": np.zeros(2)}, r"sizes .* of shape \(2, 3\)"),
         ({"covariances": np.zeros((2, 3))}, r"covariances .* of shape \(2, 3, 3\)"),
         ({"frame_id": None}, "frame_id is None; give a text"),

@@ -10,7 +10,7 @@ import pytest
 from logs.messages import ObjectDetections, Odometry, Transform
 from logs.summary import summarize
 from logs.writer import LogWriter
-from tools.inspection.frames import find_faults
+from tools.inspection.frames import draw_tree, find_faults
 
 
 def write_drive(path: Path, *, sensor: str = "/lidar", delay_ns: int = 0, mount: str = "base_link") -> Path:
@@ -35,3 +35,13 @@ def write_drive(path: Path, *, sensor: str = "/lidar", delay_ns: int = 0, mount:
 )
 def test_find_faults_names_frames_and_clocks(tmp_path: Path, changes: dict[str, object], fault: str) -> None:
     assert find_faults(summarize(write_drive(tmp_path / "log.mcap", **changes))) == ([fault] if fault else [])
+
+
+def test_tree_of_frames(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "log.mcap", sensor="camera", mount="base_link")
+    assert draw_tree(summarize(log).topics) == [
+        "camera",
+        "odom",
+        "  base_link  (/odom)",
+        "    lidar  (/tf_static)",
+    ]
