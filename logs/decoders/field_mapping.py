@@ -9,6 +9,7 @@ and frame are those of the field ``header``, as ROS has it, else the log time an
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
 _PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
+_PLAIN = re.compile(r"(\w{1,50}\[\])?( \w+=\w{1,50})+")
 _USUAL_NAMES = {
     "label": ("label", "class", "class_name", "category", "kind", "species", "type", "name", "class_id"),
     "score": ("score", "confidence", "probability", "conf"),
@@ -94,8 +96,10 @@ def guess_mapping(raw: RawMessage) -> str:
             place = " ".join(f"{axis}={axis}" for axis in "xyz" if axis in item)
         named = {part: next(filter(item.__contains__, names), "") for part, names in _USUAL_NAMES.items()}
         others = [f"{part}={field}" for part, field in named.items() if field]
-        if place and (name or named["label"]):  # a message with a position alone is no object
-            return " ".join([f"{name}[]" if name else "", place, *others])
+        mapping = " ".join([f"{name}[]" if name else "", place, *others])
+        is_object = place and (name or named["label"])  # a position alone is none
+        if is_object and _PLAIN.fullmatch(mapping):
+            return mapping
     return ""
 
 

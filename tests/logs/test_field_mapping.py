@@ -74,6 +74,7 @@ def test_fields_are_suggested_from_the_messages(log: Path) -> None:
         ({"linear": {"x": 1.0, "y": 0.0}}, ""),
         ({"seen": [{"at": [1, 2, 3]}], "header": {"stamp": 1}}, ""),
         ({"seen": []}, ""),
+        ({"my plants": [{"x": 1, "y": 2}]}, ""),  # no mapping can name it
         ([1], ""),
     ],
 )
