@@ -7,6 +7,9 @@ Every record is frozen, holds plain NumPy arrays and strings, and knows neither 
 * Pose covariances: ``(6, 6)`` float64 in GTSAM's order (rotation x y z [rad], then translation x y z [m]),
   in the tangent space of the right-hand frame (body).
 * ``(N, ...)`` arrays may have N = 0.
+
+Odometry, detections, transforms and true poses refuse other shapes, types and matrices when they are made
+(``InvalidRecordError``).
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from logs.record_checks import check_objects, check_pose
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,6 +35,9 @@ class Odometry:
     T_odom_body: FloatArray
     frame_id: str = "odom"
     child_frame_id: str = "base_link"
+
+    def __post_init__(self) -> None:
+        check_pose(self, "T_odom_body", ("frame_id", "child_frame_id"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +56,9 @@ class ObjectDetections:
     covariances: FloatArray | None = None
     sizes: FloatArray | None = None
     track_ids: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        check_objects(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +115,9 @@ class Transform:
     child_frame_id: str
     T_parent_child: FloatArray
 
+    def __post_init__(self) -> None:
+        check_pose(self, "T_parent_child", ("parent_frame_id", "child_frame_id"))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeodeticFix:
@@ -127,6 +141,9 @@ class GroundTruthPose:
     stamp_ns: int
     T_world_body: FloatArray
     frame_id: str = "world"
+
+    def __post_init__(self) -> None:
+        check_pose(self, "T_world_body", ("frame_id",))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -207,6 +207,8 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: d
 def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
     fitting = [info.topic for info in inputs if kind in info.kinds]
     remedy = "record a topic with a schema that does (docs/log.md lists them)"
+    if kind == RecordKind.DETECTIONS:
+        remedy += ", or name the fields of its messages by --topic ('dslam info LOG' suggests them)"
     if fitting:
         remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"
     return TopicSelectionError(f"no topic gives {kind}; {remedy}. {_listing(there)}")

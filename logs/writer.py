@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from logs.encoders import definition_of, encode, encode_path
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
-from logs.record_checks import check_record
 from logs.storage.placement import SPECIAL, is_special, put_in_place
 from logs.topics import RawMessage
 
@@ -93,9 +92,8 @@ class LogWriter:
 
         Raises:
             TypeError: ``record`` is none of ``logs.messages``.
-            InvalidRecordError: a time that a log cannot hold, or a pose or detections of another shape than documented.
+            InvalidRecordError: a time that a log cannot hold.
         """
-        check_record(record)
         message = encode(record)
         self._write_message(topic, message, _checked(topic, record.stamp_ns, log_time_ns))
 

@@ -23,7 +23,6 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
-from logs.record_checks import check_record
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
@@ -128,8 +127,7 @@ class Slam:
         return self._graph.solver_seconds
 
     def process(self, record: Record) -> list[Record]:
-        """Process the next record in the order of the log, one that ``check_record`` accepts; returns what is new."""
-        check_record(record)
+        """Process the next record in the order of the log; returns what is new."""
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):

@@ -11,13 +11,8 @@ import pytest
 
 import dslam
 from dslam import (
-    Config,
     ImportedMap,
     InputDataError,
-    LogError,
-    ObjectDetections,
-    Odometry,
-    Slam,
     landmark_table,
     load_map,
     read_map,
@@ -71,16 +66,6 @@ def test_a_log_without_a_map_is_refused() -> None:
         read_map(SAMPLE)
     with pytest.raises(InputDataError, match="holds no trajectory"):
         read_trajectory(SAMPLE)
-
-
-def test_slam_process_refuses_malformed_records() -> None:
-    slam = Slam(Config())
-    with pytest.raises(LogError, match=r"T_odom_body is float64 \(3, 3\); give a float64 array of shape \(4, 4\)"):
-        slam.process(Odometry(0, np.eye(3)))
-    with pytest.raises(LogError, match="not a rotation"):
-        slam.process(Odometry(0, 2.0 * np.eye(4)))
-    with pytest.raises(LogError, match="positions"):
-        slam.process(ObjectDetections(0, "base_link", np.zeros((1, 2)), ("tree",), np.ones(1)))
 
 
 def test_maps_of_both_kinds_are_loaded_saved_and_read(tmp_path: Path) -> None:

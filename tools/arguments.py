@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from slam.common.georeference import Georeference
 
 InputLog = Annotated[
-    Path, typer.Argument(metavar="LOG", help="MCAP file, or rosbag2 folder or file.", show_default=False)
+    Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 2 bag (folder or file) or ROS 1 bag.", show_default=False)
 ]
 NewLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The log to write.", show_default=False)]
 SlamLog = Annotated[

@@ -24,7 +24,10 @@ _NAMES = {
     Transform: ("parent_frame_id", "child_frame_id"),
 }
 # What fields of other types than usual lead to; a log brings its own definitions.
-_OTHER_FIELDS = (AttributeError, TypeError, ValueError, LookupError, OverflowError, MemoryError, RecursionError)
+_OTHER_FIELDS = (
+    *(AttributeError, TypeError, ValueError, LookupError, OverflowError, MemoryError, RecursionError),
+    InvalidRecordError,
+)
 
 
 def decode(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from logs.dslam_codec import take_rows
 from logs.errors import DatasetError
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import LENGTH_UNITS, Table
+from logs.importers.tables import LABEL_NAMES, LENGTH_UNITS, Table
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections
 
 ONLY_LABEL = "object"
@@ -22,8 +22,6 @@ BODY_FRAME = "base_link"
 MAX_RANGE_M = 1000.0
 """A median beyond it is no range at which objects are detected, but another unit or another frame."""
 
-LABEL_NAMES = ("label", "class", "class_name", "category", "name", "type", "class_id", "category_id")
-"""Names of the column with the class, likeliest first."""
 _SCORES = ("score", "confidence", "probability")
 _SIDES = (("sx", "length"), ("sy", "width"), ("sz", "height"))
 
@@ -71,7 +69,7 @@ def read_detections(table: Table) -> DetectionTable:
     """
     stamps = read_stamps(table)
     stamps.check_increasing(strictly=False)
-    labels = table.first_texts(LABEL_NAMES)
+    labels = table.labels((*LABEL_NAMES, "name"))
     is_empty, positions = _positions(table, labels)
     has_tracks, has_truth = table.find(("track_id",)), table.find(("object_id",))
     detections = ObjectDetections(
@@ -90,7 +88,7 @@ def read_detections(table: Table) -> DetectionTable:
         frames=[frame or BODY_FRAME for frame in table.first_texts(("frame",))],
         true_ids=["" if name == "-1" else name for name in table.columns[has_truth.name]] if has_truth else None,
         is_empty=is_empty,
-        left_out=tuple(name for name in table.columns if name not in table.used),
+        left_out=tuple(name for name in table.columns if name and name not in table.used),
         unlabelled_count=sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True)),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
@@ -19,6 +20,7 @@ TIME_UNITS: Mapping[str, float] = {"": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "ns"
 
 UNIT_REMEDY = "call the column by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns"
 _LAST_NS = 2**63 - 1
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,13 +63,13 @@ def read_stamps(table: Table) -> Stamps:
 
 
 def _nanoseconds(cell: str, unit_ns: int) -> int:
-    """Nanoseconds of a number of units of ``unit_ns``.
+    """Nanoseconds of a number of units of ``unit_ns``, or of a date as ISO 8601 and pandas write it.
 
     Raises:
-        ArithmeticError: it is no number.
+        ArithmeticError: it is neither.
         ValueError: it is no time that a log can hold.
     """
-    exact = Decimal(cell) * unit_ns
+    exact = Decimal(_date_ns(cell)) if _DATE.match(cell) else Decimal(cell) * unit_ns
     if not exact.is_finite():
         raise ValueError("not a time")
     if exact < 0:
@@ -77,6 +79,20 @@ def _nanoseconds(cell: str, unit_ns: int) -> int:
     if unit_ns == 1 and exact != exact.to_integral_value():
         raise ValueError("not whole nanoseconds")
     return int(exact.to_integral_value())
+
+
+def _date_ns(cell: str) -> int:
+    """Nanoseconds since 1970 of a date with its time; UTC where it names no zone.
+
+    Raises:
+        ValueError: it is none.
+    """
+    import pandas as pd
+
+    try:
+        return int(pd.Timestamp(cell).as_unit("ns").value)
+    except ValueError as error:
+        raise ValueError("not a time") from error
 
 
 def match_clock(stamps: Stamps, odometry: Stamps) -> NDArray[np.bool_]:

@@ -19,7 +19,11 @@ LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
+LABEL_NAMES = ("label", "class", "class_name", "category", "kind", "species", "type", "class_id", "category_id")
+"""Names of the column with the class of an object, likeliest first."""
+
 _DELIMITERS = ",;\t"
+_LIKE_LABELS = re.compile("label|class|cls|categor|kind|type", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +79,21 @@ class Table:
         """The cells (R,) of the column that bears the first of the names that any does, else empty ones."""
         column = next(filter(None, (self.find((name,)) for name in names)), None)
         return [""] * len(self.lines) if column is None else self.columns[column.name]
+
+    def labels(self, names: Iterable[str] = LABEL_NAMES) -> Sequence[str]:
+        """The classes (R,) of the rows, empty where a cell is, or where there is no such column.
+
+        Raises:
+            DatasetError: only a column of another name may hold the classes.
+        """
+        labels = self.first_texts(names)
+        alike = [name for name in self.columns if name not in self.used and _LIKE_LABELS.search(name)]
+        if alike and not any(labels):
+            raise DatasetError(
+                f"{self.name}: no column label, but {', '.join(alike)}; call the column with the classes label, or "
+                "remove it"
+            )
+        return labels
 
     def numbers(self, column: Column) -> FloatArray:
         """The cells (R,) as finite numbers in the unit that all have.
@@ -135,7 +154,7 @@ def read_table(source: SourceText, names: Sequence[str] = ()) -> Table:
     delimiter = _delimiter(lines[0][1]) if lines else ""
     rows = [_split(source, number, line, delimiter) for number, line in lines]
     if not names:
-        if not rows or is_number(rows[0][0]):
+        if not rows or any(map(is_number, rows[0])):
             raise DatasetError(
                 f"{source.name} does not begin with the names of its columns; begin it with a header such as "
                 "stamp_s,label,x_m,y_m,z_m"

@@ -13,7 +13,7 @@ from pathlib import Path
 from logs.errors import DatasetError
 from logs.storage.regular_file import max_unpacked_bytes, read_regular
 
-_GZIP = b"\x1f\x8b"
+_GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,10 @@ def source_text(name: str, content: bytes) -> SourceText:
     try:
         return SourceText(name, plain.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
     except UnicodeDecodeError as error:
-        raise DatasetError(
-            f"{name}: not a text file in UTF-8 (byte {error.start}); save it as UTF-8, or give a table or poses"
-        ) from error
+        remedy = "save it as UTF-8, or give a table or poses"
+        if plain.startswith(_PARQUET):
+            remedy = f"make CSV of this Parquet file: pandas.read_parquet({Path(name).name!r}).to_csv('table.csv')"
+        raise DatasetError(f"{name}: not a text file in UTF-8 (byte {error.start}); {remedy}") from error
 
 
 def _unpacked(name: str, packed: bytes) -> bytes:

@@ -7,7 +7,6 @@ from typing import Any
 
 from logs.encoders import definition_of, encode, encode_path
 from logs.messages import Record, TrajectoryRecord
-from slam.common.errors import ViewerError
 
 NAME = "dslam"
 
@@ -19,9 +18,11 @@ class FoxgloveFeed:
         """Start the server; ``port`` 0 takes a free one.
 
         Raises:
-            ViewerError: foxglove-sdk is not installed.
+            ModuleNotFoundError: foxglove-sdk is not installed.
         """
-        self._sdk = _import_sdk()
+        import foxglove
+
+        self._sdk = foxglove
         self._context = self._sdk.Context()
         self._server = self._sdk.start_server(name=NAME, host=host, port=port, context=self._context)
         self._channels: dict[str, Any] = {}
@@ -49,13 +50,3 @@ class FoxgloveFeed:
                 topic, schema=schema, message_encoding="protobuf", context=self._context
             )
         self._channels[topic].log(message.SerializeToString(deterministic=True), log_time=log_time_ns)
-
-
-def _import_sdk() -> Any:
-    try:
-        import foxglove
-    except ImportError as error:
-        raise ViewerError(
-            "Foxglove's live view needs foxglove-sdk: pip install 'descriptellation-slam[live]'"
-        ) from error
-    return foxglove

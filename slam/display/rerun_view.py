@@ -5,7 +5,6 @@ Rerun draws the point clouds, frames, texts and images of a log by itself; lines
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,20 +38,6 @@ ROBOT_COLOR = (1.0, 0.85, 0.1, 1.0)
 _LINE_COLORS = {PATH: PATH_COLOR, CLOSURES: CLOSURE_COLOR}
 _IMAGES = ("foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _PIXELS = {LANDMARK_POINTS: 4.5, POINTS_TOPIC: 4.5, SUBMAP: 2.0, ROBOT: 7.0, PATH: 1.5, CLOSURES: 2.0}
-_REMEDY = "install it by: pip install 'descriptellation-slam[view]'"
-
-
-def import_rerun() -> None:
-    """Check that Rerun is there, whose messages are to be plain text.
-
-    Raises:
-        ViewerError: it is not.
-    """
-    os.environ.setdefault("NO_COLOR", "1")
-    try:
-        import rerun  # noqa: F401
-    except ImportError as error:
-        raise ViewerError(f"Rerun is not installed; {_REMEDY}") from error
 
 
 def blueprint_of(log: Path) -> rrb.Blueprint:

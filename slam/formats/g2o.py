@@ -46,7 +46,7 @@ def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapR
         for each in (graph.observation_keyframe_ids, graph.observation_landmark_ids, graph.observation_positions)
     }
     if len(counts) > 1:
-        raise InputDataError("observations of the graph have keyframes, landmarks and positions of different number")
+        raise InputDataError("observations of the graph differ in their numbers of keyframes, landmarks and positions")
     if not np.isfinite(graph.observation_positions).all():
         raise InputDataError("an observation of the graph has a position that is not finite; nothing was exported")
     unknown = {*graph.edge_keyframe_ids.ravel().tolist(), *graph.observation_keyframe_ids.tolist()} - row_of.keys()

@@ -6,6 +6,7 @@ long.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,6 +23,8 @@ from slam.frontend.tracker import Tracked
 from slam.odometry.pose import OdometryPose
 from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
+
+logger = logging.getLogger(__name__)
 
 REJOINING_SCANS = 20
 """Scans that may show that an implausible step is an error of the odometry."""
@@ -101,7 +104,10 @@ class Frontend:
         yield from self._map_untold()
         yield from self._poses_until(self.latest_ns)
         self._counters["detections_without_odometry"] += len(self._scans)
-        if (missing := self._placer.describe_missing()) and not self._counters["detections_used"]:
+        missing = self._placer.describe_missing()
+        if missing and self._counters["detections_used"]:
+            logger.warning("%s: detections in that frame are dropped", missing)
+        elif missing:
             raise InputDataError(
                 f"{missing}, the body frame of the odometry, so no detection could be placed; record "
                 "/tf_static, or pass --set calibration.detection.assume_body_frame=true if the detections are in "

@@ -1,6 +1,7 @@
 import logging
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from logs import messages as m
 from logs import validation
 from logs.decoders.decode import decode
 from logs.errors import InvalidRecordError
@@ -160,11 +160,10 @@ def test_bytes_that_are_no_message_are_refused():
 
 
 def test_the_reader_counts_invalid_messages_and_tells_each_reason_once(tmp_path, caplog):
+    on_odom = replace(pose().channel, topic="/odom")
     with LogWriter(tmp_path / "log.mcap") as writer:
         for i in range(10):
-            T = np.eye(4)
-            T[0, 3] = math.nan if i % 2 else 1.0
-            writer.write("/odom", m.Odometry(i + 1, T))
+            writer.write_raw(replace(pose(math.nan if i % 2 else 1.0), channel=on_odom, log_time_ns=i + 1))
     with LogReader(tmp_path / "log.mcap") as reader, caplog.at_level(logging.WARNING):
         for _ in range(2):
             found = [entry.record.stamp_ns for entry in reader.records(Selection.of({"/odom": "odometry"}))]

@@ -130,10 +130,19 @@ def test_errors_that_are_raised_anywhere(
         assert "Traceback" in dslam("info", SAMPLE, "--debug").err
 
 
-def test_a_picture_without_matplotlib_is_refused_before_the_drive_is_mapped(
-    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("command", "module", "extra"),
+    [
+        ("replay {} -o map.mcap --picture map.png", "matplotlib", "pictures"),
+        ("live {}", "foxglove", "live"),
+        ("import map map.mcap --file town.osm", "osmium", "osm"),
+    ],
+)
+def test_what_an_extra_is_needed_for_is_refused_before_any_work(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, module: str, extra: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    result = dslam("replay", SAMPLE, "-o", tmp_path / "map.mcap", "--picture", tmp_path / "map.png")
-    assert_refused(result, "this needs matplotlib", "pip install 'descriptellation-slam[pictures]'")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    result = dslam(*command.format(SAMPLE).split())
+    assert_refused(result, f"this needs {module}", f"pip install 'descriptellation-slam[{extra}]'")
     assert not list(tmp_path.iterdir())

@@ -67,7 +67,7 @@ def info(
         odometry = "" if length_m is None else f", {length_m:.0f} m of odometry"
         rows = {**_rows(summary), **(saved_map.rows(log) if is_map else {})}
         console.show(
-            head + odometry, "", console.table(_topics(summary), texts=("schema", "frames")), "", console.pairs(rows)
+            head + odometry, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows)
         )
     if closures and keyframe is None:
         counts = [
@@ -89,8 +89,9 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     is_mapped = REPLAYED in summary.metadata
     listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
     if not is_mapped:
-        edges = [f"{parent} -> {child}  ({t.topic})" for t in summary.topics for parent, child in t.frame_edges]
-        listed["frames"] = "\n".join(edges[:MAX_LISTED])
+        tree = frames.draw_tree(summary.topics)
+        more = [f"and {len(tree) - MAX_LISTED} more"] * (len(tree) > MAX_LISTED)
+        listed["frames"] = "\n".join([*tree[:MAX_LISTED], *more])
         listed["not placed"] = "\n".join(frames.find_faults(summary))
     of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
     faults = [
@@ -99,6 +100,7 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     listed["gaps, order"] = "\n".join(faults)
     uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in _selected(summary).items())
     listed |= {"replay uses": uses, "no replay": "" if uses else _obstacle(summary)}
+    listed["perhaps"] = "\n".join(f"--topic '{each}'" for each in summary.suggestions)
     listed["lost"] = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items())
     if summary.status is not None:
         listed["status"] = f"{summary.status.level}: {summary.status.message}"
@@ -167,7 +169,7 @@ def _topics(summary: LogSummary) -> list[dict[str, str]]:
             "from s": f"{(topic.first_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
             "to s": f"{(topic.last_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
             "schema": topic.schema_name,
-            "frames": ", ".join(topic.frames),
+            "frame": "" if topic.frame_edges else ", ".join(topic.frames),
         }
         for topic in summary.topics
     ]

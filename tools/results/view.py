@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -54,7 +55,7 @@ def view(
         write_text(save, layout.read_text(encoding="utf-8"))
         console.show(f"{save}: import it in Foxglove, with {log} open")
         return
-    rerun_view.import_rerun()
+    os.environ.setdefault("NO_COLOR", "1")  # messages of Rerun are plain text
     import rerun as rr
 
     recording = rr.RecordingStream(rerun_view.APPLICATION, recording_id=log.stem)

@@ -11,7 +11,8 @@ from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
-from logs.importers.maps.object_table import CLASS_NAMES, UNKNOWN
+from logs.importers.maps.object_table import UNKNOWN
+from logs.importers.tables import LABEL_NAMES
 from logs.importers.text_files import read_source_text
 
 
@@ -67,4 +68,4 @@ def read_geojson(path: Path) -> MapObjects:
 
 def _label(properties: dict[str, Any]) -> str:
     values = {key.lower(): value for key, value in properties.items()}
-    return next((str(values[name]) for name in CLASS_NAMES if values.get(name)), UNKNOWN)
+    return next((str(values[name]) for name in LABEL_NAMES if values.get(name)), UNKNOWN)

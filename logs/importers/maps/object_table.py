@@ -10,9 +10,8 @@ from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.tables import LENGTH_UNITS, Table, read_table
 from logs.importers.text_files import read_source_text
 
-CLASS_NAMES = ("class", "label", "category", "type", "kind", "species")
 ID_NAMES = ("id", "object_id", "name")
-"""Names of the columns with the class and the id of an object, likeliest first."""
+"""Names of the column with the id of an object, likeliest first."""
 DEGREES = {"": 1.0, "deg": 1.0}
 UNKNOWN = "object"
 
@@ -44,7 +43,7 @@ def read_object_table(path: Path) -> MapObjects:
 
 def find_labels(table: Table) -> tuple[str, ...]:
     """The class (R,) of each row, ``UNKNOWN`` where the table has none."""
-    return tuple(cell or UNKNOWN for cell in table.first_texts(CLASS_NAMES))
+    return tuple(cell or UNKNOWN for cell in table.labels())
 
 
 def find_ids(table: Table) -> tuple[str, ...]:

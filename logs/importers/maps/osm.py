@@ -35,7 +35,6 @@ _VALUES: Mapping[str, str] = {
 }
 TAGS: Mapping[str, frozenset[str]] = {key: frozenset(values.split()) for key, values in _VALUES.items()}
 """Keys and their values that make a node an object; with ``ANY`` all values do, and the class is the key."""
-INSTALL = "install it: pip install 'descriptellation-slam[osm]'"
 
 
 def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
@@ -48,12 +47,11 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
         tags: ``KEY=VALUE`` or ``KEY`` that make an object, instead of :data:`TAGS`.
 
     Raises:
-        DatasetError: pyosmium is not installed, the file cannot be read, is cut off, or holds no such node.
+        DatasetError: the file cannot be read, is cut off, or holds no such node.
+        ModuleNotFoundError: pyosmium is not installed.
     """
-    try:
-        import osmium
-    except ImportError as error:
-        raise DatasetError(f"{path}: OpenStreetMap is read with pyosmium, which is not installed; {INSTALL}") from error
+    import osmium
+
     wanted = _parsed(tags) if tags else TAGS
     positions, labels, ids = list[tuple[float, float, float]](), list[str](), list[str]()
     try:

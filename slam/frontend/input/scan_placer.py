@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import logging
-
 from logs.messages import ObjectDetections, Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan import Scan, in_metres, make_scan
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.pose import OdometryPose
-
-logger = logging.getLogger(__name__)
 
 
 class ScanPlacer:
@@ -39,10 +35,8 @@ class ScanPlacer:
         if self._odometry is None:
             return None
         T_body_sensor = find_sensor(self._frames, detections, self._odometry, pose.T_odom_body, self._config)
-        frame = detections.frame_id.lstrip("/")
-        if T_body_sensor is None and frame not in self._missing:
-            self._missing.add(frame)
-            logger.warning("%s: detections in that frame are dropped", self.describe_missing())
+        if T_body_sensor is None:
+            self._missing.add(detections.frame_id.lstrip("/"))
         return T_body_sensor
 
     def describe_missing(self) -> str:

@@ -119,18 +119,19 @@ def find_sensor(
 ) -> FloatArray | None:
     """``T_body_sensor`` (4, 4) for detections at the pose ``T_odom_body`` (4, 4), corrected as the settings say.
 
-    Detections in the frame of the odometry need no transform. None where nothing connects their frame with the body;
-    ``odometry`` names both frames.
+    Detections in the frame of the odometry need no transform, as the odometry itself connects it with the body. None
+    where nothing connects their frame with either; ``odometry`` names both frames.
     """
     frame, body_frame = _plain(detections.frame_id), _plain(odometry.child_frame_id)
+    odometry_frame = _plain(odometry.frame_id)
     if config.assume_odometry_frame:
         return invert(T_odom_body)
     if frame in ("", body_frame) or config.assume_body_frame:
         return corrected(np.eye(4), config)
-    if frame == _plain(odometry.frame_id):
-        return invert(T_odom_body)
-    T_body_sensor = frames.find(body_frame, frame, detections.stamp_ns)
-    return None if T_body_sensor is None else corrected(T_body_sensor, config)
+    if frame != odometry_frame and (T_body_sensor := frames.find(body_frame, frame, detections.stamp_ns)) is not None:
+        return corrected(T_body_sensor, config)
+    T_odom_frame = frames.find(odometry_frame, frame, detections.stamp_ns)
+    return None if T_odom_frame is None else invert(T_odom_body) @ T_odom_frame
 
 
 class _Track:

@@ -36,6 +36,18 @@ def test_read_detections_by_unit_of_column() -> None:
     np.testing.assert_allclose(found.sizes, [[0.4, 0.4, np.nan]])
 
 
+@pytest.mark.parametrize(
+    ("cell", "stamp_ns"),
+    [
+        ("2024-05-01T12:00:00Z", 1_714_564_800_000_000_000),
+        ("2024-05-01 14:00:00.000000001+02:00", 1_714_564_800_000_000_001),
+        ("2024-05-01 12:00", 1_714_564_800_000_000_000),
+    ],
+)
+def test_read_stamps_that_are_dates(cell: str, stamp_ns: int) -> None:
+    assert read(f"time,x,y\n{cell},1,2\n").stamps.stamps_ns.tolist() == [stamp_ns]
+
+
 @pytest.mark.parametrize("name", ["Class", "class_id", "name", "type", "category_id"])
 def test_read_detections_finds_label_column(name: str) -> None:
     assert read(f"stamp_s,{name},x,y\n0,7,1,2\n").detections.labels == ("7",)
@@ -106,6 +118,9 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         (ROW + "0,a,1,2,3,0.5,-1\n", r"det\.csv, line 3, column diameter_m: -1 is not a length; leave it empty"),
         (ROW + "0.2,a,1,2,3,,\n\n0.1,a,1,2,3,,\n", r"line 5, column stamp_s: 0\.1 comes after a later stamp; sort"),
         (ROW + ",a,1,2,3,0.5,1\n", r"line 3, column stamp_s: '' is not a time"),
+        ("time,x,y\n2024-05-41 12:00:00,1,2\n", r"line 2, column time: '2024-05-41 12:00:00' is not a time"),
+        ("2024-05-01T12:00:00,1,2\n", r"does not begin with the names of its columns"),
+        ("stamp_s,object_class,x,y\n0,a,1,2\n", r"no column label, but object_class; call .* label, or remove"),
         ("stamp_ns,x,y\n0.5,1,2\n", r"line 2, column stamp_ns: '0\.5' is not whole nanoseconds; .*stamp_s"),
         ("timestamp,x,y\n1700000000000000000,1,2\n", r"line 2, column timestamp: .*year 2262; .*stamp_ns"),
         ("timestamp,x,y\n1e999999999999999999,1,2\n", r"line 2, column timestamp: .*not a time"),

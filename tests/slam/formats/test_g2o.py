@@ -123,7 +123,7 @@ def changed(**fields: object) -> FactorGraphRecord:
         ({"keyframe_ids": np.array([0, 3, 7, 7])}, "unique"),
         ({"T_map_body": np.full((4, 4, 4), np.nan)}, "finite"),
         ({"observation_positions": np.full((3, 3), np.inf)}, "finite"),
-        ({"observation_landmark_ids": ("a",)}, "different number"),
+        ({"observation_landmark_ids": ("a",)}, "differ in their numbers"),
     ],
 )
 def test_write_g2o_refuses_invalid_graph(tmp_path: Path, fields: dict[str, object], message: str) -> None:

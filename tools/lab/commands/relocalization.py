@@ -36,10 +36,15 @@ def relocalization(
     map_log: Annotated[
         Path | None,
         typer.Option(
-            "--map", metavar="MAP.mcap", help="Imported map, in the frame of the truth, instead.", show_default=False
+            "--map",
+            metavar="MAP.mcap",
+            help="Do not map the drive, but use this imported map, in the frame of the truth.",
+            show_default=False,
         ),
     ] = None,
-    kidnaps: Annotated[int, typer.Option(min=1, help="Most places in the map, and most places outside.")] = 100,
+    kidnaps: Annotated[
+        int, typer.Option(min=1, help="Largest number of places in the map, and of places outside.")
+    ] = 100,
     max_travel: Annotated[
         float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="Length of each search.")
     ] = 60.0,

@@ -14,6 +14,9 @@ import numpy as np
 from slam.backend.editable_graph import EditableGraph
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 
+_PREFIX = __name__.removesuffix("tools.lab.drives.parts")
+"""Of the names of our packages: "dslam." in a wheel."""
+
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -91,5 +94,5 @@ def map_without(task: DriveTask, *, scratch: Path) -> MappedDrive:
     """Map a drive, with the part off that its variant names, if any."""
     with ExitStack() as stack:
         for name, value in PARTS.get(task.variant, Part()).replaced.items():
-            stack.enter_context(patch(name, value))
+            stack.enter_context(patch(f"{_PREFIX}{name}", value))
         return map_drive(task, scratch=scratch)

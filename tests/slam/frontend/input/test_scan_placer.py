@@ -45,6 +45,17 @@ def test_detections_in_the_odometry_frame_are_seen_from_the_pose(placer):
     np.testing.assert_allclose(scan.positions, [[4.0, 0.0, 0.0]], atol=1e-12)
 
 
+def test_detections_in_a_map_of_the_odometry_frame_are_seen_from_the_pose():
+    """Of another program that publishes map -> odom: its map is connected with the body by the odometry alone."""
+    T_map_odom = transform_from_xyz_yaw(np.array([-3.0, 7.0, 0.0]), 1.0)
+    frames = SensorFrames()
+    frames.add(Transform(0, "map", "odom", T_map_odom))
+    placer = ScanPlacer(DetectionCalibration(), frames)
+    placer.follow(Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link"))
+    at = T_map_odom @ T_ODOM_BODY @ np.array([4.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(placer.place(detections("map", tuple(at[:3])), POSE).positions, [[4, 0, 0]], atol=1e-12)
+
+
 def test_a_frame_that_nothing_connects_is_named(placer):
     assert placer.describe_missing() == ""
     assert placer.place(detections("camera"), POSE) is None

@@ -1,4 +1,4 @@
-"""Every command of README and guides, run as it stands in a folder where the files of its page are."""
+"""Every command and program of README and guides, run with the wheel where the files of its page are."""
 
 from __future__ import annotations
 
@@ -6,25 +6,32 @@ import csv
 import re
 import shutil
 from collections.abc import Iterable
+from operator import itemgetter
 from pathlib import Path
 
-import numpy as np
 import pytest
+from rosbags.typesys import get_types_from_msg
 
 from logs.messages import ObjectDetections
 from logs.reader import LogReader
-from logs.selection import Selection
+from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
+from tests.helpers import ros2_logs
 from tests.helpers.loop_drives import one_block
+from tests.helpers.ros2_logs import header, ros2_messages, vector, write_bag
 from tests.test_docs import blocks_of, commands
+from tests.user.installed import ROOT, run
 from tools import cli
 
 pytestmark = pytest.mark.slow
 
-PAGES = [
-    *("README.md", "docs/quick_start.md", "docs/viewers.md", "docs/maps.md", "docs/evaluation.md", "docs/sweeps.md"),
-    *("docs/import.md", "docs/loop_closing.md", "docs/descriptors.md"),
-]
+PAGES = ["README.md", *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md")))]
+COMMANDS = {page: [each for block in blocks_of(page) for each in commands(block)] for page in PAGES}
+CODE = {
+    f"{Path(page).stem}-{number}": block
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL))
+}
 SHORTER = {
     "simulate": ("--length", "120"),
     "sweep": ("--seeds", "1", "--jobs", "1"),
@@ -35,11 +42,18 @@ ELSEWHERE = {
     r"import map .*\.osm": "pyosmium may not be here; tests/logs/importers/maps",
     r"^view map\.mcap$|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
     r"mine:Rings": "tests/descriptors/test_own_class.py has the class of the page",
+    r"my_bag .*(labelled_points|/front/objects)": "such topics are in tests/logs/test_ros2_objects.py and clouds",
+    r"town\.ply": "tests/logs/clouds makes clouds",
     r"^live ": "serves until its input ends; tests/tools/test_live.py",
     r"relocalize .*trees_map|places.csv": "the drives have no satellite fixes; tests/slam/localization/test_gnss.py",
     r"^train|out/mine": "takes minutes; tests/tools/test_train.py",
 }
 """Commands that are run by other tests, and where."""
+
+
+def runnable(page: str) -> list[list[str]]:
+    """The commands of a page that no other test runs."""
+    return [each for each in COMMANDS[page] if not any(re.search(known, " ".join(each)) for known in ELSEWHERE)]
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +74,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, setting in (("a2", "1.9"), ("a3", "1.8"), ("b2", "1.7"), ("b3", "1.6")):
         changed = ["--set", f"keyframe.distance_m={setting}"]
         assert cli.run(["replay", str(tuesday), "-o", str(folder / f"{name}.mcap"), *changed]) == 0
-    shutil.copy(drive, folder / "monday.mcap")
+    for seed, day in enumerate(("monday", "wednesday", "thursday", "friday"), start=1):
+        assert cli.run([*simulate, str(folder / f"{day}.mcap"), "--seed", str(seed)]) == 0
     shutil.copy(drive, folder / "mine.mcap")
+    for copy in ("saved.mcap", "map_saved.mcap"):
+        shutil.copy(folder / "town.mcap", folder / copy)
     shutil.copy(folder / "map.mcap", folder / "a1.mcap")
     export = ["export", str(folder / "map.mcap")]
     for name, kind in (
@@ -76,6 +93,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n", encoding="utf-8")
     write_objects(folder / "objects.csv", folder / "map.mcap")
     write_detections(folder / "detections.csv", drive)
+    write_bags(folder, drive)
     (folder / "out").mkdir()
     return folder
 
@@ -101,33 +119,50 @@ def write_detections(path: Path, drive: Path) -> None:
     write_table(path, ["stamp_ns", "x_m", "y_m", "z_m", "label"], rows)
 
 
+def write_bags(folder: Path, drive: Path) -> None:
+    """The drive as ROS 2 records it, twice, and with detections in messages of another schema."""
+    plant = "string kind\nfloat32 sure\ngeometry_msgs/Point position"
+    for name, text in (("Crop", plant), ("Crops", "std_msgs/Header header\nfarm_msgs/Crop[] plants")):
+        ros2_logs.TYPES.register(get_types_from_msg(text, f"farm_msgs/msg/{name}"))
+    with LogReader(drive) as log:
+        entries = list(log.records(select_topics(log.topics())))
+    messages = ros2_messages(entries)
+    for name in ("my_bag", "tomorrow_bag"):
+        write_bag(folder / name, messages)
+    farm = [message for message in messages if message[0] == "/odom"]
+    for _, log_time_ns, seen in entries:
+        if isinstance(seen, ObjectDetections):
+            at = zip(seen.labels, seen.scores, seen.positions, strict=True)
+            plants = [{"kind": label, "sure": score, "position": vector(*position)} for label, score, position in at]
+            values = {"header": header(seen.stamp_ns, seen.frame_id), "plants": plants}
+            farm.append(("/plants", "farm_msgs/msg/Crops", log_time_ns, values))
+    write_bag(folder / "farm_bag", sorted(farm, key=itemgetter(2)))
+
+
 def write_table(path: Path, header: list[str], rows: Iterable[Iterable[object]]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([header, *rows])
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_each_command_of_a_page_runs(
-    folder: Path, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("page", [page for page in PAGES if runnable(page)])
+def test_each_command_of_a_page_runs(home: Path, folder: Path, page: str, tmp_path: Path) -> None:
     work = tmp_path / "work"
     shutil.copytree(folder, work)
-    monkeypatch.chdir(work)
-    ran = 0
-    for block in blocks_of(page):
-        for arguments in commands(block):
-            line = " ".join(arguments)
-            if any(re.search(pattern, line) for pattern in ELSEWHERE):
-                continue
-            shorter = next((more for name, more in SHORTER.items() if line.startswith(name)), ())
-            code = cli.run([*arguments, *shorter])
-            assert code == 0, f"{page}: dslam {line}: {capsys.readouterr().err}"
-            ran += 1
-    assert ran > 0
-    np.testing.assert_equal(sorted(each.name for each in work.glob("*.part")), [])
+    for arguments in runnable(page):
+        shorter = next((more for name, more in SHORTER.items() if " ".join(arguments).startswith(name)), ())
+        run(home, "dslam", *arguments, *shorter, folder=work)
+    assert not list(work.glob("*.part"))
 
 
 def test_what_is_left_out_is_in_the_pages() -> None:
-    lines = [" ".join(each) for page in PAGES for block in blocks_of(page) for each in commands(block)]
+    lines = [" ".join(each) for listed in COMMANDS.values() for each in listed]
     for pattern in ELSEWHERE:
         assert any(re.search(pattern, line) for line in lines), pattern
+
+
+@pytest.mark.parametrize("name", CODE)
+def test_each_program_of_a_page_runs(home: Path, folder: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(folder, tmp_path / "work")
+    (tmp_path / "work" / "example.py").write_text(CODE[name], encoding="utf-8")
+    printed = run(home, "python", "example.py", folder=tmp_path / "work")
+    assert ("[[" in printed) == ("ScanLocalizer" in CODE[name])  # it is found, and its pose printed

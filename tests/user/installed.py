@@ -1,0 +1,32 @@
+"""Commands and programs of a user, run in the environment where the wheel is installed."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
+
+
+def attempt(home: Path, *command: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a program of the environment ``home``, in ``folder``."""
+    return subprocess.run(
+        [str(home / "bin" / str(command[0])), *map(str, command[1:])],
+        cwd=folder or home,
+        env={
+            "PYTHONPATH": str(home / "others"),
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(home),
+            "OMP_NUM_THREADS": "1",
+        },
+        capture_output=True,
+        text=True,
+    )
+
+
+def run(home: Path, *command: object, folder: Path | None = None) -> str:
+    """What a program prints that ends well."""
+    result = attempt(home, *command, folder=folder)
+    assert result.returncode == 0, f"{command}: {result.stderr[-2000:]}"
+    return result.stdout
