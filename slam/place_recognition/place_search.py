@@ -20,8 +20,10 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.object_map.submap import Submap
 from slam.registration.pose_voting import Matches, vote_for_poses
 
-COMPARED = 200
-"""Poses with most votes that are scored; with 600 no more places are found."""
+COMPARED = 600
+"""Poses with most votes that are scored as they are: with 200, 7 of 100 places with much clutter are missed."""
+FITTED = 60
+"""The likeliest of them, which are fitted and scored again; with 100 no more places are found."""
 VOTE_SIGMAS = 1.8
 """Two poses of a right match differ by that many standard deviations of a coordinate over the length of a pair."""
 MIN_VOTE_NATS = 0.1
@@ -39,7 +41,7 @@ MIN_FITTED = 3
 CLASS_PITCH_SPACINGS = 1e6
 """Objects of different classes are that far apart on a third axis: farther than any map is wide."""
 SCORE_DECIMALS = 6
-"""Of a log-likelihood ratio in nats that are compared."""
+"""Of log-likelihood ratios that are compared: what differs by rounding alone stays in the order of its votes."""
 SAME_TURN_RAD = 0.2
 """Poses that differ by less than that, and by less than half a spacing, are one."""
 
@@ -122,12 +124,15 @@ class PlaceSearch:
         placed = _query(positions, labels, sigmas_m)
         turns = T_voted[:, 0, 0] + 1j * T_voted[:, 1, 0]
         voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * placed.middle, turns)
-        fitted = self._fitted(voted, placed, placed.voted_sigmas_m)
+        scores = self._log_likelihood_ratios(voted, placed, placed.voted_sigmas_m)
+        likeliest = np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable")[: max(count, FITTED)]
+        fitted = self._fitted(voted[likeliest], placed, placed.voted_sigmas_m)
         fitted = self._fitted(fitted, placed, placed.fitted_sigmas_m)
-        chosen = self._distinct(fitted, self._log_likelihood_ratios(fitted, placed), count)
+        scores = self._log_likelihood_ratios(fitted, placed, placed.fitted_sigmas_m)
+        chosen = self._distinct(fitted, scores, count)
         best = fitted[chosen]
         origins = best.middles - best.turns * placed.middle
-        places = np.column_stack([origins.real, origins.imag, T_voted[chosen, 2, 3]])
+        places = np.column_stack([origins.real, origins.imag, T_voted[likeliest[chosen], 2, 3]])
         return transform_from_xyz_yaw(places, np.angle(best.turns))
 
     def _met(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> tuple[FloatArray, ComplexArray]:
@@ -157,17 +162,16 @@ class PlaceSearch:
         turns = np.where(has_enough, turns / np.maximum(np.abs(turns), np.finfo(np.float64).tiny), poses.turns)
         return _Poses(np.where(has_enough, mean_met - turns * mean_query, poses.middles), turns)
 
-    def _log_likelihood_ratios(self, poses: _Poses, query: _Query) -> FloatArray:
+    def _log_likelihood_ratios(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> FloatArray:
         """Of the objects of a query being those of the map at each pose, against any others, up to a constant: (H,)."""
-        apart_m, _ = self._met(poses, query, query.fitted_sigmas_m)
-        variance = query.fitted_sigmas_m**2
+        apart_m, _ = self._met(poses, query, sigmas_m)
+        variance = sigmas_m**2
         density = np.exp(-0.5 * apart_m**2 / variance) / (2.0 * np.pi * variance)
         return np.asarray(np.log1p(MATCH_ODDS * density / self._densities[query.labels]).sum(axis=1))
 
     def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
         """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""
         chosen = list[int]()
-        # Rounded, so that what differs by rounding alone stays in the order of its votes.
         for row in np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable").tolist():
             near = np.abs(poses.middles[chosen] - poses.middles[row]) < 0.5 * self._spacing_m
             near &= np.abs(np.angle(poses.turns[chosen] * poses.turns[row].conj())) < SAME_TURN_RAD
