@@ -6,8 +6,10 @@ odds, against the best other transform for the same places, L', and "the maps ha
 
     log o = (L - log n) - log(1 + exp(L' - log n)),
 
-where n is the number of places that chance could choose from. Two maps are joined if they are wrong with a probability
-below ``localization.error_probability``, shared among all pairs of maps: a false join bends everything on both sides.
+where n is the number of poses that chance could choose from: each place of the one map, anywhere in the other, as far
+as registration tells poses apart (:class:`slam.localization.pose_prior.PosePrior`). Two maps are joined if they are
+wrong with a probability below ``localization.error_probability``, shared among all pairs of maps: a false join bends
+everything on both sides.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert, yaw_rad
 from slam.fleet.joins import Join
+from slam.localization.map_area import MapArea
+from slam.localization.pose_prior import log_volume
 from slam.loop_closure.consistency import AGREE_RAD, AGREE_RANGES, CLOSURE_SIGMA_RAD
 from slam.object_map.map_io import SavedMap, are_of_kind
 
@@ -53,10 +57,12 @@ class MapPair:
         return max(self.joins, key=lambda join: join.llr).T_reference_query
 
 
-def search_penalty(maps: Sequence[SavedMap]) -> float:
-    """Logarithm of how many places of these maps chance could choose from [nats]."""
-    counts = [(len(saved.graph.keyframe_ids), len(saved.objects.ids)) for saved in maps]
-    return float(np.log(np.sum(counts, axis=0).max()))
+def search_penalty(first: SavedMap, second: SavedMap, joins: Sequence[Join], config: Config) -> float:
+    """Logarithm of how many poses of places of the second map in the first one chance could choose from [nats]."""
+    area = MapArea(cell_m=config.sensor_range_m)
+    area.cover_positions(first.graph.T_map_body[:, :2, 3])
+    volume = max(log_volume(join.covariance) for join in joins)
+    return float(np.log(len(second.graph.keyframe_ids)) + np.log(2.0 * np.pi * area.area_m2) - volume)
 
 
 def judge_pairs(maps: Sequence[SavedMap], joins: Sequence[Join], config: Config) -> list[MapPair]:
@@ -70,13 +76,13 @@ def judge_pairs(maps: Sequence[SavedMap], joins: Sequence[Join], config: Config)
     of_pair = defaultdict[tuple[int, int], list[Join]](list)
     for join in joins:
         of_pair[join.reference_map, join.query_map].append(join)
-    penalty = search_penalty(maps)
     pairs = len(maps) * (len(maps) - 1) // 2
     min_log_odds = float(np.log(max(pairs, 1))) - float(logit(config.localization.error_probability))
     judged = []
     for (first, second), each in sorted(of_pair.items()):
         agree = _agreement(each, [maps[first], maps[second]], config)
         chosen, evidence, rival = _best_transform(each, agree)
+        penalty = search_penalty(maps[first], maps[second], each, config)
         log_odds = float(evidence - penalty - np.logaddexp(0.0, rival - penalty))
         reason = ""
         if log_odds < min_log_odds:

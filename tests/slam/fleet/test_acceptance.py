@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,8 +59,16 @@ def test_a_landmark_counts_once_although_three_places_have_it(maps: list[SavedMa
     joins = [join(maps, T_first_second, place, llr=12.0) for place in (NEAR, MIDDLE, FAR)]
     pair = judged(maps, *joins)
     assert len(pair.joins) == 3
-    assert pair.log_odds == pytest.approx(12.0 - search_penalty(maps), abs=0.01)
+    assert pair.log_odds == pytest.approx(12.0 - search_penalty(*maps, joins, CONFIG), abs=0.01)
     assert not pair.accepted
+
+
+def test_the_better_poses_are_told_apart_the_more_evidence_a_join_needs(
+    maps: list[SavedMap], T_first_second: FloatArray
+) -> None:
+    blurred = join(maps, T_first_second, NEAR)
+    exact = replace(blurred, covariance=1e-2 * blurred.covariance)
+    assert judged(maps, exact).log_odds == pytest.approx(judged(maps, blurred).log_odds - 3.0 * np.log(10.0), abs=1e-6)
 
 
 def test_two_headings_at_one_place_are_two_transforms(maps: list[SavedMap], T_first_second: FloatArray) -> None:
@@ -82,7 +92,8 @@ def test_maps_may_be_bent_by_their_drift_between_two_places(maps: list[SavedMap]
 def test_all_pairs_of_maps_share_the_probability_of_an_error(maps: list[SavedMap], T_first_second: FloatArray) -> None:
     """Of four maps there are six pairs: 9.2 nats for an error in 10,000, 1.8 for the pairs."""
     four = [*maps, *maps]
+    penalty = search_penalty(*maps, [join(maps, T_first_second, NEAR)], CONFIG)
     for surplus, is_accepted in ((10.9, False), (11.1, True)):
-        pair = judged(four, join(maps, T_first_second, NEAR, llr=surplus + search_penalty(four)))
+        pair = judged(four, join(maps, T_first_second, NEAR, llr=surplus + penalty))
         assert pair.accepted is is_accepted
         assert ("less than 11.0" in pair.reason) is not is_accepted
