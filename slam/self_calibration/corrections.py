@@ -11,9 +11,9 @@ so far, u = x / |x| and J = [0 -1; 1 0], at
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of all
 terms finds them. A term is *earned* if blocks of the log that the regression was not fitted to are predicted better
-with the term: among all others, which may replace it, and alone, since several terms together fit what none of them
-explains; by a share of what is left, and more surely than chance, which gives each block's gain either sign (the
-sign-flip test).
+with the term: among all others, which may replace it, and if it is corrected alone by that value, since several terms
+together fit what none of them explains; by a share of what is left, and more surely than chance, which gives each
+block's gain either sign (the sign-flip test).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class BodyMotion:
 @dataclass(frozen=True, slots=True)
 class Correction:
     """The ``value`` of a term with its standard ``error``; ``gain``: share of the held-out motion that it explains,
-    among all others and alone, the smaller one; ``is_sure``: whether both are more than chance gains, of one sign.
+    among all others and alone, the smaller one; ``is_sure``: whether both are more than chance gains.
     """
 
     term: str
@@ -111,12 +111,10 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
     for number, term in enumerate(TERMS):
         is_term = np.arange(len(TERMS)) == number
         _, without = _held_out(*sums, everything & ~is_term)
-        alone, with_it = _held_out(*sums, is_term)
         gain, is_sure = _gain(without, with_all)
-        gain_alone, is_sure_alone = _gain(with_none, with_it)
+        gain_alone, is_sure_alone = _gain(with_none, _left_of(*sums, parts * is_term))
         value = float(parts.mean(axis=0)[number] / scale[number])
-        is_sure = is_sure and is_sure_alone and value * float(alone.mean(axis=0)[number]) > 0.0
-        found.append(Correction(term, value, float(errors[number]), min(gain, gain_alone), is_sure))
+        found.append(Correction(term, value, float(errors[number]), min(gain, gain_alone), is_sure and is_sure_alone))
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
@@ -199,5 +197,10 @@ def _held_out(
     for each in range(len(normal)):
         others = (normal.sum(axis=0) - normal[each])[np.ix_(used, used)]
         parts[each, used] = np.linalg.lstsq(others + least, (right.sum(axis=0) - right[each])[used])[0]
+    return parts, _left_of(normal, right, squared, parts)
+
+
+def _left_of(normal: FloatArray, right: FloatArray, squared: FloatArray, parts: FloatArray) -> FloatArray:
+    """The squared residuals (B,) of each block, if the terms have the values ``parts`` (B, T)."""
     fitted = np.einsum("bt,btu,bu->b", parts, normal, parts)
-    return parts, squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted
+    return np.asarray(squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted)
