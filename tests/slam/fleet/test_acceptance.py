@@ -59,7 +59,7 @@ def test_a_landmark_counts_once_although_three_places_have_it(maps: list[SavedMa
     joins = [join(maps, T_first_second, place, llr=12.0) for place in (NEAR, MIDDLE, FAR)]
     pair = judged(maps, *joins)
     assert len(pair.joins) == 3
-    assert pair.log_odds == pytest.approx(12.0 - search_penalty(*maps, joins, CONFIG), abs=0.01)
+    assert pair.log_odds == pytest.approx(12.0 - search_penalty(maps[0], maps[1], joins, CONFIG), abs=0.01)
     assert not pair.accepted
 
 
@@ -92,7 +92,7 @@ def test_maps_may_be_bent_by_their_drift_between_two_places(maps: list[SavedMap]
 def test_all_pairs_of_maps_share_the_probability_of_an_error(maps: list[SavedMap], T_first_second: FloatArray) -> None:
     """Of four maps there are six pairs: 9.2 nats for an error in 10,000, 1.8 for the pairs."""
     four = [*maps, *maps]
-    penalty = search_penalty(*maps, [join(maps, T_first_second, NEAR)], CONFIG)
+    penalty = search_penalty(maps[0], maps[1], [join(maps, T_first_second, NEAR)], CONFIG)
     for surplus, is_accepted in ((10.9, False), (11.1, True)):
         pair = judged(four, join(maps, T_first_second, NEAR, llr=surplus + penalty))
         assert pair.accepted is is_accepted
