@@ -28,8 +28,8 @@ from descriptors.descriptellation_lr.pairs import (
 
 Words = NDArray[np.uint64]
 
-MAX_ASKED = 80
-"""Pairs of a query that are looked up, the shortest, which the map is likely to have; 240 find no more places."""
+MAX_ASKED = 120
+"""Pairs of a query that are looked up, those that can tell most. The shortest are often of one object mapped twice."""
 MATCHES_PER_PAIR = 60
 """Likeliest pairs of the map for each pair of the query."""
 MAX_MATCHES = 3000
@@ -213,12 +213,14 @@ class PairIndex:
         )
 
     def _asked(self, plane: NDArray[np.float64], labels: NDArray[np.int64]) -> Pairs:
-        """The pairs of a query, the shortest if there are too many."""
+        """The pairs of a query, those with most around them if there are too many."""
         tree = cKDTree(plane[:, :2])
         ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
-        lengths = np.linalg.norm(plane[ends[:, 1], :2] - plane[ends[:, 0], :2], axis=1)
-        shortest = np.sort(np.argsort(lengths, kind="stable")[:MAX_ASKED])
-        return gather_pairs(plane[:, :2], labels, ends[shortest], tree, self._likelihood.architecture)
+        pairs = gather_pairs(plane[:, :2], labels, ends, tree, self._likelihood.architecture)
+        if len(ends) <= MAX_ASKED:
+            return pairs
+        most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:MAX_ASKED]
+        return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
 
     def _ranges(self, asked: _Asked) -> Iterator[tuple[NDArray[np.int64], int, Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
