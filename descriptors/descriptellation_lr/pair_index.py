@@ -28,7 +28,7 @@ from descriptors.descriptellation_lr.pairs import (
 
 Words = NDArray[np.uint64]
 
-MAX_ASKED = 120
+MAX_ASKED = 240
 """Pairs of a query that are looked up, those that can tell most. The shortest are often of one object mapped twice."""
 MATCHES_PER_PAIR = 60
 """Likeliest pairs of the map for each pair of the query."""
