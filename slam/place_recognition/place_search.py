@@ -41,7 +41,7 @@ MIN_FITTED = 3
 CLASS_PITCH_SPACINGS = 1e6
 """Objects of different classes are that far apart on a third axis: farther than any map is wide."""
 SCORE_DECIMALS = 6
-"""Of log-likelihood ratios that are compared: what differs by rounding alone stays in the order of its votes."""
+"""Of log-likelihood ratios that are compared: what differs less is rounding."""
 SAME_TURN_RAD = 0.2
 """Poses that differ by less than that, and by less than half a spacing, are one."""
 
@@ -105,11 +105,10 @@ class PlaceSearch:
         """
         known = np.flatnonzero(query.labels < len(self._densities))
         positions, labels = query.positions[known], query.labels[known]
-        sigmas_m = np.hypot(query.sigmas[known], map_sigma_m)
-        local_sigmas_m = sigmas_m
-        if query.local_sigma_m is not None:
-            local_sigmas_m = np.full(len(known), np.hypot(query.local_sigma_m, map_sigma_m))
-        matches = self._pairs.search(positions, labels, sigmas_m=local_sigmas_m, allowed=allowed)
+        # Scored by all of its noise, a query of which the map has a part only meets as much elsewhere by chance.
+        local_m = query.sigmas[known] if query.local_sigma_m is None else np.full(len(known), query.local_sigma_m)
+        sigmas_m = np.hypot(local_m, map_sigma_m)
+        matches = self._pairs.search(positions, labels, sigmas_m=sigmas_m, allowed=allowed)
         if not len(matches.nats):
             return np.zeros((0, 4, 4))
         rows, ends = np.unique(matches.entries, return_inverse=True)
@@ -118,14 +117,14 @@ class PlaceSearch:
             self._positions[rows].astype(np.float64),
             Matches(matches.queries, ends.reshape(-1, 2)),
             weights=np.maximum(matches.nats, MIN_VOTE_NATS),
-            tolerance_m=VOTE_SIGMAS * float(np.median(local_sigmas_m)),
+            tolerance_m=VOTE_SIGMAS * float(np.median(sigmas_m)),
             count=max(count, COMPARED),
         )
         placed = _query(positions, labels, sigmas_m)
         turns = T_voted[:, 0, 0] + 1j * T_voted[:, 1, 0]
         voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * placed.middle, turns)
         scores = self._log_likelihood_ratios(voted, placed, placed.voted_sigmas_m)
-        likeliest = np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable")[: max(count, FITTED)]
+        likeliest = _likeliest(scores)[: max(count, FITTED)]
         fitted = self._fitted(voted[likeliest], placed, placed.voted_sigmas_m)
         fitted = self._fitted(fitted, placed, placed.fitted_sigmas_m)
         scores = self._log_likelihood_ratios(fitted, placed, placed.fitted_sigmas_m)
@@ -172,7 +171,7 @@ class PlaceSearch:
     def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
         """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""
         chosen = list[int]()
-        for row in np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable").tolist():
+        for row in _likeliest(scores).tolist():
             near = np.abs(poses.middles[chosen] - poses.middles[row]) < 0.5 * self._spacing_m
             near &= np.abs(np.angle(poses.turns[chosen] * poses.turns[row].conj())) < SAME_TURN_RAD
             if not near.any():
@@ -180,6 +179,11 @@ class PlaceSearch:
             if len(chosen) == count:
                 break
         return np.array(chosen, dtype=np.int64)
+
+
+def _likeliest(scores: FloatArray) -> IntArray:
+    """Rows of poses in the order of their scores (H,), of equal ones in the given order, that of their votes."""
+    return np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable")
 
 
 def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Query:
