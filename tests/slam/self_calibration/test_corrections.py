@@ -85,6 +85,28 @@ def test_term_that_has_the_other_sign_alone_is_earned_after_what_hides_it_is_cor
     assert earned(turned, motion) == {"yaw_rad": pytest.approx(0.05, abs=0.01)}
 
 
+def test_a_term_whose_value_alone_predicts_worse_is_not_earned():
+    """Seen ahead only, a climb, a pitch and heights that change with the range look alike. Together they fit a change
+    with the square of the range, by values that are much too large.
+    """
+    rng, time_s, speed_mps = np.random.default_rng(0), PERIOD_S * np.arange(1500), 8.0
+    headings = 0.15 * np.sin(0.2 * time_s)
+    velocities = speed_mps * np.stack([np.cos(headings), np.sin(headings)], axis=1)
+    positions = np.column_stack([np.cumsum(velocities * PERIOD_S, axis=0), np.zeros(1500)])
+    motion = BodyMotion(positions, headings, velocities, np.gradient(headings, PERIOD_S))
+    track = np.repeat(np.arange(288), 45)
+    scan = 5 * track + np.tile(np.arange(45), 288)
+    offsets = positions[5 * track + 50, :2] + rng.uniform(-6.0, 6.0, (288, 2))[track] - positions[scan, :2]
+    ahead_m = np.sum(offsets * velocities[scan], axis=1) / speed_mps
+    ranges_m = np.linalg.norm(offsets, axis=1)
+    zeros = np.zeros(len(scan))
+    points = positions[scan, :2] + offsets + rng.normal(0.0, 0.03, offsets.shape)
+    heights = rng.uniform(-1.0, 2.0, 288)[track] + (ranges_m / 40.0) ** 2 + rng.normal(0.0, 0.05, len(scan))
+    made = ObjectTracks(track, scan, offsets, points, np.zeros(len(scan), dtype=np.int64), zeros, zeros, zeros, zeros)
+    seen = replace(made, heights=heights).of((ahead_m > 2.0) & (ahead_m > 0.7 * ranges_m) & (ranges_m < 40.0))
+    assert earned(seen, motion) == {}
+
+
 def test_an_error_of_one_part_of_the_log_does_not_predict_the_others():
     """The stamps of one stretch alone are wrong."""
     motion, made, late = weaving(), tracks(weaving()), tracks(weaving(), delay_s=0.3)
