@@ -24,11 +24,11 @@ from descriptors.errors import WeightsError
 from descriptors.learned.weights import make_architecture, read_weights
 
 RADIUS_STEPS = 1024
-"""Steps into which distances are rounded before kernels are laid: a tenth of the width of a kernel."""
+"""Resolution of the table of kernels in distance: a tenth of the width of a kernel."""
 SIGMA_STEPS, TURN_STEPS = 64, 16
-"""Widths of a kernel across, and directions within a sector, that are told apart."""
+"""Resolution of the table of kernels: widths across the direction of a neighbour, and directions within a sector."""
 MAX_SIZE = 512
-"""Of an architecture in a file of weights, each of its numbers."""
+"""Largest number of rings, sectors or partners in a file of weights."""
 
 
 class LearnedLikelihood:
