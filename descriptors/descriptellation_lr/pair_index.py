@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -40,6 +41,8 @@ MAX_STEPS = 7
 """Most steps of an observed object."""
 PAIRS_AT_ONCE = 4096
 """Pairs whose bits are computed, or that are compared with all pairs of a query, at a time."""
+WORDS_AT_ONCE = 8192
+"""Words of pairs of the map that are compared at a time with those of a query: what a cache of a core holds."""
 WORD = 64
 FILLER = np.uint32(0xFFFFFFFF)
 """Classes of what fills the last word."""
@@ -177,13 +180,13 @@ class PairIndex:
             pairs = self._asked(positions / self.unit_m, labels)
             asked = self._ask(pairs, labels, sigmas_m / self.unit_m)
             is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[None])[0]
-            for rows, first, eligible in self._ranges(asked):
+            for rows, firsts, eligible in self._windows(asked):
                 if is_allowed is not None:
-                    eligible = eligible & is_allowed[first : first + eligible.shape[1]]
-                counters = _sum(self._columns(asked, rows, first, eligible.shape[1]), np.zeros_like(eligible))
+                    eligible &= sliding_window_view(is_allowed, eligible.shape[1])[firsts]
+                counters = _sum(self._columns(asked, rows, firsts, eligible.shape[1]), np.zeros_like(eligible))
                 row, place, counts = _largest(counters, eligible, MATCHES_PER_PAIR)
-                nats = STEP_NATS * counts - asked.misses[rows[row]]
-                found.append(PairMatches(pairs.ends[rows[row]], self.ends[place + first * WORD].astype(np.int64), nats))
+                ends = self.ends[place + firsts[row] * WORD].astype(np.int64)
+                found.append(PairMatches(pairs.ends[rows[row]], ends, STEP_NATS * counts - asked.misses[rows[row]]))
         nats = np.concatenate([each.nats for each in found])
         best = np.argsort(-nats, kind="stable")[:MAX_MATCHES]
         queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
@@ -222,40 +225,43 @@ class PairIndex:
         most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:MAX_ASKED]
         return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
 
-    def _ranges(self, asked: _Asked) -> Iterator[tuple[NDArray[np.int64], int, Words]]:
+    def _windows(self, asked: _Asked) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
 
-        Rows (B,) of the query, the first word, and a mask (B, W) of the pairs: row by row of the pairs that were added
-        first, which are sorted, and all rows at once of the others.
+        Rows (B,) of the query, the first word (B,) of each, and a mask (B, W) of the pairs from there on: of rows with
+        nearly as many pairs that were added first, which are sorted, and of all rows for the others.
         """
         known = self.classes[: self._sorted]
-        for row, classes in enumerate(asked.classes):
-            begin, end = known.searchsorted(classes, side="left"), known.searchsorted(classes, side="right")
-            begin, end = begin + self.lengths[begin:end].searchsorted([asked.low[row], asked.high[row]])
-            if end > begin:
-                first, last = begin // WORD, -(-end // WORD)
-                mask = np.full((1, last - first), ~np.uint64(0))
-                mask[0, 0] &= ~np.uint64(0) << np.uint64(begin % WORD)
-                if end % WORD:
-                    mask[0, -1] &= ~np.uint64(0) >> np.uint64(WORD - end % WORD)
-                yield np.array([row]), int(first), mask
+        bounds = np.array([known.searchsorted(asked.classes, side=side) for side in ("left", "right")]).T
+        for row, (begin, end) in enumerate(bounds.tolist()):
+            bounds[row] = begin + self.lengths[begin:end].searchsorted([asked.low[row], asked.high[row]])
+        words = -(-bounds[:, 1] // WORD) - bounds[:, 0] // WORD
+        rows = np.flatnonzero(bounds[:, 1] > bounds[:, 0])
+        rows = rows[np.argsort(words[rows], kind="stable")]
+        while len(rows):
+            batch = rows[np.cumsum(words[rows]) <= WORDS_AT_ONCE] if words[rows[0]] <= WORDS_AT_ONCE else rows[:1]
+            rows, width = rows[len(batch) :], int(words[batch[-1]])
+            firsts = np.minimum(bounds[batch, 0] // WORD, self.words.shape[1] - width)
+            yield batch, firsts, _mask(bounds[batch] - firsts[:, None] * WORD, width)
         tail = -(-self._sorted // WORD)
         if tail < self.words.shape[1]:
-            rows = slice(tail * WORD, None)
-            is_like = asked.classes[:, None] == self.classes[rows]
-            is_like &= (asked.low[:, None] <= self.lengths[rows]) & (self.lengths[rows] <= asked.high[:, None])
-            yield np.arange(len(asked.classes)), tail, _packed(is_like)
+            of_tail = slice(tail * WORD, None)
+            is_like = asked.classes[:, None] == self.classes[of_tail]
+            is_like &= (asked.low[:, None] <= self.lengths[of_tail]) & (self.lengths[of_tail] <= asked.high[:, None])
+            yield np.arange(len(asked.classes)), np.full(len(asked.classes), tail), _packed(is_like)
 
-    def _columns(self, asked: _Asked, rows: NDArray[np.int64], first: int, count: int) -> list[list[Words]]:
+    def _columns(
+        self, asked: _Asked, rows: NDArray[np.int64], firsts: NDArray[np.int64], width: int
+    ) -> list[list[Words]]:
         """Words (B, W) of the cells that rows of the query ask for, by the bits of their steps."""
+        windows = sliding_window_view(self.words, width, axis=1)
         levels = list[list[Words]]()
         for bit in range(MAX_STEPS.bit_length()):
-            has_bit = (asked.steps[rows] >> bit) & 1 > 0
-            level = list[Words]()
-            for place in np.flatnonzero(has_bit.any(axis=0)).tolist():
-                words = self.words[asked.cells[rows, place], first : first + count]
-                level.append(words if len(rows) == 1 else np.where(has_bit[:, place, None], words, np.uint64(0)))
-            levels.append(level)
+            has_bit = ((asked.steps[rows] >> bit) & 1 > 0).T
+            places = np.argsort(~has_bit, axis=0, kind="stable")[: has_bit.sum(axis=0).max()]
+            words = windows[np.take_along_axis(asked.cells[rows].T, places, axis=0), firsts]
+            words[~np.take_along_axis(has_bit, places, axis=0)] = 0
+            levels.append(list(words))
         return levels
 
 
@@ -279,6 +285,17 @@ def _class_codes(labels: NDArray[np.int64]) -> NDArray[np.uint32]:
     return ((labels[:, 0] << 16) + (labels[:, 1] & 0xFFFF)).astype(np.uint32)
 
 
+def _mask(bounds: NDArray[np.int64], width: int) -> Words:
+    """Words (B, W) in which the bits from the first of ``bounds`` (B, 2) to the second are set."""
+    mask = np.zeros((len(bounds), width), dtype=np.uint64)
+    for words, (begin, end) in zip(mask, bounds.tolist(), strict=True):
+        words[begin // WORD : -(-end // WORD)] = ~np.uint64(0)
+        words[begin // WORD] &= ~np.uint64(0) << np.uint64(begin % WORD)
+        if end % WORD:
+            words[end // WORD] &= ~(~np.uint64(0) << np.uint64(end % WORD))
+    return mask
+
+
 def _packed(bits: NDArray[np.bool_]) -> Words:
     """Bits (B, P) as words (B, ceil(P / 64))."""
     filled = np.zeros((len(bits), -(-bits.shape[1] // WORD) * WORD), dtype=np.bool_)
@@ -289,7 +306,7 @@ def _packed(bits: NDArray[np.bool_]) -> Words:
 def _sum(levels: list[list[Words]], empty: Words) -> list[Words]:
     """Sums of words of the shape of ``empty`` by carry-save adders: counters bit by bit.
 
-    ``levels``: words that count 1, 2 and 4; ``empty``: words without a bit.
+    ``levels``: words that count 1, 2 and 4, which are written to; ``empty``: words without a bit.
     """
     waiting, counters = [list(level) for level in levels], list[Words]()
     while waiting:
@@ -297,8 +314,12 @@ def _sum(levels: list[list[Words]], empty: Words) -> list[Words]:
         while len(level) > 2:
             a, b, c = level.pop(), level.pop(), level.pop()
             either = a ^ b
-            level.insert(0, either ^ c)
-            carried.append((a & b) | (either & c))
+            a &= b
+            np.bitwise_xor(either, c, out=b)
+            either &= c
+            a |= either
+            level.insert(0, b)
+            carried.append(a)
         if len(level) == 2:
             carried.append(level[0] & level[1])
             level = [level[0] ^ level[1]]
@@ -315,15 +336,20 @@ def _largest(
     ``eligible`` (B, W), and of ties at the end as long as they are not too many.
     """
     above, equal = np.zeros_like(eligible), eligible
+    wanted = np.full(len(eligible), count)
     for counter in reversed(counters):
         both = equal & counter
-        is_more = (_ones(above | both) > count)[:, None]
-        above, equal = np.where(is_more, above, above | both), np.where(is_more, both, equal & ~counter)
+        ones = _ones(both)
+        is_enough = ones > wanted
+        unless_enough = np.where(is_enough, np.uint64(0), ~np.uint64(0))[:, None]
+        equal = equal & (counter ^ unless_enough)
+        both &= unless_enough
+        above |= both
+        wanted -= np.where(is_enough, 0, ones)
     chosen = above | equal
-    is_too_many = (_ones(chosen) > 2 * count)[:, None]
-    has_above = above.any(axis=1, keepdims=True)
-    first_words = np.where(np.cumsum(chosen != 0, axis=1) <= count, chosen, np.uint64(0))
-    chosen = np.where(is_too_many, np.where(has_above, above, first_words), chosen)
+    for crowded in np.flatnonzero(_ones(equal) > wanted + count).tolist():
+        first_words = np.where(np.cumsum(chosen[crowded] != 0) <= count, chosen[crowded], np.uint64(0))
+        chosen[crowded] = above[crowded] if above[crowded].any() else first_words
     row, word = np.nonzero(chosen)
     bits = np.unpackbits(chosen[row, word].view(np.uint8).reshape(-1, 8), axis=1, bitorder="little")
     which, bit = np.nonzero(bits)

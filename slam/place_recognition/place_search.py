@@ -146,7 +146,7 @@ class PlaceSearch:
         found = self._tree.query(asked, distance_upper_bound=float(reach_m.max()))
         apart_m, rows = (np.reshape(each, placed.shape) for each in found)
         is_met = apart_m <= reach_m
-        return np.where(is_met, apart_m, np.inf), np.append(self._plane, 0.0)[np.where(is_met, rows, -1)]
+        return np.where(is_met, apart_m, np.inf), np.where(is_met, self._plane[np.where(is_met, rows, 0)], 0.0)
 
     def _fitted(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> _Poses:
         """The poses by weighted least squares over what the query meets there; those that meet little as they are."""
