@@ -21,7 +21,7 @@ from slam.localization.prior_map import restore_map_frame
 from slam.loop_closure.acceptance import Acceptance, Decision
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.consistency import suppress_non_maxima
-from slam.loop_closure.verification import Verifier
+from slam.loop_closure.verification import MIN_OBJECTS, Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.odometry.drift import KeyframeTrack
@@ -98,8 +98,7 @@ class ScanLocalizer:
         """
         query = self.query(scan)
         if not self.has_enough_objects(query):
-            least = self._acceptance.min_objects
-            return _not_found(f"{len(query.submap)} objects of classes of the map, min_inliers is {least}")
+            return _not_found(f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}")
         verified = self.propose(query)
         if not verified:
             return _not_found("no matches that agree on a place")
@@ -121,7 +120,7 @@ class ScanLocalizer:
 
     def has_enough_objects(self, query: Query) -> bool:
         """Whether it has enough objects for a pose."""
-        return len(query.submap) >= self._acceptance.min_objects
+        return len(query.submap) >= MIN_OBJECTS
 
     def propose(self, query: Query) -> list[Verified]:
         """The candidates that retrieval proposes, as for a drive."""

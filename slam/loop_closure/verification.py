@@ -26,6 +26,9 @@ from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.parameters import RegistrationConfig, registration_config
 from slam.registration.registration import Registration, refine
 
+MIN_OBJECTS = 2
+"""Fewest objects that determine a pose."""
+
 
 class Verifier:
     """Registers queries at retrieved places and computes log-likelihood ratios."""
@@ -259,7 +262,12 @@ class Verifier:
 def register(
     query: Submap, reference: Submap, T_reference_query: FloatArray, config: RegistrationConfig
 ) -> Registration:
-    """The query registered with a reference submap from an approximate pose (4, 4)."""
+    """The query registered with a reference submap from an approximate pose (4, 4).
+
+    All objects of a query of fewer than ``min_inliers`` have to agree.
+    """
+    if MIN_OBJECTS <= len(query) < config.min_inliers:
+        config = config.model_copy(update={"min_inliers": len(query)})
     return refine(
         query.positions,
         query.labels,
