@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from logs.writer import LogWriter
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import SimulationError, SlamError
 from slam.common.geometry import invert
-from slam.simulation import traffic
 from slam.simulation.config import SimulationConfig
 from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
 from slam.simulation.odometry import drifting_odometry
@@ -37,7 +36,7 @@ DETECTIONS_TOPIC = "/detections"
 
 MIN_TOUR_M = 2.0
 DAY_NS = 86_400 * 10**9
-CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive", "traffic")
+CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
 """Each has random numbers of its own; the order is part of what a seed means, so new causes go to the end."""
 
 
@@ -65,8 +64,7 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[t
         raise SimulationError(f"seed {seed} is negative; give 0 or more")
     children = np.random.SeedSequence(seed).spawn(len(CAUSES))
     rngs = {cause: np.random.default_rng(child) for cause, child in zip(CAUSES, children, strict=True)}
-    plan = plan_drive(world.tour, config.drive)
-    return _records(world, config, plan, _drives(plan, config), rngs)
+    return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)
 
 
 def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> SimulationSummary:
@@ -123,27 +121,15 @@ def _start_ns(config: SimulationConfig) -> int:
 
 
 def _records(
-    world: World,
-    config: SimulationConfig,
-    plan: DrivePlan,
-    drives: list[Drive],
-    rngs: Mapping[str, np.random.Generator],
+    world: World, config: SimulationConfig, drives: list[Drive], rngs: Mapping[str, np.random.Generator]
 ) -> Iterator[tuple[str, int, SimulatedRecord]]:
-    moving_count = config.traffic.vehicles
-    object_ids = (*world.object_ids, *(f"moving-{k}" for k in range(moving_count)))
-    labels = world.labels + (traffic.LABEL,) * moving_count
-    vocabulary, class_indices = np.unique(labels, return_inverse=True)
-    radii_m = np.full(len(labels), config.sensor.occluder_radius_m)
-    radii_m[len(world.labels) :] = config.traffic.radius_m
-
     start_ns = _start_ns(config)
-    known = [world.vocabulary.index(label) for label in world.labels]
+    names, class_indices = np.unique(world.labels, return_inverse=True)
+    vocabulary = tuple(names.tolist())
     objects = ObjectMapRecord.of_objects(
-        world.object_ids, world.positions, known, world.vocabulary, stamp_ns=start_ns, frame_id="world"
+        world.object_ids, world.positions, class_indices, vocabulary, stamp_ns=start_ns, frame_id="world"
     )
     yield OBJECT_TRUTH_TOPIC, start_ns, objects
-    stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
-    vehicles = iter(traffic.drive_traffic(plan, (stamps_ns - start_ns) * 1e-9, config.traffic, rng=rngs["traffic"]))
     T_odom_first = np.eye(4)
     for drive in drives:
         T_odom_body = T_odom_first @ drifting_odometry(drive.T_world_body, config.odometry, rng=rngs["odometry"])
@@ -152,24 +138,23 @@ def _records(
         for i, stamp_ns in enumerate(drive.stamps_ns.tolist()):
             T_world_body = drive.T_world_body[i]
             # Positions about the body, in the axes of the world; those beyond the square of the range are not seen.
-            offsets = np.concatenate([world.positions, next(vehicles)]) - T_world_body[:3, 3]
+            offsets = world.positions - T_world_body[:3, 3]
             rows = np.flatnonzero(np.abs(offsets[:, :2]).max(axis=1) <= config.sensor.max_range_m)
             scan = scan_objects(
                 offsets[rows] @ T_world_body[:3, :3],
                 class_indices[rows],
-                radii_m[rows],
                 len(vocabulary),
                 config.sensor,
                 rngs,
             )
-            true_ids = tuple("" if source < 0 else object_ids[rows[source]] for source in scan.sources.tolist())
+            true_ids = tuple("" if source < 0 else world.object_ids[rows[source]] for source in scan.sources.tolist())
             yield ODOMETRY_TOPIC, stamp_ns, Odometry(stamp_ns, T_odom_body[i])
-            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary.tolist(), config)
+            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary, config)
             yield GROUND_TRUTH_TOPIC, stamp_ns, GroundTruthPose(stamp_ns, T_world_body)
             yield DETECTION_TRUTH_TOPIC, stamp_ns, DetectionTruth(stamp_ns, true_ids)
 
 
-def _detections(stamp_ns: int, scan: Scan, vocabulary: list[str], config: SimulationConfig) -> ObjectDetections:
+def _detections(stamp_ns: int, scan: Scan, vocabulary: Sequence[str], config: SimulationConfig) -> ObjectDetections:
     labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
     covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if config.sensor.covariances else None
     return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
