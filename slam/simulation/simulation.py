@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from logs.errors import LogError
+from logs.importers.imported_log import DriveSummary, write_drive
 from logs.messages import (
     DetectionTruth,
     GroundTruthPose,
@@ -19,9 +17,8 @@ from logs.messages import (
     Odometry,
 )
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
-from logs.writer import LogWriter
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
-from slam.common.errors import SimulationError, SlamError
+from slam.common.errors import SimulationError
 from slam.common.geometry import invert
 from slam.simulation.config import SimulationConfig
 from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
@@ -38,15 +35,6 @@ MIN_TOUR_M = 2.0
 DAY_NS = 86_400 * 10**9
 CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
 """Each has random numbers of its own; the order is part of what a seed means, so new causes go to the end."""
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationSummary:
-    """What was written: messages a topic, detections in all, first to last stamp."""
-
-    message_counts: dict[str, int]
-    detection_count: int
-    duration_s: float
 
 
 def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[tuple[str, int, SimulatedRecord]]:
@@ -67,7 +55,7 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[t
     return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)
 
 
-def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> SimulationSummary:
+def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> DriveSummary:
     """Write ``simulate(...)`` to the log ``path``, with the metadata "simulation".
 
     Raises:
@@ -75,25 +63,14 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
         UnwritableLogError: the log cannot be written.
     """
     records = simulate(world, config, seed=seed)
-    counts: Counter[str] = Counter()
-    detection_count = 0
-    with LogWriter(path, refusals=(LogError, SlamError)) as writer:
-        writer.add_metadata(
-            "simulation",
-            {
-                "world": world.name,
-                "world_sha256": world.sha256(),
-                "seed": str(seed),
-                "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
-                CHANGED_SETTINGS: changed_settings(config),
-            },
-        )
-        for topic, stamp_ns, record in records:
-            writer.write(topic, record, stamp_ns)
-            counts[topic] += 1
-            if isinstance(record, ObjectDetections):
-                detection_count += len(record.labels)
-    return SimulationSummary(dict(counts), detection_count, (stamp_ns - _start_ns(config)) * 1e-9)
+    made = {
+        "world": world.name,
+        "world_sha256": world.sha256(),
+        "seed": str(seed),
+        "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
+        CHANGED_SETTINGS: changed_settings(config),
+    }
+    return write_drive(path, ((topic, record) for topic, _, record in records), "simulation", made)
 
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
