@@ -34,7 +34,7 @@ class DriveConfig(_Branch):
 
 
 class OdometryConfig(_Branch):
-    """Drift of the odometry; see ``slam.simulation.odometry`` for the exact model."""
+    """Drift of the odometry; see ``drifting_odometry`` in ``slam.simulation.simulation`` for the exact model."""
 
     scale_drift_percent: float = Field(default=1.0, ge=0, le=50)
     """rms error of the length accumulated over 100 m of path, in percent of it"""
