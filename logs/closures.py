@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from logs.messages import LoopClosureRecord
 
-STAGES = ("repeated", "retrieval", "registration", "acceptance", "consistency", "association", "back_end", "accepted")
+STAGES = ("repeated", "retrieval", "registration", "acceptance", "consistency", "association", "accepted")
 """Where a candidate is decided, in the order in which it comes there; what is repeated was not looked up."""
 
 

@@ -20,12 +20,12 @@ from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
 from logs.storage.placement import SPECIAL, is_special, put_in_place
 from logs.topics import RawMessage
+from logs.validation import LAST_NS
 
 PARTIAL_SUFFIX = ".part"
 
 # A killed run loses at most the chunk in progress, so chunks are small; zstd still finds enough to compress in one.
 _CHUNK_BYTES = 256 * 1024
-_LAST_NS = 2**63 - 1
 _ARRAY_MEDIA_TYPE = "application/x-npy"
 _ATTACHMENT_HEAD_BYTES = 41  # opcode, length, two times, and the lengths of name, media type and content
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
@@ -226,7 +226,7 @@ class _OutputStream:
 def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:
     """The log time to write at; ``log_time_ns`` or else the stamp."""
     for time_ns in (stamp_ns, log_time_ns):
-        if time_ns is not None and not 0 <= time_ns <= _LAST_NS:
+        if time_ns is not None and not 0 <= time_ns <= LAST_NS:
             raise InvalidRecordError(f"{topic}: a log cannot hold the time {time_ns} ns; times count up from 0")
     return int(stamp_ns if log_time_ns is None else log_time_ns)
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from logs.messages import (
     FactorGraphRecord,
-    LoopClosureRecord,
     ObjectMapRecord,
     StatusRecord,
     TrajectoryRecord,
@@ -34,12 +33,11 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalMap:
-    """Results of a drive. ``closures``: those removed at the end as outliers."""
+    """Results of a drive."""
 
     trajectory: TrajectoryRecord
     object_map: ObjectMapRecord
     graph: FactorGraphRecord
-    closures: tuple[LoopClosureRecord, ...]
     snapshot: MapSnapshot
     status: StatusRecord
     trajectory_check: TrajectoryCheck
@@ -55,7 +53,6 @@ class Outcome:
 
 def judge_outcome(
     optimization: Optimization,
-    warning: str,
     counters: Counter[str],
     doubts: Sequence[str] = (),
     *,
@@ -65,7 +62,6 @@ def judge_outcome(
 
     Args:
         optimization: the last one.
-        warning: of the outlier rejection, or empty.
         counters: those of the drive.
         doubts: why the map may be worse than it seems.
         uncorrected: why nothing corrects the odometry, or empty.
@@ -75,14 +71,12 @@ def judge_outcome(
         message = f"not corrected, the trajectory is that of the odometry: {uncorrected}"
     elif not optimization.converged:
         message = f"the final optimisation did not converge in {optimization.iterations} iterations"
-    if warning:
-        message += f"; closures: {warning}"
     unused = counters["odometry_out_of_order"] + counters["odometry_duplicated"]
     is_ordered = unused <= counters["odometry_used"]
     if not is_ordered:
         message += "; most odometry messages were unusable: their stamps do not increase"
     message = "; ".join([message, *doubts])
-    has_trouble = warning or not is_ordered or counters["covariances_missing"] or doubts or uncorrected
+    has_trouble = not is_ordered or counters["covariances_missing"] or doubts or uncorrected
     return Outcome("info" if optimization.converged and not has_trouble else "warning", message)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from logs.messages import LoopClosureRecord
 from slam.backend.condensing.anchors import find_anchors
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Observation
@@ -41,7 +40,7 @@ class GraphCondenser:
         closures: AcceptedClosures,
         counters: Counter[str],
     ) -> None:
-        """``counters``: of attached keyframes and rejected closures."""
+        """``counters``: of attached keyframes and fused landmarks."""
         self._min_travel_m = config.closure_travel_m
         self._radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
         self._map = object_map
@@ -53,18 +52,16 @@ class GraphCondenser:
         self._variables = 0
         self._counted = 0
 
-    def update(self) -> list[LoopClosureRecord]:
-        """Condense the graph if it is due; returns records of closures that are rejected as outliers then."""
+    def update(self) -> None:
+        """Condense the graph if it is due."""
         self._variables += len(self._keyframes) - self._counted
         self._counted = len(self._keyframes)
         # Keyframes in a map without a trajectory are tied to its frame, not to one another.
         if self._variables < self._due_at or self._keyframes[0].is_map_frame:
-            return []
-        removed = list[LoopClosureRecord]()
+            return
         if len(self._anchors()) >= MIN_SHARE * self._variables:
-            removed = self._condense()
+            self._condense()
         self._due_at = max(MIN_KEYFRAMES, round(GROWTH * self._variables))
-        return removed
 
     def fuse_landmarks(self) -> None:
         """Fuse duplicate landmarks at the optimum."""
@@ -73,21 +70,16 @@ class GraphCondenser:
         fused = fuse_duplicate_landmarks(self._map, self._graph, nearby, radius_m=self._radius_m)
         self._counters["landmarks_fused"] += fused
 
-    def _condense(self) -> list[LoopClosureRecord]:
+    def _condense(self) -> None:
         self._graph.settle()
-        removed, warning = self._closures.reject_outliers()
-        if warning:
-            logger.warning("closures: %s", warning)
         self.fuse_landmarks()
         self._graph.optimize(roughly=True)
         anchors = self._anchors()
         self._graph.condense(anchors)
         self._closures.forget_condensed()
         self._counters["keyframes_condensed"] += len(anchors)
-        self._counters["closures_removed"] += len(removed)
         self._variables -= len(anchors)
         logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variables)
-        return removed
 
     def _anchors(self) -> dict[int, int]:
         variables = self._graph.keyframe_variables

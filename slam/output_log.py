@@ -100,6 +100,4 @@ def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
     yield "/slam/map", final.object_map
     yield LANDMARKS, make_markers(final.object_map)
     yield "/slam/graph", final.graph
-    for closure in final.closures:
-        yield "/slam/closures", closure
     yield "/slam/status", final.status

@@ -167,22 +167,21 @@ class Slam:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
             )
-        return self._final_map(*self._optimize())
+        return self._final_map(self._optimize())
 
-    def _optimize(self) -> tuple[list[LoopClosureRecord], str, Optimization]:
-        """Optimise the whole graph; returns the closures removed as outliers, a warning about them, and the result."""
+    def _optimize(self) -> Optimization:
+        """Optimise the whole graph."""
         self._mapper.close_keyframe()
         self._graph.settle()
-        removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
             self._condenser.fuse_landmarks()
         optimization = optimize_with_matched_noise(self._graph)
         self.counters["batch_iterations"] = optimization.iterations
-        return removed, warning, optimization
+        return optimization
 
-    def _final_map(self, removed: list[LoopClosureRecord], warning: str, optimization: Optimization) -> FinalMap:
+    def _final_map(self, optimization: Optimization) -> FinalMap:
         records = FinalRecords(
             self._graph,
             self._object_map,
@@ -195,19 +194,17 @@ class Slam:
         if unknown := records.place_landmarks():
             self.counters["covariances_missing"] = unknown
         self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
-        self.counters["closures_removed"] += len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         graph, object_map = records.graph(), records.object_map()
         trajectory = records.trajectory()
         check = self._check.judge(trajectory)
         doubts = assess(graph, object_map, self._config.calibration, self.counters, check)
         uncorrected = diagnose_uncorrected(graph, self.counters)
-        outcome = judge_outcome(optimization, warning, self.counters, doubts, uncorrected=uncorrected)
+        outcome = judge_outcome(optimization, self.counters, doubts, uncorrected=uncorrected)
         return FinalMap(
             trajectory=trajectory,
             object_map=object_map,
             graph=graph,
-            closures=tuple(removed),
             snapshot=self._snapshot(),
             status=self._status(self.state, outcome.message, level=outcome.level),
             trajectory_check=check,
@@ -254,7 +251,7 @@ class Slam:
         if self.state != State.LOST:
             updates.append(self._output.map_to_odom(pose))
         if self._extends:
-            updates += self._condenser.update()
+            self._condenser.update()
         self.counters["keyframes"] += 1
         accepted = [closure for closure in closures if closure.accepted]
         self.counters["closures_accepted"] += len(accepted)

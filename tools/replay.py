@@ -119,8 +119,7 @@ def describe(summary: ReplaySummary) -> dict[str, str]:
         "keyframes": f"{counters['keyframes']}" + (f", {condensed} condensed into earlier ones" if condensed else ""),
         "landmarks": ", ".join(f"{counters[f'landmarks_{state}']} {state}" for state in _LANDMARK_STATES),
         "loops": f"{accepted} loop closures accepted ({retrieved} retrieved, {accepted - retrieved} propagated), "
-        f"{counters['closures_inserted']} factors, {counters['closures_removed']} removed as outliers"
-        + _odometry_note(counters["closures_rejected_by_odometry"]),
+        f"{counters['closures_inserted']} factors" + _odometry_note(counters["closures_rejected_by_odometry"]),
         "found": ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes),
         "warnings": ", ".join(noted_counters(counters)) or "none",
         "of the log": "; ".join(summary.notes),

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, NewLog, Settings, check_outputs
+from tools.importers.drives import show_written
 
 
 def simulate(
@@ -50,24 +51,11 @@ def simulate(
         world = world.shortened(length)
     summary = write_simulation(output, world, config, seed=seed)
 
-    from tools import console
-
-    if json:
-        console.show_json(
-            {
-                "output": str(output),
-                "world": world.name,
-                "seed": seed,
-                "duration_s": summary.duration_s,
-                "object_count": len(world.object_ids),
-                "detection_count": summary.detection_count,
-                "message_counts": summary.message_counts,
-            }
-        )
-        return
-    console.show(
-        f"{output}: {summary.duration_s:.0f} s through {world.name} (seed {seed}), "
-        f"{len(world.object_ids)} objects of {len(world.vocabulary)} classes",
-        console.pairs({f"  {topic}": f"{count} messages" for topic, count in summary.message_counts.items()}),
-        f"  {summary.detection_count} objects detected",
+    show_written(
+        output,
+        summary,
+        json=json,
+        figures={"world": world.name, "seed": seed, "object_count": len(world.object_ids)},
+        title=f" through {world.name} (seed {seed}), {len(world.object_ids)} objects of "
+        f"{len(world.vocabulary)} classes",
     )

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from descriptors.training.simulation import MapSimulation, simulate_map
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingMap:
@@ -24,8 +22,7 @@ class TrainingMap:
         return len(self.labels)
 
 
-PATTERNS = MapSimulation(patterns=(40, 80), side_m=300.0, uniform_pattern_share=0.4, classes=(2, 30))
-"""As for the paper's network, with fewer objects: a step is on one whole map."""
+PATTERNS = ("line", "circle", "cluster")
 PIECE_OBJECTS = 1000
 """Most objects of a piece of a given map, and about those of a simulated one: a step takes them in within a second."""
 
@@ -39,9 +36,7 @@ def draw_map(given: Sequence[TrainingMap], own_share: float, *, rng: np.random.G
         return draw_street(rng=rng)
     if kind == 1:
         return draw_forest(rng=rng)
-    simulated = simulate_map(PATTERNS, rng=rng)
-    found, labels = np.unique(simulated.labels, return_inverse=True)
-    return TrainingMap(simulated.positions, labels, len(found))
+    return draw_patterns(rng=rng)
 
 
 def with_classes_of(drawn: TrainingMap, vocabulary_size: int, *, rng: np.random.Generator) -> TrainingMap:
@@ -64,6 +59,40 @@ def piece_of(given: TrainingMap, *, rng: np.random.Generator) -> TrainingMap:
         labels = labels % int(rng.integers(1, 4))
     found, labels = np.unique(labels, return_inverse=True)
     return TrainingMap(positions, labels, len(found))
+
+
+def draw_patterns(*, rng: np.random.Generator) -> TrainingMap:
+    """Superimposed patterns of objects: lines, circles and clusters anywhere, of which some repeat one label.
+
+    Xing et al., Descriptellation: Deep Learned Constellation Descriptors, Section III-E. The paper names the patterns
+    and the kinds of distributions but none of the ranges, and no pattern of one label, as the lamps of a row have.
+    """
+    count = int(rng.integers(2, 30, endpoint=True))
+    classes = rng.permutation(64)[:count]
+    plans, labels = [], []
+    for _ in range(int(rng.integers(40, 80, endpoint=True))):
+        size = int(rng.integers(3, 9, endpoint=True))
+        heading = np.exp(1j * rng.uniform(-np.pi, np.pi))
+        middle = complex(*rng.uniform(0.0, 300.0, 2))
+        plans.append(middle + heading * draw_pattern(PATTERNS[rng.integers(len(PATTERNS))], size, rng=rng))
+        labels.append(np.full(size, rng.choice(classes)) if rng.random() < 0.4 else rng.choice(classes, size=size))
+    plan = np.concatenate(plans)
+    heights = rng.normal(scale=1.5, size=len(plan))
+    found, numbers = np.unique(np.concatenate(labels), return_inverse=True)
+    return TrainingMap(np.column_stack([plan.real, plan.imag, heights]), numbers, len(found))
+
+
+def draw_pattern(kind: str, size: int, *, rng: np.random.Generator) -> NDArray[np.complex128]:
+    """Horizontal places (size,), x + iy in metres about the middle, of one pattern."""
+    numbers = np.arange(size)
+    match kind:
+        case "line":
+            return np.asarray((numbers - (size - 1) / 2.0) * (1.0 + 0.0j) * rng.uniform(4.0, 12.0))
+        case "circle":
+            return np.asarray(rng.uniform(4.0, 20.0) * np.exp(2j * np.pi * numbers / size))
+        case _:
+            x, y = rng.uniform(3.0, 15.0, (2, 1)) * rng.normal(size=(2, size))
+            return np.asarray(x + 1j * y)
 
 
 def draw_forest(*, rng: np.random.Generator) -> TrainingMap:

@@ -6,8 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from logs.clouds.geometry import clusters, voxel_means
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_side
 from logs.errors import DatasetError
@@ -179,3 +181,21 @@ def _size(voxels: FloatArray) -> FloatArray:
     _, axes = np.linalg.eigh(flat.T @ flat)
     width_m, length_m = np.ptp(flat @ axes, axis=0)
     return np.array([max(length_m, width_m), min(length_m, width_m), np.ptp(voxels[:, 2])])
+
+
+def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:
+    """The mean of the points (N, 3) m in each voxel of side ``voxel_m``: (M, 3) m, M <= N."""
+    corners = np.floor((points - points.min(axis=0)) / voxel_m).astype(np.int64)
+    _, voxels, counts = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
+    sums = [np.bincount(voxels.ravel(), weights=axis) for axis in points.T]
+    return np.stack(sums, axis=1) / counts[:, None]
+
+
+def clusters(points: FloatArray, gap_m: float) -> IntArray:
+    """Cluster (N,) of each of the points (N, D) m, from 0 on: those that a chain of steps of at most ``gap_m`` joins.
+
+    DBSCAN (Ester et al., KDD 1996) in which every point is a core point.
+    """
+    i, j = cKDTree(points).query_pairs(gap_m, output_type="ndarray").T
+    edges = coo_array((np.ones(len(i), dtype=np.bool_), (i, j)), shape=(len(points), len(points)))
+    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The log that an importer writes: records on their usual topics, and where they came from."""
+"""Logs of whole drives as importers and the simulator write them: records on topics, and where they came from."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry
+from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry, Record
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC
 from logs.writer import LogWriter
 
@@ -23,7 +23,7 @@ TOPICS: dict[type[ImportedRecord], str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class ImportSummary:
+class DriveSummary:
     """What was written: messages a topic, objects detected, seconds from the first record to the last."""
 
     message_counts: dict[str, int]
@@ -31,8 +31,19 @@ class ImportSummary:
     duration_s: float
 
 
-def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: Mapping[str, str]) -> ImportSummary:
+def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: Mapping[str, str]) -> DriveSummary:
     """Write ``records``, which come in the order of their stamps, and ``source`` as the metadata "source".
+
+    Raises:
+        UnwritableLogError: the log cannot be written.
+    """
+    return write_drive(output, ((TOPICS[type(record)], record) for record in records), "source", source)
+
+
+def write_drive(
+    output: Path, records: Iterable[tuple[str, Record]], name: str, metadata: Mapping[str, str]
+) -> DriveSummary:
+    """Write records with their topics, which come in the order of their stamps, and ``metadata`` under ``name``.
 
     Raises:
         UnwritableLogError: the log cannot be written.
@@ -41,12 +52,11 @@ def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: 
     detection_count = 0
     stamps_ns = [0, 0]
     with LogWriter(output, refusals=(LogError,)) as writer:
-        writer.add_metadata("source", dict(source))
-        for record in records:
-            topic = TOPICS[type(record)]
+        writer.add_metadata(name, metadata)
+        for topic, record in records:
             writer.write(topic, record, record.stamp_ns)
             stamps_ns = [stamps_ns[0] if message_counts else record.stamp_ns, record.stamp_ns]
             message_counts[topic] += 1
             if isinstance(record, ObjectDetections):
                 detection_count += len(record.labels)
-    return ImportSummary(dict(message_counts), detection_count, (stamps_ns[1] - stamps_ns[0]) * 1e-9)
+    return DriveSummary(dict(message_counts), detection_count, (stamps_ns[1] - stamps_ns[0]) * 1e-9)

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from logs.errors import DatasetError
 from logs.importers.tables import Column, Table
 from logs.messages import IntArray
+from logs.validation import LAST_NS
 
 STAMP_NAMES = ("stamp", "timestamp", "time", "t")
 TIME_UNITS: Mapping[str, float] = {"": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 """Suffix of a column -> nanoseconds; without a suffix, seconds."""
 
 UNIT_REMEDY = "call the column by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns"
-_LAST_NS = 2**63 - 1
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 
 
@@ -74,8 +74,8 @@ def _nanoseconds(cell: str, unit_ns: int) -> int:
         raise ValueError("not a time")
     if exact < 0:
         raise ValueError("before 0, which no log can hold")
-    if exact > _LAST_NS:
-        raise ValueError("a time after the year 2262")
+    if exact > LAST_NS:
+        raise ValueError("a time after the year 2116")
     if unit_ns == 1 and exact != exact.to_integral_value():
         raise ValueError("not whole nanoseconds")
     return int(exact.to_integral_value())

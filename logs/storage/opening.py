@@ -10,10 +10,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import zstandard
+from pydantic import BaseModel, ValidationError
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
-from logs.storage.bag_folder import METADATA_FILE, find_bag_files
 from logs.storage.mcap_file import McapFile
 from logs.storage.mcap_index import MAGIC
 from logs.storage.regular_file import max_unpacked_bytes, open_regular
@@ -24,6 +24,9 @@ ROS1_MAGIC = b"#ROSBAG V"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
 _PIECE_BYTES = 2**20
+METADATA_FILE = "metadata.yaml"
+_MAX_BYTES = 1_000_000
+"""Of a description; a second of time is needed for 100 kB."""
 
 _log = logging.getLogger(__name__)
 
@@ -120,3 +123,48 @@ def _unpack(path: Path, folder: Path) -> Path:
             f"cannot unpack {path} into {folder}: {error.strerror}; make room there, or set TMPDIR to another folder"
         ) from error
     return unpacked
+
+
+class _Information(BaseModel):
+    relative_file_paths: list[str]
+
+
+class _Metadata(BaseModel):
+    rosbag2_bagfile_information: _Information
+
+
+def find_bag_files(folder: Path) -> list[Path]:
+    """The files with messages of the recording in ``folder``, in the order in which they were recorded.
+
+    Raises:
+        UnreadableLogError: no usable metadata.yaml, or it names a file that is not there.
+    """
+    names = _read_file_names(folder / METADATA_FILE)
+    # The oldest recordings name the files relative to the folder above.
+    paths = [folder / name if (folder / name).is_file() else folder / Path(name).name for name in names]
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing or not paths:
+        raise UnreadableLogError(
+            f"{folder / METADATA_FILE} names {', '.join(missing) or 'files'}, which are not there; copy the missing "
+            "files, or run 'ros2 bag reindex' to continue without them"
+        )
+    return paths
+
+
+def _read_file_names(path: Path) -> list[str]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        with open_regular(path) as stream:
+            content = YAML(typ="base", pure=True).load(stream.read(_MAX_BYTES))
+        return _Metadata.model_validate(content).rosbag2_bagfile_information.relative_file_paths
+    except OSError as error:
+        raise UnreadableLogError(
+            f"cannot read {path}: {error.strerror}; give a log, or the folder of a rosbag2 recording"
+        ) from error
+    except (YAMLError, ValidationError, ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise UnreadableLogError(
+            f"{path} is not the metadata of a rosbag2 recording ({' '.join(str(error).split())[:200]}); "
+            "'ros2 bag reindex' writes it anew"
+        ) from error

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge
-from slam.backend.pose_graph.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Accepted, Candidate, Stage
 from slam.loop_closure.closure_graph import ClosedLoops
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.noise import SLIP_INFLATION
 
 INSERT_RANGES = 2.0 / 3.0
 """Least travel between two closures that become factors of the graph, in sensor ranges."""
@@ -34,7 +31,6 @@ class AcceptedClosures:
         self._propagation_distance_m = config.propagation_distance_m
         self._insert_travel_m = INSERT_RANGES * config.sensor_range_m
         self._trusted_after_m = TRUSTED_AFTER_RANGES * config.sensor_range_m
-        self._graph = graph
         self._keyframes = keyframes
         self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.closure_travel_m)
         self._closed: dict[int, int] = {}
@@ -106,38 +102,12 @@ class AcceptedClosures:
         self._tracked = {query: reference for query, reference in self._tracked.items() if query < since}
         self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query.id >= since])
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
-        revoked = self._revoke(lambda each: max(each.candidate.query.id, each.represented_by) >= since)
+        revoked = [each for each in self._accepted if each.latest >= since]
+        self._accepted = [each for each in self._accepted if each.latest < since]
+        for each in revoked:
+            self._closed.pop(each.candidate.query.id, None)
         reason = "revoked: expected landmarks not observed"
         return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
-
-    def reject_outliers(self) -> tuple[list[LoopClosureRecord], str]:
-        """Remove the closures that the robust optimisation of the pose graph rejects as outliers.
-
-        Closures across a discontinuity of the odometry are kept: without them nothing relates the two segments.
-        Returns the records of the removed closures and a warning, empty if there is none.
-        """
-        loops = [loop for loop in self._loops.loops if not loop.candidate.crosses_break]
-        if not loops:
-            return [], ""
-        factors, keyframes = self._graph.factors, self._graph.keyframe_variables
-        variables = keyframes.tolist()
-        tested = [edge for loop in loops if isinstance(edge := factors[loop.factor], Edge)]
-        solution = reject_outlier_closures(
-            factors.values(),
-            tested,
-            dict(zip(variables, self._graph.poses(keyframes), strict=True)),
-            {keyframe: self._keyframes[keyframe].T_local_body for keyframe in variables},
-            odometry_inflation=SLIP_INFLATION,
-        )
-        reasons = {
-            loop.candidate.query.id: f"removed as an outlier: kernel weight {weight:.2g}"
-            for loop, weight, is_kept in zip(loops, solution.weights.tolist(), solution.kept, strict=True)
-            if not is_kept
-        }
-        self._loops.remove([loop for loop in loops if loop.candidate.query.id in reasons])
-        removed = self._revoke(lambda each: each.represented_by in reasons)
-        records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
-        return records, solution.message
 
     def settled_before_m(self, travel_m: float) -> float:
         """Closures before the returned travel are not revoked any more, now that the robot has come to ``travel_m``."""
@@ -152,11 +122,3 @@ class AcceptedClosures:
         self._loops.forget_condensed()
         factors = {loop.candidate.query.id for loop in self._loops.loops}
         self._accepted = [each for each in self._accepted if each.represented_by in factors]
-
-    def _revoke(self, is_revoked: Callable[[Accepted], bool]) -> list[Accepted]:
-        """Take accepted closures back; their factors are removed elsewhere."""
-        revoked = [each for each in self._accepted if is_revoked(each)]
-        self._accepted = [each for each in self._accepted if not is_revoked(each)]
-        for each in revoked:
-            self._closed.pop(each.candidate.query.id, None)
-        return revoked

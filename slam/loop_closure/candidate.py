@@ -24,7 +24,6 @@ class Stage(StrEnum):
     ACCEPTANCE = "acceptance"
     CONSISTENCY = "consistency"
     ASSOCIATION = "association"
-    BACK_END = "back_end"
     ACCEPTED = "accepted"
 
 
@@ -123,6 +122,11 @@ class Accepted:
 
     candidate: Candidate
     represented_by: int
+
+    @property
+    def latest(self) -> int:
+        """The later one of the two query keyframes."""
+        return max(self.candidate.query.id, self.represented_by)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,6 @@ from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
 from slam.loop_closure.query_priors import QueryPriors
-from slam.loop_closure.shifted_poses import shifted_along_track
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -168,13 +167,11 @@ class Verifier:
         return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        """Candidates at other poses where objects that stand in rows, or in a repeated pattern, would fit as well."""
+        """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
         reference = candidate.reference.odometry
         place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0, candidate.place.proposer)
-        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        shifted = shifted_along_track(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
         repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
-        found = [self.verify(query, replace(place, T_local_query=T)) for T in [*shifted, *repeated]]
+        found = [self.verify(query, replace(place, T_local_query=T)) for T in repeated]
         return [
             each
             for each in found

@@ -34,7 +34,7 @@ class DriveConfig(_Branch):
 
 
 class OdometryConfig(_Branch):
-    """Drift of the odometry; see ``slam.simulation.odometry`` for the exact model."""
+    """Drift of the odometry; see ``drifting_odometry`` in ``slam.simulation.simulation`` for the exact model."""
 
     scale_drift_percent: float = Field(default=1.0, ge=0, le=50)
     """rms error of the length accumulated over 100 m of path, in percent of it"""
@@ -69,21 +69,6 @@ class SensorConfig(_Branch):
     """detections carry the covariance of the noise model"""
 
 
-class TrafficConfig(_Branch):
-    """Vehicles that drive along the tour to and fro, each with its own speed, on the right of its own direction."""
-
-    vehicles: int = Field(default=0, ge=0, le=1000)
-    """number of moving vehicles"""
-    min_speed_mps: float = Field(default=3.0, gt=0, le=50)
-    """slowest vehicle [m/s]"""
-    max_speed_mps: float = Field(default=12.0, gt=0, le=50)
-    """fastest vehicle [m/s]"""
-    lane_offset_m: float = Field(default=2.0, ge=0, le=20)
-    """distance from the tour to the vehicle's right [m]"""
-    radius_m: float = Field(default=1.0, ge=0, le=10)
-    """radius of a vehicle that occludes objects [m]"""
-
-
 class KidnapConfig(_Branch):
     """The robot is taken from one place of the tour to another, while nothing is logged or unnoticed."""
 
@@ -107,7 +92,6 @@ class SimulationConfig(_Branch):
     drive: DriveConfig = DriveConfig()
     odometry: OdometryConfig = OdometryConfig()
     sensor: SensorConfig = SensorConfig()
-    traffic: TrafficConfig = TrafficConfig()
     kidnap: KidnapConfig | None = None
     """kidnap the robot once"""
 

@@ -39,36 +39,35 @@ def in_view(positions: FloatArray, config: SensorConfig) -> NDArray[np.bool_]:
     return np.asarray(near & (np.abs(bearing) <= 0.5 * np.deg2rad(config.field_of_view_deg)))
 
 
-def unshadowed(positions: FloatArray, radii_m: FloatArray) -> NDArray[np.bool_]:
+def unshadowed(positions: FloatArray, radius_m: float) -> NDArray[np.bool_]:
     """Which of the positions (N, 3), metres, body frame, no other one hides: (N,).
 
-    Seen from above, an object of radius r at distance d > r hides the bearings within arcsin(r / d) of its own, from r
+    Seen from above, an object of radius r at distance d hides the bearings within arcsin(r / d) of its own, from r
     behind its centre on, so that a sign on a lamp post stays visible. What the sensor itself stands in hides nothing.
     """
     distance_m = np.hypot(positions[:, 0], positions[:, 1])
     bearing = np.arctan2(positions[:, 1], positions[:, 0])
-    outside = distance_m > radii_m
-    half_angle = np.arcsin(np.divide(radii_m, distance_m, out=np.zeros_like(distance_m), where=outside))
+    outside = distance_m > radius_m
+    half_angle = np.arcsin(np.divide(radius_m, distance_m, out=np.zeros_like(distance_m), where=outside))
     # [i, j]: whether i hides j; in place, since this is most of the time of a simulation.
     apart = bearing[None, :] - bearing[:, None]
     np.abs(apart, out=apart)
     np.minimum(apart, 2.0 * np.pi - apart, out=apart)
     hides = apart < half_angle[:, None]
-    hides &= distance_m[None, :] > (distance_m + radii_m)[:, None]
+    hides &= distance_m[None, :] > distance_m[:, None] + radius_m
     return np.asarray(~hides.any(axis=0))
 
 
 def scan_objects(
     positions: FloatArray,
     class_indices: IntArray,
-    radii_m: FloatArray,
     class_count: int,
     config: SensorConfig,
     rngs: Mapping[str, np.random.Generator],
 ) -> Scan:
     """Detect the objects at ``positions`` (N, 3), metres, body frame, whose classes are ``class_indices`` (N,).
 
-    An object is seen if it is in view, unshadowed (by those in view, of radii ``radii_m`` (N,)) and not dropped. Its
+    An object is seen if it is in view, unshadowed (by those in view) and not dropped. Its
     position gets N(0, sigma^2) on each axis, sigma = ``noise_base_m`` + ``noise_per_m`` times the true range. With the
     probability ``misclassification`` times range / ``max_range_m`` its label is one of the other classes, all alike.
     ``rngs`` has a generator for each cause of error, so that switching one off leaves the others' numbers as they are.
@@ -82,7 +81,7 @@ def scan_objects(
     label_draw, other_draw = rngs["label"].random((2, len(rows)))
     score_normals = rngs["score"].standard_normal(len(rows))
     if config.occlusion:
-        kept &= unshadowed(seen, radii_m[rows])
+        kept &= unshadowed(seen, config.occluder_radius_m)
 
     range_m = np.linalg.norm(seen, axis=1)
     sigmas_m = noise_sigma_m(range_m, config)

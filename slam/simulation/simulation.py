@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from logs.errors import LogError
+from logs.importers.imported_log import DriveSummary, write_drive
 from logs.messages import (
     DetectionTruth,
     GroundTruthPose,
@@ -19,14 +17,12 @@ from logs.messages import (
     Odometry,
 )
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
-from logs.writer import LogWriter
+from slam.common.arrays import FloatArray
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
-from slam.common.errors import SimulationError, SlamError
-from slam.common.geometry import invert
-from slam.simulation import traffic
-from slam.simulation.config import SimulationConfig
+from slam.common.errors import SimulationError
+from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+from slam.simulation.config import OdometryConfig, SimulationConfig
 from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
-from slam.simulation.odometry import drifting_odometry
 from slam.simulation.sensor import Scan, scan_objects
 from slam.simulation.world import World
 
@@ -36,18 +32,11 @@ ODOMETRY_TOPIC = "/odom"
 DETECTIONS_TOPIC = "/detections"
 
 MIN_TOUR_M = 2.0
+REFERENCE_PATH_M = 100.0
+"""Path over which the settings of the odometry give its drift."""
 DAY_NS = 86_400 * 10**9
-CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive", "traffic")
+CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
 """Each has random numbers of its own; the order is part of what a seed means, so new causes go to the end."""
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationSummary:
-    """What was written: messages a topic, detections in all, first to last stamp."""
-
-    message_counts: dict[str, int]
-    detection_count: int
-    duration_s: float
 
 
 def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[tuple[str, int, SimulatedRecord]]:
@@ -65,11 +54,10 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[t
         raise SimulationError(f"seed {seed} is negative; give 0 or more")
     children = np.random.SeedSequence(seed).spawn(len(CAUSES))
     rngs = {cause: np.random.default_rng(child) for cause, child in zip(CAUSES, children, strict=True)}
-    plan = plan_drive(world.tour, config.drive)
-    return _records(world, config, plan, _drives(plan, config), rngs)
+    return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)
 
 
-def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> SimulationSummary:
+def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> DriveSummary:
     """Write ``simulate(...)`` to the log ``path``, with the metadata "simulation".
 
     Raises:
@@ -77,25 +65,14 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
         UnwritableLogError: the log cannot be written.
     """
     records = simulate(world, config, seed=seed)
-    counts: Counter[str] = Counter()
-    detection_count = 0
-    with LogWriter(path, refusals=(LogError, SlamError)) as writer:
-        writer.add_metadata(
-            "simulation",
-            {
-                "world": world.name,
-                "world_sha256": world.sha256(),
-                "seed": str(seed),
-                "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
-                CHANGED_SETTINGS: changed_settings(config),
-            },
-        )
-        for topic, stamp_ns, record in records:
-            writer.write(topic, record, stamp_ns)
-            counts[topic] += 1
-            if isinstance(record, ObjectDetections):
-                detection_count += len(record.labels)
-    return SimulationSummary(dict(counts), detection_count, (stamp_ns - _start_ns(config)) * 1e-9)
+    made = {
+        "world": world.name,
+        "world_sha256": world.sha256(),
+        "seed": str(seed),
+        "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
+        CHANGED_SETTINGS: changed_settings(config),
+    }
+    return write_drive(path, ((topic, record) for topic, _, record in records), "simulation", made)
 
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
@@ -123,27 +100,15 @@ def _start_ns(config: SimulationConfig) -> int:
 
 
 def _records(
-    world: World,
-    config: SimulationConfig,
-    plan: DrivePlan,
-    drives: list[Drive],
-    rngs: Mapping[str, np.random.Generator],
+    world: World, config: SimulationConfig, drives: list[Drive], rngs: Mapping[str, np.random.Generator]
 ) -> Iterator[tuple[str, int, SimulatedRecord]]:
-    moving_count = config.traffic.vehicles
-    object_ids = (*world.object_ids, *(f"moving-{k}" for k in range(moving_count)))
-    labels = world.labels + (traffic.LABEL,) * moving_count
-    vocabulary, class_indices = np.unique(labels, return_inverse=True)
-    radii_m = np.full(len(labels), config.sensor.occluder_radius_m)
-    radii_m[len(world.labels) :] = config.traffic.radius_m
-
     start_ns = _start_ns(config)
-    known = [world.vocabulary.index(label) for label in world.labels]
+    names, class_indices = np.unique(world.labels, return_inverse=True)
+    vocabulary = tuple(names.tolist())
     objects = ObjectMapRecord.of_objects(
-        world.object_ids, world.positions, known, world.vocabulary, stamp_ns=start_ns, frame_id="world"
+        world.object_ids, world.positions, class_indices, vocabulary, stamp_ns=start_ns, frame_id="world"
     )
     yield OBJECT_TRUTH_TOPIC, start_ns, objects
-    stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
-    vehicles = iter(traffic.drive_traffic(plan, (stamps_ns - start_ns) * 1e-9, config.traffic, rng=rngs["traffic"]))
     T_odom_first = np.eye(4)
     for drive in drives:
         T_odom_body = T_odom_first @ drifting_odometry(drive.T_world_body, config.odometry, rng=rngs["odometry"])
@@ -152,24 +117,73 @@ def _records(
         for i, stamp_ns in enumerate(drive.stamps_ns.tolist()):
             T_world_body = drive.T_world_body[i]
             # Positions about the body, in the axes of the world; those beyond the square of the range are not seen.
-            offsets = np.concatenate([world.positions, next(vehicles)]) - T_world_body[:3, 3]
+            offsets = world.positions - T_world_body[:3, 3]
             rows = np.flatnonzero(np.abs(offsets[:, :2]).max(axis=1) <= config.sensor.max_range_m)
             scan = scan_objects(
                 offsets[rows] @ T_world_body[:3, :3],
                 class_indices[rows],
-                radii_m[rows],
                 len(vocabulary),
                 config.sensor,
                 rngs,
             )
-            true_ids = tuple("" if source < 0 else object_ids[rows[source]] for source in scan.sources.tolist())
+            true_ids = tuple("" if source < 0 else world.object_ids[rows[source]] for source in scan.sources.tolist())
             yield ODOMETRY_TOPIC, stamp_ns, Odometry(stamp_ns, T_odom_body[i])
-            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary.tolist(), config)
+            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary, config)
             yield GROUND_TRUTH_TOPIC, stamp_ns, GroundTruthPose(stamp_ns, T_world_body)
             yield DETECTION_TRUTH_TOPIC, stamp_ns, DetectionTruth(stamp_ns, true_ids)
 
 
-def _detections(stamp_ns: int, scan: Scan, vocabulary: list[str], config: SimulationConfig) -> ObjectDetections:
+def _detections(stamp_ns: int, scan: Scan, vocabulary: Sequence[str], config: SimulationConfig) -> ObjectDetections:
     labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
     covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if config.sensor.covariances else None
     return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
+
+
+def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: np.random.Generator) -> FloatArray:
+    """Odometry ``T_odom_body`` (K, 4, 4), metres, of the true planar poses ``T_world_body`` (K, 4, 4); K >= 1.
+
+    It starts at the identity. Of each true step with path length d, turn a and translation t in the frame of the pose
+    that it leaves, the odometry measures the turn ``a + n`` and the translation ``(1 + e) t``, and adds these up:
+
+    * n ~ N(0, sigma_h^2 d / 100 m), independent: the heading error is a random walk, its rms after 100 m of path is
+      sigma_h = ``heading_drift_deg_per_100m``, and it grows with the root of the path.
+    * e is a stationary Gauss-Markov process over the path with the correlation exp(-s / c), c =
+      ``scale_correlation_m``: the error of length, the integral of e, is a random walk over distances well above c, and
+      smooth below. Its standard deviation is set so that the rms error of length over 100 m of path is p =
+      ``scale_drift_percent`` of it: ``Var = sigma_e^2 2 c^2 (L/c - 1 + exp(-L/c)) = (p L)^2`` at L = 100 m. With c = 0
+      the errors of length of the steps are independent, N(0, (p L)^2 d / L).
+
+    On a straight 100 m the heading's walk adds a lateral rms of 100 m times sigma_h / sqrt(3), 0.5 m by default.
+    While the body stands, or turns on the spot, nothing drifts. z, roll and pitch have no error.
+    """
+    step = invert(T_world_body[:-1]) @ T_world_body[1:]  # (K - 1, 4, 4) T_previous_next
+    path_m = np.linalg.norm(step[:, :3, 3], axis=1)
+    # Both streams are always drawn, so that one drift does not change with the other's setting.
+    heading_normals, scale_normals = rng.standard_normal((2, len(step)))
+    sigma_heading = np.deg2rad(config.heading_drift_deg_per_100m)
+    turn = yaw_rad(step) + heading_normals * sigma_heading * np.sqrt(path_m / REFERENCE_PATH_M)
+    translation = step[:, :2, 3] + step[:, :2, 3] * _scale_errors(path_m, scale_normals, config)[:, None]
+    heading = np.concatenate([[0.0], np.cumsum(turn)])  # (K,)
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    moved = np.stack(
+        [c * translation[:, 0] - s * translation[:, 1], s * translation[:, 0] + c * translation[:, 1]], axis=1
+    )
+    xyz = np.zeros((len(T_world_body), 3))
+    xyz[1:, :2] = np.cumsum(moved, axis=0)
+    return transform_from_xyz_yaw(xyz, heading)
+
+
+def _scale_errors(path_m: FloatArray, normals: FloatArray, config: OdometryConfig) -> FloatArray:
+    length_error_m = 0.01 * config.scale_drift_percent * REFERENCE_PATH_M
+    c = config.scale_correlation_m
+    if c == 0.0:
+        moving = np.where(path_m > 0.0, path_m, 1.0)
+        white: FloatArray = normals * length_error_m / np.sqrt(REFERENCE_PATH_M * moving)
+        return white
+    sigma = length_error_m / np.sqrt(2.0 * c**2 * (REFERENCE_PATH_M / c + np.expm1(-REFERENCE_PATH_M / c)))
+    kept = np.exp(-path_m / c)
+    fresh = np.sqrt(-np.expm1(-2.0 * path_m / c)) * normals
+    errors = np.empty(len(path_m))
+    for i in range(len(path_m)):
+        errors[i] = normals[0] if i == 0 else kept[i] * errors[i - 1] + fresh[i]
+    return np.asarray(sigma * errors)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from logs.clouds.ply_file import read_points
+from logs.clouds.cloud_files import read_points
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError, UnreadableLogError
 from logs.importers.maps.object_table import read_object_table

@@ -36,7 +36,7 @@ def log(tmp_path):
             (3, 2, "registration", "-12 inliers of 7"),
             (1, 0, "registration", "4 inliers of 20.5"),
             (2, 1, "registration", "no rotation"),
-            (4, 0, "back_end", "thrown out"),
+            (4, 0, "association", "thrown out"),
         ]:
             writer.write(
                 "/slam/closures",
@@ -63,7 +63,7 @@ def test_a_summary_tells_what_is_there_and_what_is_odd(log):
     assert [(c.stage, c.reason, c.accepted, c.count) for c in summary.closures] == [
         ("registration", "# inliers of #", False, 3),
         ("registration", "no rotation", False, 1),
-        ("back_end", "thrown out", False, 1),
+        ("association", "thrown out", False, 1),
         ("accepted", "", True, 1),
     ]
     pairs = [(c.query_keyframe_id, c.reference_keyframe_id) for c in summary.closure_candidates]

@@ -11,7 +11,6 @@ import pytest
 
 from slam.common.config import Config
 from slam.replay import replay
-from slam.simulation.config import SimulationConfig, TrafficConfig
 from tests.helpers.short_drives import drive, keep_until, write_log
 
 pytestmark = pytest.mark.slow
@@ -36,8 +35,7 @@ def replay_elsewhere(source: Path, folder: Path, hash_seed: str) -> bytes:
 
 
 def test_two_processes_write_the_same_bytes(tmp_path):
-    config = SimulationConfig(traffic=TrafficConfig(vehicles=2))
-    source = write_log(tmp_path / "in.mcap", keep_until(drive(config), 15.0))
+    source = write_log(tmp_path / "in.mcap", keep_until(drive(), 15.0))
     first = replay_elsewhere(source, tmp_path / "a", "1")
     assert len(first) > 10_000
     assert replay_elsewhere(source, tmp_path / "b", "2") == first

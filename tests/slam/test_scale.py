@@ -72,7 +72,7 @@ def mapped(entries: Iterable[Entry], scale: float, prior_map: SavedMap | None = 
     final = slam.finish()
     return Result(
         [(each.stamp_ns, each.landmark_ids) for each in made if isinstance(each, DetectionAssociations)],
-        [_decision(each) for each in [*made, *final.closures] if isinstance(each, LoopClosureRecord)],
+        [_decision(each) for each in made if isinstance(each, LoopClosureRecord)],
         final,
     )
 

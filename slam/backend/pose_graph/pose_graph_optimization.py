@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.batch_solver import MAX_ITERATIONS, levenberg_marquardt
+from slam.backend.batch_solver import levenberg_marquardt
 from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, PosePrior, between_factor, prior_factor
 from slam.backend.gtsam_calls import GtsamCalls
 from slam.common.arrays import BoolArray, FloatArray
@@ -22,18 +22,12 @@ MIN_WEIGHT = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraphSolution:
-    """``T_map_body`` (K, 4, 4) of the keyframes in their order, and ``weights`` (C,) of the closures in [0, 1]: 1 fits
-    exactly, 0 was rejected. ``message``: what did not converge, and whether all closures were rejected; or empty.
+    """``T_map_body`` (K, 4, 4) of the keyframes in their order, and whether each closure (C,) is ``kept``: it agrees
+    with the solution.
     """
 
     T_map_body: FloatArray
-    weights: FloatArray
-    message: str
-
-    @property
-    def kept(self) -> BoolArray:
-        """Whether each closure (C,) agrees with the solution."""
-        return np.asarray(self.weights >= MIN_WEIGHT)
+    kept: BoolArray
 
 
 def optimize_pose_graph(
@@ -69,15 +63,12 @@ def optimize_pose_graph(
         while (rejected := in_force & (solver.weights(values) < MIN_WEIGHT)).any():
             in_force &= ~rejected
             values = solver.solve(in_force, values)
-    notes = list(solver.shortfalls)
-    if len(in_force) and not in_force.any():
-        notes.append(f"none of {len(in_force)} closures agrees with the rest; all were rejected")
     poses = np.array([values.atPose3(X(keyframe)).matrix() for keyframe in T_map_body]).reshape(-1, 4, 4)
-    return PoseGraphSolution(poses, np.where(in_force, solver.weights(values), 0.0), "; ".join(notes))
+    return PoseGraphSolution(poses, in_force)
 
 
 class _Solver:
-    """Solves a graph with some of its closures; ``shortfalls``: what did not converge."""
+    """Solves a graph with some of its closures."""
 
     def __init__(self, factors: Iterable[PosePrior | Edge], closures: Sequence[Edge]) -> None:
         self._others = gtsam.NonlinearFactorGraph()
@@ -85,16 +76,10 @@ class _Solver:
             self._others.add(between_factor(each) if isinstance(each, Edge) else prior_factor(each))
         # Without the kernel that closures have.
         self._closures = [between_factor(replace(each, kind=EdgeKind.ODOMETRY)) for each in closures]
-        self.shortfalls: dict[str, None] = {}
 
     def solve(self, in_force: BoolArray, start: gtsam.Values, width: float = CLOSURE_KERNEL_WIDTH) -> gtsam.Values:
         """The least cost of all other factors and the closures in force (C,), near ``start``."""
-        optimizer = levenberg_marquardt(self.graph(in_force, width), start)
-        values = optimizer.optimize()
-        if optimizer.iterations() >= MAX_ITERATIONS:
-            closures = np.count_nonzero(in_force)
-            self.shortfalls[f"the solution with {closures} closures took all {MAX_ITERATIONS} iterations"] = None
-        return values
+        return levenberg_marquardt(self.graph(in_force, width), start).optimize()
 
     def graph(self, in_force: BoolArray, width: float = CLOSURE_KERNEL_WIDTH) -> gtsam.NonlinearFactorGraph:
         """All other factors, and the closures in force (C,) with kernels of that width in standard deviations."""

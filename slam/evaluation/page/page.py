@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from logs.container.names import visible
 from logs.storage.placement import write_text
 from slam.common.config_tree import CHANGED_SETTINGS
 from slam.common.errors import EvaluationError
+from slam.common.geometry import travelled_m
+from slam.display.map_layers import ESTIMATE, ODOMETRY, TRUTH
 from slam.display.map_picture import compose_map, to_png
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.page.charts import draw_error_along_path, draw_precision_recall
+from slam.evaluation.inputs.synchronization import synchronize
+from slam.evaluation.metrics.trajectory import position_errors_m
 from slam.evaluation.report.figures import list_figures, summarize
 from slam.evaluation.report.picture import compose_picture
 from slam.evaluation.result import Evaluation
@@ -72,3 +77,54 @@ def _describe_run(records: EvaluationRecords) -> dict[str, str]:
         "settings": made.get(CHANGED_SETTINGS, "unknown") or "defaults",
         "status": f"{status.level}: {status.message}" if status else "unknown",
     }
+
+
+def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) -> Figure:
+    """Distance of each trajectory from the truth over the true path, each trajectory aligned as a whole.
+
+    Raises:
+        EvaluationError: no trajectory could be measured.
+    """
+    figure, axes = _make_chart("true path travelled [m]", "position error [m]")
+    for path, errors, name, color in (
+        (records.odometry_path, evaluation.odometry, "odometry", ODOMETRY),
+        (records.online_path, evaluation.online, "online estimate", TRUTH),
+        (records.final_path, evaluation.estimate, "estimate", ESTIMATE),
+    ):
+        if errors is not None:
+            poses = synchronize(path, records.true_path, max_gap_s=evaluation.protocol.max_truth_gap_s)
+            errors_m = position_errors_m(poses, errors.alignment)
+            axes.plot(travelled_m(poses.T_world_body_gt), errors_m, color=color, label=name)
+    if not axes.lines:
+        raise EvaluationError("no trajectory has ground truth")
+    axes.legend(frameon=False)
+    return figure
+
+
+def draw_precision_recall(results: Mapping[str, Any]) -> Figure:
+    """Precision over recall of every threshold on the score of the best candidate; the mark is the result of the run.
+
+    Args:
+        results: the evaluation as JSON.
+
+    Raises:
+        EvaluationError: there is no curve.
+    """
+    closures = results["closures"]
+    curve = closures.get("precision_recall_curve", {})
+    if not curve.get("recall"):
+        raise EvaluationError("no revisit, or no candidate")
+    figure, axes = _make_chart("recall of revisits", "precision")
+    axes.set(xlim=(0.0, 1.03), ylim=(0.0, 1.05))
+    axes.plot(curve["recall"], curve["precision"], color=ESTIMATE)
+    if closures["precision"] is not None:
+        axes.plot(closures["recall"], closures["precision"], "o", color=ESTIMATE, markersize=10)
+    return figure
+
+
+def _make_chart(x: str, y: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(16.0, 5.0), dpi=100.0, layout="constrained")
+    axes = figure.add_subplot(xlabel=x, ylabel=y)
+    axes.grid(visible=True, color="#e5e7eb")
+    axes.spines[:].set_visible(False)
+    return figure, axes

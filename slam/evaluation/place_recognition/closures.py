@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import betaincinv, expit
 
 from logs.messages import LoopClosureRecord
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.statistics import fraction, percentile
-from slam.evaluation.place_recognition.discoveries import describe_discoveries
-from slam.evaluation.place_recognition.reliability import describe_reliability
+from slam.evaluation.metrics.statistics import CONFIDENCE, fraction, percentile
 from slam.evaluation.place_recognition.revisits import count_stages, find_true_poses
+
+EDGES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
+"""Probabilities between the bins, and both ends."""
+SURE = 0.99
 
 
 def judge_closures(
@@ -99,3 +104,75 @@ def describe_closures(judged: pd.DataFrame, protocol: Protocol) -> dict[str, Any
         "median_rotation_error_deg": percentile(rotations_deg, 50.0),
         "p95_rotation_error_deg": percentile(rotations_deg, 95.0),
     }
+
+
+def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol) -> dict[str, Any]:
+    """Accepted closures by their origin, and independent discoveries: found closures that have no objects in common.
+
+    A closure that retrieval found is a discovery; those that it predicts for the keyframes after it and before it are
+    checks of the same discovery. So a precision is as sure as its discoveries are many. The independent ones are runs
+    of found closures that the truth decides; a run ends where the next query is a submap's length further on.
+    ``proposer_counts``: accepted closures by what proposed their place; none in logs of earlier versions.
+
+    Args:
+        accepted: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
+        protocol: the thresholds.
+    """
+    seeds = np.array([np.nan if r.seed_query_keyframe_id is None else r.seed_query_keyframe_id
+                      for r in accepted["record"]], dtype=np.float64)  # fmt: skip
+    is_found, is_followed = np.isnan(seeds), seeds < accepted["query"]
+    found = accepted[is_found & accepted["decided"]].sort_values("travelled_m", kind="stable")
+    runs = (np.diff(found["travelled_m"], prepend=-np.inf) >= protocol.window_m).cumsum()
+    independent, independent_false = len(np.unique(runs)), len(np.unique(runs[~found["true"]]))
+    found_count = int(is_found.sum())
+    proposers = Counter(record.proposer for record in accepted["record"] if record.proposer)
+    return {
+        "found_count": found_count,
+        "followed_count": int(is_followed.sum()),
+        "led_back_count": len(accepted) - found_count - int(is_followed.sum()),
+        "independent_count": independent,
+        "independent_false_count": independent_false,
+        "proposer_counts": {"descriptor": 0, **dict(sorted(proposers.items()))} if proposers else {},
+        "largest_false_share": largest_false_share(independent, independent_false),
+    }
+
+
+def largest_false_share(count: int, false_count: int) -> float | None:
+    """No more than that share of discoveries is false, with 95 % confidence (Clopper and Pearson, Biometrika 1934).
+
+    About 3 / n where none of n is false: the rule of three. None without a discovery.
+    """
+    if count == 0 or count == false_count:
+        return 1.0 if count else None
+    return float(betaincinv(false_count + 1, count - false_count, CONFIDENCE))
+
+
+def describe_reliability(judged: pd.DataFrame) -> dict[str, Any]:
+    """Reliability of the posterior probabilities of places: a reliability diagram in numbers.
+
+    Of each query the likeliest candidate has posterior odds against "somewhere new". If they are calibrated, of all
+    that have the probability p a share p is right (DeGroot and Fienberg, The Statistician 1983). Counted are those
+    candidates with posterior odds which no other closure predicted and which the truth decides.
+
+    ``bins``: number, mean probability (None without any) and number of right ones between two ``EDGES``;
+    ``sure_count``, ``sure_right``: candidates with a probability of at least :data:`SURE`.
+
+    Args:
+        judged: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
+    """
+    rows = [
+        decided and record.posterior_log_odds is not None and record.seed_query_keyframe_id is None
+        for record, decided in zip(judged["record"], judged["decided"], strict=True)
+    ]
+    chosen = judged[np.array(rows, dtype=np.bool_)]
+    probabilities = expit(np.array([record.posterior_log_odds for record in chosen["record"]], dtype=np.float64))
+    is_right = chosen["true"].to_numpy()
+    bin_of = np.searchsorted(EDGES[1:-1], probabilities, side="right")
+    bins = []
+    for number, (low, high) in enumerate(pairwise(EDGES)):
+        inside = bin_of == number
+        count, right = int(inside.sum()), int(is_right[inside].sum())
+        expected = float(probabilities[inside].mean()) if count else None
+        bins.append({"from": low, "to": high, "count": count, "expected": expected, "right": right})
+    sure = probabilities >= SURE
+    return {"bins": bins, "sure_count": int(sure.sum()), "sure_right": int(is_right[sure].sum())}

@@ -122,7 +122,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         ("2024-05-01T12:00:00,1,2\n", r"does not begin with the names of its columns"),
         ("stamp_s,object_class,x,y\n0,a,1,2\n", r"no column label, but object_class; call .* label, or remove"),
         ("stamp_ns,x,y\n0.5,1,2\n", r"line 2, column stamp_ns: '0\.5' is not whole nanoseconds; .*stamp_s"),
-        ("timestamp,x,y\n1700000000000000000,1,2\n", r"line 2, column timestamp: .*year 2262; .*stamp_ns"),
+        ("timestamp,x,y\n1700000000000000000,1,2\n", r"line 2, column timestamp: .*year 2116; .*stamp_ns"),
         ("timestamp,x,y\n1e999999999999999999,1,2\n", r"line 2, column timestamp: .*not a time"),
         ("stamp_s,x_m,y_m\n0,1,2\n0,2400,1\n0,-2600,2\n", r"column x_m: the median is 2400 m.*call the column x_mm"),
         ("stamp_s,x,y,sigma_x\n0,1,2,.1\n", r"det\.csv: noise needs at least .*sigma_y_m"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import ImportSummary, write_imported_log
+from logs.importers.imported_log import DriveSummary, write_imported_log
 from logs.importers.kitti_objects import read_kitti_objects
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
 from logs.reader import LogReader
@@ -45,7 +45,7 @@ def paths(root: Path) -> dict[str, Path]:
     return {role: root / name for role, name in {"detections": "07", **roles}.items()}
 
 
-def write_log(output: Path, files: dict[str, Path]) -> ImportSummary:
+def write_log(output: Path, files: dict[str, Path]) -> DriveSummary:
     drive = read_kitti_objects(**files)
     return write_imported_log(output, drive.records(), drive.source)
 

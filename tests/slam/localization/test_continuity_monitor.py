@@ -8,8 +8,7 @@ import pytest
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.localization.continuity_monitor import ContinuityMonitor, RecentLandmarks
-from slam.localization.visibility import Visibility
+from slam.localization.continuity_monitor import ContinuityMonitor, RecentLandmarks, Visibility
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 

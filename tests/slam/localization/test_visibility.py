@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.localization.visibility import PRIOR_EXPECTED, Visibility
+from slam.localization.continuity_monitor import PRIOR_EXPECTED, Visibility
 
 AHEAD, BEHIND, FAR = np.array([[5.0, 1.0]]), np.array([[-5.0, 1.0]]), np.array([[31.0, 1.0]])
 

@@ -46,14 +46,14 @@ class Drive:
                 graph.add_next_keyframe(Edge(number - 1, number, pose(STEP_M), covariance, "odometry"))
         graph.update()
 
-    def accept(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> None:
-        self.closures.add(self.candidate(query, reference=reference, off_m=off_m), "")
+    def accept(self, query: int, *, reference: int | None = None) -> None:
+        self.closures.add(self.candidate(query, reference=reference), "")
 
-    def candidate(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> Candidate:
+    def candidate(self, query: int, *, reference: int | None = None) -> Candidate:
         return make_candidate(
             query=self.keyframes[query],
             reference=self.keyframes[query - ROUND if reference is None else reference],
-            T_reference_query=pose(STEP_M * ROUND + off_m),
+            T_reference_query=pose(STEP_M * ROUND),
             T_local_query=pose(STEP_M * query),
         )
 
@@ -100,35 +100,6 @@ def test_closures_from_before_the_robot_was_lost_stay(street):
     street.accept(110)
     assert street.declare_lost(since=105) == [110]
     assert street.closed == street.factors == [95]
-
-
-def test_at_the_end_a_closure_that_disagrees_goes_with_those_that_it_represents(street):
-    for query in (91, 101, 111):
-        street.accept(query)
-    street.graph.update()
-    assert street.closures.reject_outliers() == ([], "")
-    street = Drive()
-    street.accept(91)
-    street.accept(102, off_m=40.0)
-    street.accept(103, off_m=40.0)
-    street.accept(114)
-    records, _ = street.closures.reject_outliers()
-    assert sorted(record.query_keyframe_id for record in records) == [102, 103]
-    assert all("removed as an outlier" in record.reason for record in records)
-    assert street.closed == street.factors == [91, 114]
-
-
-def test_at_the_end_the_odometry_is_trusted_as_far_as_it_is_configured(street):
-    for query in (91, 101, 111):
-        street.accept(query, off_m=4.0)
-    assert street.closures.reject_outliers() == ([], "")
-
-
-def test_closures_across_a_break_are_never_judged():
-    street = Drive(second_segment=1)
-    street.accept(91, off_m=40.0)
-    assert street.closures.reject_outliers() == ([], "")
-    assert street.closed == [91]
 
 
 def test_who_was_relocalized_lately_was_never_there():

@@ -250,36 +250,8 @@ def test_the_penalty_is_that_of_the_prior_which_is_uniform_across_a_break():
     assert across.odometry_penalty == across.unpredicted_penalty == pytest.approx(near.unpredicted_penalty, abs=1.0)
 
 
-def test_poses_shifted_along_a_row_are_compared_by_objects_of_one_class():
-    scene = Scene(row(5.0), [0, 1, 0, 1, 0, 1, 0, 1, 0] * 2)
-    best = scene.verified()
-    along_m = sorted(
-        round(float(np.linalg.norm((each.T_local_query - best.T_local_query)[:2, 3])), 3)
-        for each in scene.verifier.rivals(scene.query, best)
-    )
-    assert along_m
-    assert set(along_m) == {10.0}
-
-
-def test_a_shift_that_leads_back_is_no_other_pose():
-    # Two equal objects four metres apart make that shift worth trying; all others lead back from it.
-    twins = np.array([[2.0, 0.0, 0.0], [2.0 + 4.0 * np.cos(0.3), 4.0 * np.sin(0.3), 0.0]])
-    labels = [*range(12), 12, 12]
-    scene = Scene(
-        np.concatenate([scattered(), twins]),
-        labels,
-        calibration={"detection": {"sensor_range_m": 80.0}},
-        loop_closure={"min_travel_m": 100.0},
-    )
-    best = scene.verified()
-    shifted = replace(scene.place, T_local_query=scene.place.T_local_query.copy())
-    shifted.T_local_query[:2, 3] += 4.0 * shifted.T_local_query[:2, 0]
-    np.testing.assert_allclose(scene.verified(shifted).T_local_query, best.T_local_query, atol=1e-3)
-    assert scene.verifier.rivals(scene.query, best) == []
-
-
 def test_a_pattern_that_repeats_itself_is_another_pose():
-    """A square: the same again after a quarter turn, which no shift along the track shows."""
+    """A square: the same again after a quarter turn."""
     scene = Scene(np.array([[6.0, 6.0, 0.0], [-6.0, 6.0, 0.0], [-6.0, -6.0, 0.0], [6.0, -6.0, 0.0]]))
     best = scene.verified()
     assert scene.verifier.rivals(scene.query, best) == []

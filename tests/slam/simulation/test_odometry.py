@@ -6,7 +6,7 @@ import pytest
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.simulation.config import OdometryConfig
-from slam.simulation.odometry import drifting_odometry
+from slam.simulation.simulation import drifting_odometry
 
 STEP_M = 0.8
 SEGMENT_STEPS = 125  # 100 m

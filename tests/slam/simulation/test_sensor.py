@@ -23,7 +23,7 @@ def _rngs(seed: int = 0) -> Rngs:
 
 def _scan(positions: FloatArray, config: SensorConfig, rngs: Rngs | None = None) -> Scan:
     classes = np.arange(len(positions), dtype=np.int64) % CLASS_COUNT
-    return scan_objects(positions, classes, np.full(len(positions), 0.25), CLASS_COUNT, config, rngs or _rngs())
+    return scan_objects(positions, classes, CLASS_COUNT, config, rngs or _rngs())
 
 
 def _ring(range_m: float, count: int = 4000) -> FloatArray:
@@ -55,21 +55,20 @@ def test_range_and_field_of_view_limit_the_view() -> None:
 def test_objects_hide_what_is_behind_them_and_nothing_else() -> None:
     half_angle = np.arcsin(0.5 / 10.0)
     behind_edge = [20.0 * np.array([np.cos(a), np.sin(a), 0.0]) for a in (0.98 * half_angle, 1.02 * half_angle)]
-    positions = np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0], *behind_edge, [-20.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    radii_m = np.array([0.5, 0.5, 0.0, 0.0, 0.5, 0.0])
-    np.testing.assert_array_equal(unshadowed(positions, radii_m), [True, False, False, True, True, True])
+    positions = np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0], *behind_edge, [-20.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(unshadowed(positions, 0.5), [True, False, False, True, True])
 
 
 def test_shadow_reaches_over_the_cut_of_the_bearing() -> None:
     positions = np.array([[-5.0, 0.01, 0.0], [-20.0, -0.01, 0.0]])
-    np.testing.assert_array_equal(unshadowed(positions, np.array([0.25, 0.25])), [True, False])
+    np.testing.assert_array_equal(unshadowed(positions, 0.25), [True, False])
 
 
 def test_things_on_one_post_and_the_sensor_itself_hide_nothing() -> None:
     on_one_post = np.array([[10.0, 0.0, 2.0], [10.1, 0.0, 4.0]])
-    assert unshadowed(on_one_post, np.full(2, 0.25)).all()
+    assert unshadowed(on_one_post, 0.25).all()
     around_the_sensor = np.array([[0.1, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    assert unshadowed(around_the_sensor, np.full(3, 0.25)).all()
+    assert unshadowed(around_the_sensor, 0.25).all()
 
 
 def test_occlusion_and_dropout_can_be_switched_off() -> None:

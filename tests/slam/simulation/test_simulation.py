@@ -85,7 +85,7 @@ def test_true_ids_match_the_detections_within_the_noise(heading_rad: float) -> N
 
 
 def test_same_seed_same_bytes_other_seed_other_bytes(tmp_path: Path, street: World) -> None:
-    config = _config(traffic={"vehicles": 2}, kidnap={"from_m": 50, "to_m": 120}, sensor={"covariances": False})
+    config = _config(kidnap={"from_m": 50, "to_m": 120}, sensor={"covariances": False})
     contents = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_simulation(tmp_path / name, street, config, seed=seed)
@@ -96,7 +96,7 @@ def test_same_seed_same_bytes_other_seed_other_bytes(tmp_path: Path, street: Wor
 
 @pytest.mark.parametrize(
     "changes",
-    [{"sensor": {"dropout": 0.0}}, {"sensor": {"false_positives_per_scan": 5.0}}, {"traffic": {"vehicles": 3}}],
+    [{"sensor": {"dropout": 0.0}}, {"sensor": {"false_positives_per_scan": 5.0}}],
 )
 def test_odometry_does_not_change_with_the_sensor(
     street: World, drive: dict[str, list[Any]], changes: dict[str, Any]
@@ -136,23 +136,6 @@ def test_a_drive_too_short_to_map_is_refused(tmp_path: Path, length_m: float, br
     with pytest.raises(SimulationError, match="too short"):
         write_simulation(tmp_path / "log.mcap", world, config, seed=0)
     assert not list(tmp_path.iterdir())
-
-
-def test_moving_vehicles_are_detected_under_their_own_ids(street: World) -> None:
-    config = _config(
-        traffic={"vehicles": 3, "min_speed_mps": 5, "max_speed_mps": 10},
-        sensor={"dropout": 0, "misclassification": 0, "occlusion": False, "false_positives_per_scan": 0},
-    )
-    drive = _records(street, config)
-    seen = [
-        (label, object_id)
-        for detections, truth in zip(drive["/detections"], drive["/ground_truth/detections"], strict=True)
-        for label, object_id in zip(detections.labels, truth.object_ids, strict=True)
-    ]
-    vehicles = {object_id for label, object_id in seen if label == "vehicle"}
-    assert vehicles == {object_id for _, object_id in seen if object_id.startswith("moving-")} != set()
-    (objects,) = drive["/ground_truth/objects"]
-    assert "vehicle" not in objects.vocabulary
 
 
 def test_log_reads_back_with_its_configuration(tmp_path: Path, street: World) -> None:

@@ -80,7 +80,6 @@ PARTS: dict[str, Part] = {
         replaced={
             "slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6,
             "slam.backend.covariance.marginals.CLOSURE_KERNEL_WIDTH": 1e6,
-            "slam.loop_closure.accepted_closures.AcceptedClosures.reject_outliers": lambda self: ([], ""),
         }
     ),
     "kidnappings noticed by landmarks": Part(

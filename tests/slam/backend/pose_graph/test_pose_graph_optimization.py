@@ -79,11 +79,10 @@ def rmse_m(T: FloatArray) -> float:
 def test_false_closures_are_rejected(false_count: int, seed: int) -> None:
     edges, closures = odometry(), with_false(TRUE, false_count, seed)
     clean, solved = solve(edges, with_false(TRUE, 0, seed)), solve(edges, closures)
-    assert solved.message == ""
     assert rmse_m(solved.T_map_body) < 1.1 * rmse_m(clean.T_map_body) + 0.01
     assert rmse_m(solved.T_map_body) < 0.6 * rmse_m(dead_reckoning(edges))
     assert np.mean(solved.kept[:TRUE]) > 0.9
-    assert np.all(solved.weights[TRUE:] < 0.01)
+    assert not solved.kept[TRUE:].any()
     if false_count:  # the twin
         certain = [replace(each, kind=EdgeKind.ODOMETRY) for each in closures]
         assert rmse_m(solve([*edges, *certain], [], dead_reckoning(edges)).T_map_body) > 5.0
@@ -92,14 +91,13 @@ def test_false_closures_are_rejected(false_count: int, seed: int) -> None:
 def test_only_false_closures_leave_the_odometry() -> None:
     edges = odometry()
     solved = solve(edges, with_false(0, 40))
-    assert solved.message == "none of 40 closures agrees with the rest; all were rejected"
-    np.testing.assert_array_equal(solved.weights, np.zeros(40))
+    assert not solved.kept.any()
     np.testing.assert_allclose(solved.T_map_body, dead_reckoning(edges), atol=1e-6)
 
 
 def test_a_graph_without_closures_is_solved() -> None:
     solved = solve(odometry(), [])
-    assert solved.weights.shape == (0,)
+    assert solved.kept.shape == (0,)
     np.testing.assert_allclose(solved.T_map_body, dead_reckoning(odometry()), atol=1e-6)
 
 
@@ -121,11 +119,6 @@ def test_the_initial_values_hardly_matter() -> None:
     assert rmse_m(wrong) > 3.0
     found = solve(edges, closures, wrong).T_map_body
     np.testing.assert_allclose(found, solve(edges, closures).T_map_body, atol=0.01)
-
-
-def test_a_solution_that_did_not_converge_has_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slam.backend.pose_graph.pose_graph_optimization.MAX_ITERATIONS", 1)
-    assert "closures took all 1 iterations" in solve(odometry(), with_false(TRUE, 30)).message
 
 
 def test_an_edge_to_an_unknown_keyframe_is_refused() -> None:

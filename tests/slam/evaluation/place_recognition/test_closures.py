@@ -94,15 +94,15 @@ def rolled(record: LoopClosureRecord, degrees: float) -> LoopClosureRecord:
         pytest.param(
             [
                 *(loop(query, stage="consistency") for query in (190, 200, 210)),
-                *(loop(210), loop(200), loop(210, stage="back_end")),
+                *(loop(210), loop(200), loop(210, stage="acceptance")),
             ],
             TRUTH,
             {
                 "candidate_count": 3,
                 "accepted_count": 1,
                 "recall": 1 / COUNT,
-                "stage_counts": {"consistency": 1, "back_end": 1, "accepted": 1},
-                "missed_by_stage": {NO_TRUE_CANDIDATE: COUNT - 3, "consistency": 1, "back_end": 1},
+                "stage_counts": {"acceptance": 1, "consistency": 1, "accepted": 1},
+                "missed_by_stage": {NO_TRUE_CANDIDATE: COUNT - 3, "acceptance": 1, "consistency": 1},
             },
             id="the last decision counts",
         ),

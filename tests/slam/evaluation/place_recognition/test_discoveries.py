@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from slam.evaluation.place_recognition.discoveries import largest_false_share
+from slam.evaluation.place_recognition.closures import largest_false_share
 from tests.slam.evaluation.loops import closure, judge, there_and_back
 
 TRUTH = there_and_back()

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam.evaluation.place_recognition.precision_recall import describe_sweep, sweep_scores
+from slam.evaluation.place_recognition.revisits import describe_sweep, sweep_scores
 
 Candidate = tuple[int, float, bool]
 
