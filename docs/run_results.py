@@ -74,7 +74,7 @@ FIGURES = (
     Figure("", "ATE of the odometry", "hamburg", ODOMETRY),
     Figure("", "recall of revisits", "hamburg", RECALL),
     Figure("", "precision of associations", "hamburg", r"associations +precision (\S+ %)"),
-    Figure("villeurbanne", "kidnappings detected within 30 m, of 20", "kidnapping", r"(\d+) detected"),
+    Figure("three cities", "kidnappings with P(lost) above 0.5 within 15 m", "kidnapping", r"kidnapping: (\d+ of \d+)"),
     Figure("mrclam6, robot 5", "ATE", "robot5", ATE),
     Figure("", "precision of associations", "robot5", r"associations +precision (\S+ %)"),
     Figure("forest evo", "ATE m", "forests", r"evo \| \S+ \| (\S+)"),

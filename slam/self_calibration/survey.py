@@ -153,12 +153,15 @@ def _first_change(
     takes its scale from the ranges, which outnumber the steps, so that the odometry is the one to fit them.
     """
     for each in found:
+        key = SETTINGS.get(each.term, "")
+        # What is left of a correction is small, and needs to be sure only.
+        is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
+        is_wanted = is_rest or (each.is_earned and _is_large(each))
         if each.is_earned and each.term == "delay_s":
             return {"delay_s": each.value}
-        if each.is_earned and each.term in ANGLES and _is_large(each) and not _is_turned_by_hand(given):
+        if each.term in ANGLES and is_wanted and not _is_turned_by_hand(given):
             axis = np.eye(3)[list(ANGLES).index(each.term)]
             return _angles(Rotation.from_rotvec(each.value * axis).as_matrix() @ _turned(now.detection))
-        key = SETTINGS.get(each.term, "")
         if each.is_earned and each.term in SHIFTS and not given.is_given(key):
             # Where a camera looks ahead only, a bias of its ranges looks like a shift.
             bias_m = sum(abs(other.value) for other in found if other.term == "near_m")
@@ -166,14 +169,12 @@ def _first_change(
                 return {key: _value(each, now)}
         is_climb = each.term == "climb_share" and each.is_sure and each.is_significant
         if is_climb and abs(each.value) > MIN_REST and not given.is_given(key):
-            return {key: _value(each, now)}
-        if each.term in SCALES and not given.is_given(key):
+            climb = _value(each, now)
+            return {key: climb} if abs(climb) < MAX_SHARE else {}
+        if each.term in SCALES and is_wanted and not given.is_given(key):
             scale = _value(each, now)
-            # What is left of a correction is small, and needs to be sure only.
-            is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
-            if is_rest or (each.is_earned and _is_large(each)):
-                # Objects that seem to move with the body are in another frame than is believed.
-                return {key: scale} if abs(scale - 1.0) < MAX_SHARE else {}
+            # Objects that seem to move with the body are in another frame than is believed.
+            return {key: scale} if abs(scale - 1.0) < MAX_SHARE else {}
     return {}
 
 

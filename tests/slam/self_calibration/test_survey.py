@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -226,6 +227,24 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
     surveyed = survey(turned_records(0.0), ON_BODY)
     assert surveyed.corrected == shifts
     assert surveyed.suspected == ({} if shifts else {"detection.x_m": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("corrections", "corrected"),
+    [
+        pytest.param([("climb_share", 0.4, False)], {}, id="no odometry climbs so much"),
+        pytest.param(
+            [("pitch_rad", 0.2, True), ("pitch_rad", 0.04, False)], {"detection.pitch_deg": 13.7}, id="rest of a pitch"
+        ),
+        pytest.param([("pitch_rad", 0.04, True)], {}, id="a small pitch alone is the road's"),
+    ],
+)
+def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, corrections, corrected):
+    """Of a term, its value, and whether it explains much."""
+    found = iter([Correction(term, value, 0.001, 0.2 if much else 0.0, True) for term, value, much in corrections])
+    monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: tuple(islice(found, 1)))
+    surveyed = survey(turned_records(0.0), ON_BODY)
+    assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.1)
 
 
 @pytest.mark.slow
