@@ -31,8 +31,9 @@ def find_passes(part: Part) -> Passes:
     for column, number in enumerate(part.sessions):
         seen[part.visits[number].landmarks, column] = True
     nearest_m = np.column_stack([_nearest_m(landmarks, each) for each in steps])
-    reach_m = float(np.quantile(nearest_m[seen], REACH_QUANTILE)) if seen.any() else 0.0
-    return Passes(seen, np.column_stack([_in_view_m(landmarks, each, reach_m) for each in steps]))
+    # A little farther than the farthest sightings, so that these are in view themselves.
+    reach_m = np.nextafter(np.quantile(nearest_m[seen], REACH_QUANTILE), np.inf) if seen.any() else 0.0
+    return Passes(seen, np.column_stack([_in_view_m(landmarks, each, float(reach_m)) for each in steps]))
 
 
 def _nearest_m(landmarks: FloatArray, steps: FloatArray) -> FloatArray:

@@ -93,7 +93,7 @@ class _Solver:
         values = optimizer.optimize()
         if optimizer.iterations() >= MAX_ITERATIONS:
             closures = np.count_nonzero(in_force)
-            self.shortfalls[f"the solution with {closures} closures took all {MAX_ITERATIONS} iterations"] = None
+            self.shortfalls[f"with {closures} closures, no convergence within {MAX_ITERATIONS} iterations"] = None
         return values
 
     def graph(self, in_force: BoolArray, width: float = CLOSURE_KERNEL_WIDTH) -> gtsam.NonlinearFactorGraph:

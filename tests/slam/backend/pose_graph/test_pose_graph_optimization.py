@@ -125,7 +125,7 @@ def test_the_initial_values_hardly_matter() -> None:
 
 def test_a_solution_that_did_not_converge_has_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slam.backend.pose_graph.pose_graph_optimization.MAX_ITERATIONS", 1)
-    assert "closures took all 1 iterations" in solve(odometry(), with_false(TRUE, 30)).message
+    assert "closures, no convergence within 1 iterations" in solve(odometry(), with_false(TRUE, 30)).message
 
 
 def test_an_edge_to_an_unknown_keyframe_is_refused() -> None:
