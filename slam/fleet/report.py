@@ -102,9 +102,8 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
             for pair in fleet.pairs
             for other in {pair.first, pair.second} - {own}
             if pair.accepted and own in (pair.first, pair.second) and fleet.inputs[other][0] in city_map.part.visits
-        ]
-        if len(fleet.inputs[own]) == 1
-        else [],
+            if fleet.inputs[own] == (number,)
+        ],
         "notes": list(session.notes),
     }
 
