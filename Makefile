@@ -39,7 +39,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	  echo 'missing: the venv module of $(PYTHON); on Debian and Ubuntu: sudo apt install python3-venv'; exit 1; }
 	@echo 'installing into .venv (once) ...'
 	@$(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[pictures]'
+	@# What is imported is compiled then; all modules would take 15 s.
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[pictures]'
 	@touch $@
 
 $(DEVELOPED): $(INSTALLED)

@@ -48,21 +48,25 @@ class Block:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the summary: the group of the ``pattern`` in the output of a block."""
+    """A figure of the summary: the group of the ``pattern`` in the output of a block.
+
+    ``copies``: the row and the column of the same figure over ten copies of the drive, in the block ``copies``.
+    """
 
     drive: str
     name: str
     block: str
     pattern: str
+    copies: tuple[str, str] = ("", "")
 
 
 ATE, ODOMETRY = r"ATE (\S+ m), odometry", r"ATE \S+ m, odometry (\S+ m)"
 PRECISION, RECALL = r"accepted, precision (\S+ %)", r"recall (\S+ % of \d+) revisits"
 FIGURES = (
-    Figure("KITTI 00", "ATE", "kitti00", ATE),
+    Figure("KITTI 00", "ATE", "kitti00", ATE, ("kitti00", "ATE m")),
     Figure("", "ATE of the odometry", "kitti00", ODOMETRY),
-    Figure("", "precision of closures", "kitti00", PRECISION),
-    Figure("", "recall of revisits", "kitti00", RECALL),
+    Figure("", "precision of closures", "kitti00", PRECISION, ("kitti00", "closures precision")),
+    Figure("", "recall of revisits", "kitti00", RECALL, ("kitti00", "closures recall")),
     Figure("", "kidnapped robots found within 40 m, %", "relocalization-kitti00", r"everywhere +\d+ +(\S+)"),
     Figure(
         "",
@@ -70,16 +74,30 @@ FIGURES = (
         "retrieval",
         r"kitti00 \| descriptellation_lr \| \d+ \| (\S+)",
     ),
-    Figure("hamburg", "ATE", "hamburg", ATE),
+    Figure("hamburg", "ATE", "hamburg", ATE, ("hamburg", "ATE m")),
     Figure("", "ATE of the odometry", "hamburg", ODOMETRY),
-    Figure("", "recall of revisits", "hamburg", RECALL),
-    Figure("", "precision of associations", "hamburg", r"associations +precision (\S+ %)"),
+    Figure("", "recall of revisits", "hamburg", RECALL, ("hamburg", "closures recall")),
+    Figure(
+        "",
+        "precision of associations",
+        "hamburg",
+        r"associations +precision (\S+ %)",
+        ("hamburg", "associations precision"),
+    ),
     Figure("three cities", "kidnappings with P(lost) above 0.5 within 15 m", "kidnapping", r"kidnapping: (\d+ of \d+)"),
-    Figure("mrclam6, robot 5", "ATE", "robot5", ATE),
-    Figure("", "precision of associations", "robot5", r"associations +precision (\S+ %)"),
-    Figure("forest evo", "ATE m", "forests", r"evo \| \S+ \| (\S+)"),
-    Figure("forest wild03", "ATE m", "forests", r"wild03 \| \S+ \| (\S+)"),
-    Figure("lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods \| \S+ \| (\S+)"),
+    Figure("mrclam6, robot 5", "ATE", "robot5", ATE, ("robot5", "ATE m")),
+    Figure(
+        "",
+        "precision of associations",
+        "robot5",
+        r"associations +precision (\S+ %)",
+        ("robot5", "associations precision"),
+    ),
+    Figure("forest evo", "ATE m", "forests", r"evo \| \S+ \| (\S+)", ("evo", "ATE m")),
+    Figure("forest wild03", "ATE m", "forests", r"wild03 \| \S+ \| (\S+)", ("wild03", "ATE m")),
+    Figure(
+        "lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods \| \S+ \| (\S+)", ("lost_in_the_woods", "ATE m")
+    ),
     Figure("helsinki, imported", "robots found within 40 m, %", "relocalization-city", r"everywhere +\d+ +(\S+)"),
     Figure(
         "10,000 street trees",
@@ -87,6 +105,7 @@ FIGURES = (
         "recall",
         r"descriptellation_lr \| 10000 of 20 \|[^|]+\| (\S+)",
     ),
+    Figure("demo", "ATE", "demo", ATE, ("demo", "ATE m")),
     Figure("demo, 0.5 s late", "ATE m", "faults", r"time_offset=0.5 [^|]+\| (\S+)"),
 )
 
@@ -163,8 +182,9 @@ def figure_rows(outputs: Mapping[str, Block]) -> Iterator[str]:
     Raises:
         ValueError: the block of a figure does not hold it.
     """
-    yield "| | figure | value | made by |"
-    yield "|---|---|---|---|"
+    copies = table_cells(outputs["copies"].output)
+    yield "| | figure | value | ten copies | made by |"
+    yield "|---|---|---|---|---|"
     for figure in FIGURES:
         block = outputs[figure.block]
         if not block.output:
@@ -174,7 +194,22 @@ def figure_rows(outputs: Mapping[str, Block]) -> Iterator[str]:
             raise ValueError(f"{block.page.name}: the output of {block.name} has no {figure.name} of {figure.drive}")
         commands = block.commands.replace("\\\n", " ").splitlines()
         command = " ".join(next(line for line in reversed(commands) if "dslam " in line).split()[:3])
-        yield f"| {figure.drive} | {figure.name} | {found[1]} | `{command}`, [{block.page.stem}]({block.page.name}) |"
+        cells = (
+            figure.drive,
+            figure.name,
+            found[1],
+            copies.get(figure.copies, ""),
+            f"`{command}`, [{block.page.stem}]({block.page.name})",
+        )
+        yield f"| {' | '.join(cells)} |"
+
+
+def table_cells(output: str) -> dict[tuple[str, str], str]:
+    """The cells of a table in Markdown by row and column; those of the ATE with its extremes."""
+    rows = [[cell.strip() for cell in line.strip("| ").split("|")] for line in output.splitlines() if line[:1] == "|"]
+    cells = {(row[0], heading): cell for row in rows[2:] for heading, cell in zip(rows[0], row, strict=True)}
+    extremes = {key[0]: cell for key, cell in cells.items() if key[1] == "least to greatest"}
+    return {key: f"{cell} ({extremes[key[0]]})" if key[1] == "ATE m" else cell for key, cell in cells.items()}
 
 
 def write_summary() -> None:

@@ -48,10 +48,10 @@ def check_objects(record: Any) -> None:
     _check_text(record, "frame_id")
     labels, tracks = record.labels, record.track_ids
     if not _are_texts(labels):
-        raise _error(record, "labels", "not a tuple of texts; give one for each position")
+        raise _error(record, "labels", "not a tuple of strings; give one for each position")
     count = len(labels)
     if tracks is not None and not (_are_texts(tracks) and len(tracks) == count):
-        raise _error(record, "track_ids", f"not a tuple of {count} texts; give one for each label")
+        raise _error(record, "track_ids", f"not a tuple of {count} strings; give one for each label")
     _check_array(record, "positions", (count, 3))
     _check_array(record, "scores", (count,))
     for name, shape in (("covariances", (count, 3, 3)), ("sizes", (count, 3))):

@@ -154,6 +154,9 @@ def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
     rows = list(results["figure_rows"](blocks))
     assert len(rows) == 2 + sum(bool(blocks[figure.block].output) for figure in results["FIGURES"]) > 2
     assert "\n".join(rows) in (ROOT / "docs/results/README.md").read_text(encoding="utf-8")
+    copies = "| drive | ATE m | least to greatest |\n| --- | ---: | ---: |\n| hamburg | 0.5 ± 0.1 | 0.4 to 0.6 |"
+    with_copies = results["figure_rows"](blocks | {"copies": replace(blocks["copies"], output=copies)})
+    assert next(row for row in with_copies if "| 0.5 ± 0.1 (0.4 to 0.6) |" in row).startswith("| hamburg | ATE |")
     with pytest.raises(ValueError, match="has no ATE of KITTI 00"):
         list(results["figure_rows"](blocks | {"kitti00": replace(blocks["kitti00"], output="nothing")}))
 

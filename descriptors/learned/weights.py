@@ -69,7 +69,7 @@ def read_weights(path: Path) -> Weights:
             text = (file.metadata() or {}).get(_KEY, "")
         return Weights.model_validate_json(text).model_copy(update={"tensors": tensors})
     except (SafetensorError, OSError, TypeError) as error:
-        raise WeightsError(f"{path}: no file of weights: {error}; get it again") from error
+        raise WeightsError(f"{path}: cannot be read as weights: {error}; download or train them again") from error
     except ValidationError as error:
         raise WeightsError(f"{path}: weights of another format: {_first(error)}; train again") from error
 

@@ -112,5 +112,5 @@ def _first(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> str | N
 
 def _whole(values: NDArray[Any], what: str) -> NDArray[np.int64]:
     if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.round(values))).all():
-        raise DatasetError(f"{what} holds numbers that are not whole, so they cannot be labels; rename the field")
+        raise DatasetError(f"{what} holds fractions, which cannot be labels; rename the field")
     return values.astype(np.int64)

@@ -120,7 +120,7 @@ def _scores(table: Table) -> FloatArray:
     if column is None:
         return np.ones(len(table.lines))
     scores = np.nan_to_num(table.optional_numbers(column), nan=1.0)
-    fault = "CELL is not in [0, 1]; scale the scores to that, or rename the column"
+    fault = "CELL is not in [0, 1]; scale the scores to [0, 1], or rename the column"
     table.refuse((scores < 0.0) | (scores > 1.0), column, fault)
     return scores
 

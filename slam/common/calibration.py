@@ -50,7 +50,7 @@ class OdometryCalibration(Branch):
     length_scale: float = Field(default=1.0, gt=0, description="factor on the lengths of the odometry's steps")
     turn_scale: float = Field(default=1.0, gt=0, description="factor on the turns of the odometry about the vertical")
     climb: float = Field(
-        default=0.0, ge=-1, le=1, description="height that each step of the odometry lacks, by its length [m / m]"
+        default=0.0, ge=-1, le=1, description="height missing from each step of the odometry, per length [m / m]"
     )
     sources: int = Field(
         default=1,

@@ -9,12 +9,13 @@ Landmarks differ: one of two signs beside each other has a landmark of its own i
 landmark has a detectability, the factor of that probability, constant in time, whose distribution is estimated from the
 fleet (MacKenzie et al., Occupancy Estimation and Modeling, chapter 4: detection that differs from site to site). So
 landmarks of few among many sessions are not reported as changes. The hazard, too, is estimated from all landmarks,
-by expectation maximisation, so that a fleet in which nothing changes reports no changes.
+by expectation maximisation, so that a fleet in which nothing changes reports no changes. Its iterations add up the
+evidence of each of ``PERIODS`` periods, so that their time does not grow with the number of sessions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,7 @@ DETECTABILITIES = 0.5 ** np.arange(7)
 PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
 """Passes and sightings that a cell is assumed to have had before."""
 ITERATIONS = 12
+PERIODS = 32
 MIN_DAYS = 1.0
 """Sessions of one day are taken to be that far apart."""
 FIRST_CHANGES = 0.1
@@ -108,17 +110,28 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
         probabilities: (L, M) that it would have been seen, if it was there and as well detectable as most.
         stamps_ns: (M,) of the sessions, ascending.
     """
-    days = np.diff(np.array(stamps_ns)).astype(np.float64) / 86_400e9
+    stamps_days = np.array(stamps_ns) / 86_400e9
+    days = np.diff(stamps_days)
     span = max(float(days.sum()), MIN_DAYS)
     hazard = FIRST_CHANGES / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
+    begins = np.unique(np.linspace(0, len(stamps_days), PERIODS, endpoint=False).astype(np.int64))
+    of_periods = [np.add.reduceat(each, begins, axis=1) for each in _log_ratios(seen, probabilities)]
+    between = np.diff(stamps_days[begins])
     for _ in range(ITERATIONS):
-        states, shares = _average(seen, probabilities, days, hazard, weights)
-        there_days = states[:, :-1, PRESENT] @ days
+        states, shares = _average(of_periods, between, hazard, weights)
+        there_days = states[:, :-1, PRESENT] @ between
         hazard = (0.5 * float(_changed(states).sum()) + FIRST_CHANGES) / (float(there_days.sum()) + span)
         weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
-    states, shares = _average(seen, probabilities, days, hazard, weights)
+    states, shares = _average(_log_ratios(seen, probabilities), days, hazard, weights)
     return Presence(states, shares @ DETECTABILITIES, hazard)
+
+
+def _log_ratios(seen: BoolArray, probabilities: FloatArray) -> Iterator[FloatArray]:
+    """Log-likelihood ratios (L, M) of there against not there, one array for each detectability."""
+    for detectability in DETECTABILITIES.tolist():
+        detected = detectability * probabilities
+        yield np.log(np.where(seen, detected / FALSE_SIGHTING, 1.0 - detected))
 
 
 def _changed(states: FloatArray) -> FloatArray:
@@ -128,31 +141,32 @@ def _changed(states: FloatArray) -> FloatArray:
 
 
 def _average(
-    seen: BoolArray, probabilities: FloatArray, days: FloatArray, hazard: float, weights: FloatArray
+    log_ratios: Iterable[FloatArray], days: FloatArray, hazard: float, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Posterior of the states (L, M, 3) and of the detectabilities (L, D).
 
     Args:
-        seen, probabilities: as for :func:`estimate_presence`.
+        log_ratios: (L, M) for each of D detectabilities.
         days: (M - 1,) between sessions.
         hazard: of either change, a day.
         weights: (D,) prior of the detectabilities.
     """
-    states = np.zeros((*seen.shape, 3))
-    absent = np.where(seen, FALSE_SIGHTING, 1.0)
-    log_shares, total = np.zeros((len(seen), len(weights))), np.full(len(seen), -np.inf)
+    log_shares = list[FloatArray]()
+    states, total = np.zeros(1), np.full(1, -np.inf)
     # A running average, as all posteriors at once would take much memory.
-    for k, (detectability, weight) in enumerate(zip(DETECTABILITIES.tolist(), weights.tolist(), strict=True)):
-        there = np.where(seen, detectability * probabilities, 1.0 - detectability * probabilities)
-        given, log_evidence = _smooth(np.stack([absent, there, absent], axis=2), days, hazard)
-        log_shares[:, k] = log_evidence + np.log(weight)
-        total = np.logaddexp(total, log_shares[:, k])
-        states += np.exp(log_shares[:, k] - total)[:, None, None] * (given - states)
-    return states, np.exp(log_shares - total[:, None])
+    for each, weight in zip(log_ratios, weights.tolist(), strict=True):
+        given, log_evidence = _smooth(each, days, hazard)
+        log_shares.append(log_evidence + np.log(weight))
+        total = np.logaddexp(total, log_shares[-1])
+        states = states + np.exp(log_shares[-1] - total)[:, None, None] * (given - states)
+    return states, np.exp(np.column_stack(log_shares) - total[:, None])
 
 
-def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray]:
-    """Posterior (L, M, 3) of the states by their likelihoods (L, M, 3), and log evidence (L,)."""
+def _smooth(log_ratios: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray]:
+    """Posterior (L, M, 3) of the states by log-likelihood ratios (L, M), and log evidence (L,) against never there."""
+    scales = np.maximum(log_ratios, 0.0)
+    absent = np.exp(-scales)
+    likelihoods = np.stack([absent, np.exp(log_ratios - scales), absent], axis=2)
     # A landmark that appears does so at any time: by the last session each has been present once.
     left = np.cumsum(days[::-1])[::-1]
     steps = [
@@ -160,7 +174,7 @@ def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[F
         for each, rest in zip(days.tolist(), left.tolist(), strict=True)
     ]
     begins = -np.expm1(-hazard * float(days.sum()))
-    forward, log_evidence = np.zeros_like(likelihoods), np.zeros(len(likelihoods))
+    forward, log_evidence = np.zeros_like(likelihoods), scales.sum(axis=1)
     predicted = np.array([begins, 1.0 - begins, 0.0])
     for k in range(likelihoods.shape[1]):
         forward[:, k] = (forward[:, k - 1] @ steps[k - 1] if k else predicted) * likelihoods[:, k]

@@ -102,6 +102,7 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
             for pair in fleet.pairs
             for other in {pair.first, pair.second} - {own}
             if pair.accepted and own in (pair.first, pair.second) and fleet.inputs[other][0] in city_map.part.visits
+            if fleet.inputs[own] == (number,)
         ],
         "notes": list(session.notes),
     }
@@ -115,8 +116,8 @@ def _why_alone(fleet: Fleet, own: int) -> str:
     best = max(pairs, key=lambda pair: pair.log_odds)
     other = _name(fleet, best.first + best.second - own)
     if best.accepted:
-        return f"its joins contradict those of other logs; the best was with {other}"
-    return f"the best was with {other}: {best.reason}"
+        return f"its joins contradict those of other logs; the best match was {other}"
+    return f"the best match was {other}: {best.reason}"
 
 
 def _name(fleet: Fleet, rank: int) -> str:

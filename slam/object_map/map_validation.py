@@ -59,7 +59,7 @@ def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
     is_normalised = np.abs(probabilities.sum(axis=1) - 1.0) <= ROUNDING
     faults = {
         "is not confirmed": np.array([state != "confirmed" for state in objects.states]),
-        "has a place that is not finite": ~np.isfinite(objects.positions).all(axis=1),
+        "has a position that is not finite": ~np.isfinite(objects.positions).all(axis=1),
         "has a matrix that is not a covariance": ~_are_covariances(objects.covariances),
         "has class probabilities that do not sum to 1": ~is_normalised | (probabilities < 0.0).any(axis=1),
         "was never seen": objects.observation_counts < 1,

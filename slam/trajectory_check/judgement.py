@@ -45,10 +45,10 @@ class TrajectoryCheck:
         if not self.gains:
             return "cannot tell which trajectory is the best: no place was recognisably seen on two visits"
         gains = ", ".join(f"{name} {gain:.2f}" for name, gain in self.gains.items())
-        better = (
-            f"the {self.better} is better than the final one" if self.better else "none is better than the final one"
+        return (
+            f"{f'the {self.better}' if self.better else 'none'} is significantly better than the final one; by the "
+            f"prediction of detections on other visits, in nats per detection against chance: {gains}"
         )
-        return f"{better}; nats by which each predicts a detection on another visit: {gains}"
 
 
 def check_trajectories(

@@ -152,7 +152,7 @@ CASES = {
     "a table by another clock": table("give both by one clock", TABLE.replace("\n", "\n17").removesuffix("17"), code=2),
     "degrees for metres": table("no column for x among stamp_s, lat, lon", TABLE.replace("x_m,y_m", "lat,lon"), code=2),
     "scores in percent": table(
-        "95 is not in [0, 1]; scale the scores to that", TABLE.replace("label", "score").replace("tree", "95"), code=2
+        "95 is not in [0, 1]; scale the scores to [0, 1]", TABLE.replace("label", "score").replace("tree", "95"), code=2
     ),
     "a map in metres": places("origin unknown: give --origin", MAP),
     "a map in degrees": places("origin at latitude 60.1", PLACES),

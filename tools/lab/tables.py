@@ -31,8 +31,15 @@ def percent(share: float | None, digits: int = 1) -> str:
 
 
 def rows_of(comparison: Comparison) -> list[dict[str, str]]:
-    """A row for each group of runs, with some of the figures."""
+    """A row for each group of runs, with some of the figures, and the extremes of the ATE."""
+    from slam.evaluation.comparison import spread_of
+    from slam.evaluation.report.figures import HEADLINE_FIGURES
+
     table = comparison.to_table().T.reindex(columns=list(COMPARED)).astype(object).fillna(UNDEFINED)
+    ate = next(figure for figure in HEADLINE_FIGURES if figure.heading == COMPARED[0])
+    spreads = [spread_of(ate, runs) for runs in comparison.groups.values()]
+    extremes = [[number(value, ate.digits) for value in (each.least, each.greatest)] for each in spreads]
+    table.insert(1, "least to greatest", [" to ".join(each) for each in extremes])
     return [{"runs": str(name)} | row for name, row in table.to_dict("index").items()]
 
 

@@ -26,15 +26,17 @@ def percentile(values: Iterable[float | None], percent: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean and standard deviation (of a sample, with n - 1) of ``count`` values of ``run_count`` runs.
+    """Mean and standard deviation (of a sample, with n - 1) of ``count`` values of ``run_count`` runs, and extremes.
 
-    The mean of nothing, and the deviation of fewer than two, is None.
+    The mean and the extremes of nothing, and the deviation of fewer than two, are None.
     """
 
     mean: float | None
     standard_deviation: float | None
     count: int
     run_count: int
+    least: float | None
+    greatest: float | None
 
     @staticmethod
     def over(values: Iterable[float | None]) -> Spread:
@@ -42,7 +44,9 @@ class Spread:
         every = list(values)
         defined = [value for value in every if value is not None]
         mean = fmean(defined) if defined else None
-        return Spread(mean, stdev(defined) if len(defined) > 1 else None, len(defined), len(every))
+        deviation = stdev(defined) if len(defined) > 1 else None
+        extremes = min(defined, default=None), max(defined, default=None)
+        return Spread(mean, deviation, len(defined), len(every), *extremes)
 
     def text(self, digits: int) -> str:
         """ "1.27 ± 0.03"; with the number of runs in which it is defined, where that is not all."""

@@ -21,7 +21,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
 
     A closure joins the estimated positions of its two keyframes. Without a final trajectory the online poses are drawn.
     Truth that could not be aligned is left out. Paths are broken, by a row of NaN, at discontinuities of the odometry.
-    The robot is marked as lost where it lost its place, not at its start in a given map.
+    The robot is marked as lost where it lost its place: before the discontinuity, not at its start in a given map.
     """
     estimate = estimated_path(records)
     errors = evaluation.estimate or evaluation.online
@@ -34,7 +34,8 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
         else []
     )
     losses = evaluation.results["relocalization"].get("losses", ())
-    lost_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
+    noticed_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
+    lost_ns = [max((first for first in spans_ns[:, 0].tolist() if first < at), default=at) for at in noticed_ns]
     found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]
     return MapPicture(
         estimate=_broken(estimate.stamps_ns, estimate.positions, spans_ns),

@@ -40,6 +40,7 @@ class TestSpread:
         spread = Spread.over(values.tolist())
         assert spread.mean == pytest.approx(values.mean())
         assert spread.standard_deviation == pytest.approx(values.std(ddof=1))
+        assert (spread.least, spread.greatest) == (values.min(), values.max())
 
     def test_undefined_values_are_left_out_and_counted(self) -> None:
         spread = Spread.over([1.0, None, 3.0])
@@ -47,8 +48,8 @@ class TestSpread:
         assert spread.text(1) == "2.0 ± 1.4 (2 of 3)"
 
     def test_of_one_and_of_nothing(self) -> None:
-        assert Spread.over([0.25]) == Spread(0.25, None, 1, 1)
-        assert Spread.over([None]) == Spread(None, None, 0, 1)
+        assert Spread.over([0.25]) == Spread(0.25, None, 1, 1, 0.25, 0.25)
+        assert Spread.over([None]) == Spread(None, None, 0, 1, None, None)
         assert (Spread.over([0.25]).text(2), Spread.over([]).text(2)) == ("0.25", "–")
 
     def test_equal_values_have_none(self) -> None:

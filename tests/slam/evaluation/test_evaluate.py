@@ -195,6 +195,19 @@ def test_the_picture_is_in_the_map_frame() -> None:
     assert len(bare.estimate) == len(bare.truth) == len(bare.closures) == 0
 
 
+def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_noticed() -> None:
+    at = stamps(COUNT).tolist()
+    lost, found = StatusRecord(at[110], "LOST", "warning", ""), StatusRecord(at[120], "RELOCALIZED", "info", "")
+    records = collect_records([*made_log(), ("/slam/status", lost), ("/slam/status", found)])
+    assert records.graph is not None
+    kept = records.graph.keyframe_ids[50:52].reshape(1, 2)
+    jump = {"edge_transforms": np.eye(4)[None], "edge_covariances": np.eye(6)[None], "edge_kinds": ("discontinuity",)}
+    records = replace(records, graph=replace(records.graph, edge_keyframe_ids=kept, **jump))
+    picture = compose_picture(records, evaluate(records))
+    np.testing.assert_allclose(picture.lost[0], records.final_path.positions[100], atol=1e-9)
+    np.testing.assert_allclose(picture.found[0], records.final_path.positions[120], atol=1e-9)
+
+
 def test_odometry_is_taken_from_where_the_replay_took_it(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with LogWriter(path) as writer:

@@ -136,9 +136,12 @@ def test_objects_that_cannot_be_registered_are_weighed_where_they_are():
     np.testing.assert_array_equal(scene.verifier.unregistered(query, far), 0.0)
 
 
-def test_fewer_pairs_than_make_a_pose_are_refused():
-    assert "2 pairs" in Scene(scattered(2)).refusal() or "fewer" in Scene(scattered(2)).refusal()
-    assert len(Scene(scattered(3)).verified().pairs) == 3
+@pytest.mark.parametrize("seen", [2, 3, 5])
+def test_three_objects_make_a_pose_or_all_of_a_query_of_two(seen):
+    scene = Scene(scattered(seen))
+    assert len(scene.verified().pairs) == seen
+    scene.landmarks.reference = scene.landmarks.reference.of(np.arange(min(seen, 3) - 1))
+    assert "fewer" in scene.refusal() or "a heading needs two" in scene.refusal()
 
 
 def beside(lateral_m: float) -> tuple[Scene, Place]:
