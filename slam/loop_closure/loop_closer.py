@@ -197,13 +197,15 @@ class LoopCloser:
         Returns the records of the revoked closures, and whether the robot was kidnapped; see
         :meth:`slam.loop_closure.accepted_closures.AcceptedClosures.revoke_since`.
         """
-        revoked = self.closures.revoke_since(keyframe, since)
+        revoked, is_kidnapped = self.closures.revoke_since(keyframe, since)
+        if is_kidnapped:
+            self._track.lose_since(since)
         self.lost_since_keyframe = None
         self._looked_up = None
         self._continuity.restart()
         self._propagation.reset()
         self._acceptance.reset()
-        return revoked
+        return revoked, is_kidnapped
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe, self._calibration)

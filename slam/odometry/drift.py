@@ -50,6 +50,10 @@ class KeyframeTrack:
         self._latest = pose
         self._size += 1
 
+    def lose_since(self, first: int) -> None:
+        """The keyframes from ``first`` on are near no place: where they are is not known."""
+        self._rows["position_local"][first : self._size] = np.inf
+
     def nearest(
         self, position_local: FloatArray, *, segment: int, from_m: float, to_m: float
     ) -> tuple[int, float] | None:
@@ -65,7 +69,7 @@ class KeyframeTrack:
         offsets = rows["position_local"][first:last, :2] - position_local[:2]
         squares = np.einsum("ij,ij->i", offsets, offsets)
         best = int(np.argmin(squares))
-        return int(first) + best, float(np.sqrt(squares[best]))
+        return (int(first) + best, float(np.sqrt(squares[best]))) if np.isfinite(squares[best]) else None
 
     def drift_sigmas(self, first: int, last: int) -> tuple[float, float]:
         """Standard deviations of the place [m, each coordinate] and the heading [rad] of keyframe ``last`` as seen from

@@ -18,6 +18,7 @@ from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
 from slam.object_map.submap import Submap
+from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
@@ -131,10 +132,12 @@ class Parts(Patterns):
         self.recognised.append(candidate.query.id)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
-        return [], True
+        return [], self.was_kidnapped
 
     def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
         return log_likelihood_ratio < -10.0
+
+    was_kidnapped = True
 
     # Continuity monitor.
     memory_m = 60.0
@@ -456,6 +459,15 @@ def test_a_kidnapping_by_the_landmarks_in_view_loses_the_robot(parts):
     (record,) = drive.close(FIRST)
     assert record.reason.startswith("kidnapped")
     assert drive.closer.lost_since_keyframe == 3
+
+
+def test_no_closure_leads_to_a_keyframe_between_a_kidnapping_and_its_detection(parts, monkeypatch):
+    drive = Drive(parts)
+    lost = list[int]()
+    monkeypatch.setattr(KeyframeTrack, "lose_since", lambda track, first: lost.append(first))
+    for parts.was_kidnapped in (False, True):
+        drive.closer.declare_lost(drive.keyframes[-1], 3)
+    assert lost == [3]
 
 
 def test_who_was_lost_follows_no_closure_and_no_hypothesis_from_before(parts):

@@ -142,3 +142,15 @@ def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
     assert track.nearest(place, segment=2, **everywhere) is None
     assert track.nearest(place, segment=0, from_m=9.0, to_m=np.inf)[0] == 5
     assert track.nearest(place, segment=1, from_m=-np.inf, to_m=24.0)[0] == 11
+
+
+def test_keyframes_of_unknown_place_are_nearest_to_no_place():
+    track = track_of(OdometryCalibration())
+    everywhere = {"segment": 0, "from_m": -np.inf, "to_m": np.inf}
+    place = winding_path()[0][-1]
+    last, _ = track.nearest(place, **everywhere)
+    track.lose_since(last)
+    before, _ = track.nearest(place, **everywhere)
+    assert before < last
+    track.lose_since(0)
+    assert track.nearest(place, **everywhere) is None
