@@ -119,7 +119,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
         tracks = objects_among(follow_objects(scans, motion.headings)) if len(scans) > 1 else None
         found = estimate_corrections(tracks, motion) if tracks is not None else ()
-        change = _first_change(found, corrected, known.with_values(corrected), given)
+        change = _first_change(found, corrected, known.with_values(corrected), given, scans)
         if not change:
             break
         delay_s += change.pop("delay_s", 0.0)
@@ -145,7 +145,11 @@ def _is_large(correction: Correction) -> bool:
 
 
 def _first_change(
-    found: tuple[Correction, ...], corrected: Mapping[str, float], now: Calibration, given: Calibration
+    found: tuple[Correction, ...],
+    corrected: Mapping[str, float],
+    now: Calibration,
+    given: Calibration,
+    scans: Sequence[SurveyScan],
 ) -> dict[str, float]:
     """The values that change by the first of the corrections that is earned, large enough, and not given by hand.
 
@@ -166,7 +170,10 @@ def _first_change(
             # Where a camera looks ahead only, a bias of its ranges looks like a shift.
             bias_m = sum(abs(other.value) for other in found if other.term == "near_m")
             if abs(each.value) > bias_m:
-                return {key: _value(each, now)}
+                shift_m = _value(each, now)
+                # No body is so large by what its sensor sees.
+                is_possible = abs(shift_m) < MAX_SHARE * np.quantile(_ranges_m(scans), RANGE_QUANTILE)
+                return {key: shift_m} if is_possible else {}
         is_climb = each.term == "climb_share" and each.is_sure and each.is_significant
         if is_climb and abs(each.value) > MIN_REST and not given.is_given(key):
             climb = _value(each, now)
@@ -238,6 +245,11 @@ def _label_noise(logs: Sequence[SurveyedLog], known: Calibration) -> LabelNoise:
     return estimate_label_noise(scans, motion.headings) if len(scans) > 1 else LabelNoise()
 
 
+def _ranges_m(scans: Sequence[SurveyScan]) -> FloatArray:
+    """Horizontal distances (N,) m of all objects of all scans."""
+    return np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
+
+
 def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Survey:
     """The survey of scans (at least one), in the order of their stamps; ``tracks``: of their objects, if known."""
     poses = np.stack([scan.T_odom_body for scan in scans])
@@ -249,7 +261,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         stamps_s,
         poses[:, 2, 3],
     )
-    ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
+    ranges = _ranges_m(scans)
     tracks = tracks or objects_among(follow_objects(scans, headings))
     biases = centroid_biases(tracks)
     median_range_m = float(np.median(ranges))
