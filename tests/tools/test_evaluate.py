@@ -110,7 +110,7 @@ class TestSweep:
         result = dslam(*command, *variant)
         assert (result.code, result.err) == (0, "")
         assert "2 drives mapped, 0 mapped before" in result.out
-        assert "faults=dropout=0.5 (1 runs)" in " ".join(result.out.split())
+        assert all(part in result.out for part in ("faults=dropout=0.5", "(1 runs)", "least to greatest"))
         again = dslam(*command, *variant, "--json", "--require", "trajectory.ate_m<=0")
         assert again.code == 1
         assert "dropout=0.5, seed 0: trajectory.ate_m is" in again.err
