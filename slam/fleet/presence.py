@@ -36,6 +36,7 @@ PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
 """Passes and sightings that a cell is assumed to have had before."""
 ITERATIONS = 12
 PERIODS = 32
+"""Groups of sessions whose evidence is added up while the hazard is estimated: it needs no finer times."""
 MIN_DAYS = 1.0
 """Sessions of one day are taken to be that far apart."""
 FIRST_CHANGES = 0.1

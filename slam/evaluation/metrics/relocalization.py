@@ -25,7 +25,7 @@ Method = Literal["closure", "map", "trajectory"]
 Span = tuple[int, int | None]
 """Stamps [ns] at which a robot was lost, and at which it knew again where it is; None if it never did."""
 FixError = tuple[float, float] | None
-"""Metres, and degrees of the whole angle of rotation, of a fix; None where there is none or no truth of it."""
+"""Position error [m] and rotation error [deg] of a fix; None without a fix, or without a true pose at its time."""
 
 
 def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> FloatArray:
@@ -186,7 +186,7 @@ def measure_by_poses(
     T_world_map: FloatArray | None,
     protocol: Protocol,
 ) -> list[FixError]:
-    """Errors of the first pose at or after each fix, transformed by ``T_world_map`` (4, 4); without it there are none.
+    """Errors of the first pose at or after each fix, transformed by ``T_world_map`` (4, 4); None for all without it.
 
     Args:
         poses: as they were at their time.

@@ -28,7 +28,7 @@ def percentile(values: Iterable[float | None], percent: float) -> float | None:
 class Spread:
     """Mean and standard deviation (of a sample, with n - 1) of ``count`` values of ``run_count`` runs, and extremes.
 
-    The mean and the extremes of nothing, and the deviation of fewer than two, are None.
+    Without values, the mean and the extremes are None; with fewer than two, the deviation is None.
     """
 
     mean: float | None

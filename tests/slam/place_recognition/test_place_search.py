@@ -132,3 +132,18 @@ def test_class_without_objects_meets_nothing() -> None:
     mixed = np.where(rng.random(len(rows)) < 0.5, 2, 0)
     poses = search.find_poses(query(seen, mixed), count=5)
     assert np.isfinite(poses).all()
+
+
+def test_pose_voted_for_beside_the_right_one_is_fitted_until_it_is_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    positions, labels = town()
+    search = searched(positions, labels)
+    rng = np.random.default_rng(3)
+    errors_m = []
+    for _ in range(10):
+        centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
+        seen, rows, T_gt = observed(positions, centre, rng, missing=0.0, clutter=0)
+        T_beside = T_gt @ transform_from_xyz_yaw(np.array([1.4, 1.0, 0.0]), 0.05)
+        monkeypatch.setattr("slam.place_recognition.place_search.vote_for_poses", lambda *_, T=T_beside, **__: T[None])
+        (fitted,) = search.find_poses(query(seen, labels[rows]), map_sigma_m=SIGMA_M, count=1)
+        errors_m.append(float(np.linalg.norm((fitted - T_gt)[:2, 3])))
+    assert max(errors_m) < 0.3
