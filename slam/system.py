@@ -41,7 +41,7 @@ from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior
 from slam.localization.pose_output import PoseOutput
 from slam.localization.prior_map import PriorMap, relocalizations, restore_prior_map, with_heights_of
-from slam.localization.state import Fix, LocalizationState, State
+from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.calibrated_odometry import CalibratedOdometry
@@ -240,11 +240,14 @@ class Slam:
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
-        closures = self._close_loops(keyframe)
-        if self._closer.lost_since_keyframe is not None:
-            closures += self._declare_lost(keyframe, self._closer.lost_since_keyframe)
+        closures, began = self._close_loops(keyframe), DISCONTINUITY if breaks else ""
+        if self._closer.lost_after_m is not None:
+            revoked, is_kidnapped = self._declare_lost(keyframe, self._closer.lost_after_m)
+            closures += revoked
+            began = KIDNAPPED if is_kidnapped else began
+            keyframe = self._mapper.keyframes[-1]
         self._output.place(pose, self._graph.pose(keyframe.id))
-        changes = self._change_state(keyframe, breaks=breaks)
+        changes = self._change_state(keyframe, began)
         found = relocalizations(closures, self._graph, self._first_keyframe)
         self.counters["keyframes_recognised"] += len(found)
         updates: list[Record] = [*closures, *changes, *found]
@@ -261,24 +264,31 @@ class Slam:
             updates.append(self._status(self.state, "first odometry", level="info"))
         return updates
 
-    def _declare_lost(self, keyframe: Keyframe, since: int) -> list[LoopClosureRecord]:
-        """Revoke a false relocalization, or begin a new segment after a kidnapping, from the keyframe ``since`` on."""
-        first = self._mapper.keyframes[since]
-        revoked, is_kidnapped = self._closer.declare_lost(keyframe, since)
+    def _declare_lost(self, keyframe: Keyframe, after_m: float) -> tuple[list[LoopClosureRecord], bool]:
+        """Revoke a false relocalization, or let a new segment begin after a kidnapping, at a travel ``after_m``.
+
+        Returns the records of the revoked closures, and whether the robot was kidnapped.
+        """
+        first = next(
+            each
+            for each in self._mapper.keyframes
+            if each.odometry.segment == keyframe.odometry.segment
+            and (each.odometry.travel_m > after_m or each is keyframe)
+        )
+        revoked, is_kidnapped = self._closer.declare_lost(keyframe, first.id)
         if is_kidnapped:
             self.counters["kidnappings_detected"] += 1
-            self._mapper.retire_since(first)
-            self._frontend.break_off()
-            self._localization.declare_kidnapped()
+            self._path.break_at(self._frontend.break_after(after_m, first))
+            self._closer.begin_segment(first.id)
         else:
             self.counters["relocalizations_revoked"] += 1
-        return revoked
+        return revoked, is_kidnapped
 
-    def _change_state(self, keyframe: Keyframe, *, breaks: bool) -> list[Record]:
-        if breaks:
+    def _change_state(self, keyframe: Keyframe, began: str) -> list[Record]:
+        if began == DISCONTINUITY:
             self.counters["odometry_breaks"] += 1
         is_localized = self._closer.closures.is_localized(keyframe)
-        changes = self._localization.update(keyframe, is_localized=is_localized, breaks=breaks)
+        changes = self._localization.update(keyframe, is_localized=is_localized, began=began)
         if any(change.state == State.RELOCALIZED for change in changes):
             self.counters["relocalizations"] += 1
         return [self._status(change.state, change.message, level=change.level) for change in changes]

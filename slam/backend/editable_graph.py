@@ -14,6 +14,7 @@ from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import (
     PRIOR_SIGMA_RANGES,
     Edge,
+    EdgeKind,
     Factor,
     LandmarkPrior,
     Observation,
@@ -127,6 +128,18 @@ class EditableGraph:
         seen = [self._attached.observation(each) for each in observations]
         factors, positions = self._observation_factors(seen), self._positions_map(seen)
         self._insert([self._number(each) for each in seen], factors, positions)
+
+    def break_before(self, edge: Edge) -> None:
+        """Replace the odometry to a keyframe by an edge, and remove what was observed from there on."""
+        self._remove(
+            [
+                number
+                for number, each in self._factors.items()
+                if (isinstance(each, Observation) and each.keyframe >= edge.to_keyframe)
+                or (isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY and each.to_keyframe == edge.to_keyframe)
+            ]
+        )
+        self._add(edge)
 
     def remove_factor(self, number: int) -> None:
         """Remove a factor, and landmarks without any other observation."""

@@ -72,10 +72,10 @@ class ActiveLandmarks:
         """(4, 4) by which the landmarks correct the odometry now."""
         return np.asarray(self.T_local_body @ invert(self.T_odom_body))
 
-    def restart(self, pose: OdometryPose) -> None:
-        """Restart at a pose, without landmarks."""
-        self._local.start(pose.T_odom_body)
-        self._pose = pose
+    def restart(self, pose: OdometryPose | None = None) -> None:
+        """Restart at a pose, or where the body is, without landmarks."""
+        self._pose = pose or self._pose
+        self._local.start(self.T_odom_body)
 
     def advance(self, pose: OdometryPose, *, is_guess: bool = False) -> FloatArray:
         """Follow the odometry, or a guess, to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""

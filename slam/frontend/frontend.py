@@ -20,6 +20,7 @@ from slam.frontend.input.scan_queue import ScanQueue
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked
+from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
@@ -72,10 +73,13 @@ class Frontend:
         """The pose of the track at a time, as it is corrected by now."""
         return self._track.at(stamp_ns)
 
-    def break_off(self) -> None:
-        """Begin a new segment at the next pose: the robot was kidnapped."""
-        self._track.break_off()
-        self._is_broken = True
+    def break_after(self, travel_m: float, first: Keyframe) -> int:
+        """Let a new segment begin after that travel, with the keyframe ``first``: the robot was kidnapped; returns the
+        stamp [ns] of the first pose of the segment.
+        """
+        self._mapper.break_at(first)
+        self._untold = []
+        return self._track.break_after(travel_m, before_ns=first.odometry.stamp_ns)
 
     def advance(self) -> Iterator[OdometryPose | DetectionAssociations]:
         """Place the waiting scans up to the newest odometry.

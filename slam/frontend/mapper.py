@@ -7,6 +7,7 @@ the last one to the factor graph (map frame).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +136,7 @@ class Mapper:
                 stamp_ns=scan.stamp_ns,
                 scan=self._scan_count,
                 travel_m=pose.travel_m,
-                segment=pose.segment,
+                segment=self.keyframes[-1].odometry.segment,
             )
             self._active.add(rows[new])
         used = known | new
@@ -148,15 +149,25 @@ class Mapper:
         rows = rows[~np.isin(rows, list(self._map.aliases.values()))]
         self._retire(rows, RetirementReason.GONE)
 
-    def retire_since(self, keyframe: Keyframe) -> None:
-        """Retire landmarks first observed after a keyframe, on its segment: their positions are wrong."""
+    def break_at(self, first: Keyframe) -> None:
+        """Let a new segment begin with a keyframe. Landmarks first observed on it so far are retired, as others that
+        are wrongly taken to be around have moved them, and observations from its keyframes are removed.
+        """
         landmarks = self._map.rows
         rows = np.flatnonzero(
-            (landmarks["first_seen_ns"] >= keyframe.odometry.stamp_ns)
-            & (landmarks["segment"] == keyframe.odometry.segment)
+            (landmarks["first_seen_ns"] >= first.odometry.stamp_ns)
+            & (landmarks["segment"] == first.odometry.segment)
             & (landmarks["state"] != LandmarkState.RETIRED)
         )
         self._retire(rows, RetirementReason.CONTRADICTED)
+        self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
+        self._active.restart()
+        self.tracker.restart()
+        self._pending = PendingObservations(self._config, self._map)
+        for keyframe in self.keyframes[first.id :]:
+            pose = replace(keyframe.odometry, segment=keyframe.odometry.segment + 1)
+            self.keyframes[keyframe.id] = replace(keyframe, odometry=pose, T_local_body=pose.T_odom_body)
+        self._graph.break_before(_odometry_edge(self.keyframes[first.id - 1], self.keyframes[first.id], self._config))
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""

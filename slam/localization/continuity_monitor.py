@@ -111,8 +111,8 @@ class ContinuityMonitor:
         """Forget the keyframes."""
         self._steps.clear()
 
-    def update(self, keyframe: Keyframe, landmarks: RecentLandmarks) -> Keyframe | None:
-        """Add a keyframe; returns the first keyframe after the kidnapping, or None if there was none.
+    def update(self, keyframe: Keyframe, landmarks: RecentLandmarks) -> float | None:
+        """Add a keyframe; returns the travel [m] after which the robot was kidnapped, or None if it was not.
 
         Args:
             keyframe: the newest.
@@ -140,8 +140,7 @@ class ContinuityMonitor:
         new = (landmarks.first_seen_m > times_m[:, None]).sum(axis=1)
         noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= LEAST_LANDMARKS))
         if len(noticed):
-            time_m = times_m[noticed[np.argmax(llrs[noticed])]]
-            return next(step.keyframe for step in self._steps if step.travel_m > time_m)
+            return float(times_m[noticed[np.argmax(llrs[noticed])]])
         if llrs.max() <= 0.0:  # else it might learn from the kidnapping that landmarks are missed
             self._learn(landmarks, sides)
         return None

@@ -15,6 +15,8 @@ is replaced by what follows.
 OF_ONE_MAP = (DetectionAssociations, LoopClosureRecord, RelocalizationRecord)
 """Records that name landmarks or keyframes of a map."""
 CONTRADICTED = "localization lost: observations are inconsistent with the map"
+DISCONTINUITY, KIDNAPPED = "odometry discontinuity (jump, gap or restart)", "kidnapped"
+"""Why a segment begins."""
 
 
 class State(StrEnum):
@@ -51,22 +53,17 @@ class LocalizationState:
 
     def __init__(self, *, has_prior_map: bool) -> None:
         self._localized = State.TRACKING if has_prior_map else State.MAPPING
-        self._is_kidnapped = False
         self.state = State.LOST if has_prior_map else State.MAPPING
         self.fixes: list[Fix] = []
 
-    def declare_kidnapped(self) -> None:
-        """Name that as the cause of the next break of the odometry."""
-        self._is_kidnapped = True
-
-    def update(self, keyframe: Keyframe, *, is_localized: bool, breaks: bool) -> list[StateChange]:
-        """Follow to the newest keyframe; ``breaks``: it begins a segment of the odometry. Returns what changed."""
-        why_lost = self._why_lost() if breaks else ""
+    def update(self, keyframe: Keyframe, *, is_localized: bool, began: str = "") -> list[StateChange]:
+        """Follow to the newest keyframe; ``began``: why a segment begins there or before. Returns what changed."""
         if not is_localized:
             was_lost, self.state = self.state == State.LOST, State.LOST
-            if was_lost and not why_lost:
+            if was_lost and not began:
                 return []
-            return [StateChange(self.state, why_lost or CONTRADICTED, "warning")]
+            message = f"{began}: active landmarks dropped" if began else CONTRADICTED
+            return [StateChange(self.state, message, "warning")]
         if self.state != State.LOST:
             return []
         self.fixes.append(Fix(keyframe.odometry.stamp_ns, keyframe.odometry.travel_m))
@@ -75,8 +72,3 @@ class LocalizationState:
             StateChange(State.RELOCALIZED, "relocalized in the map", "info"),
             StateChange(self.state, "localization continues", "info"),
         ]
-
-    def _why_lost(self) -> str:
-        cause = "kidnapped" if self._is_kidnapped else "odometry discontinuity (jump, gap or restart)"
-        self._is_kidnapped = False
-        return f"{cause}: active landmarks dropped"

@@ -70,12 +70,12 @@ class LoopCloser:
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
         self.initial_pose: InitialPose | None = None
         """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
-        self.lost_since_keyframe: int | None = None
-        """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
+        self.lost_after_m: float | None = None
+        """Travel after which the robot is inconsistent with the map, once it is lost; None while it is not."""
         self._looked_up: Query | None = None
         self._rejected_by_odometry: set[int] = set()
         self._acceptance = Acceptance(config, self._verifier)
-        self._propagation = Propagation(config, self._verifier, self._acceptance, object_map, keyframes)
+        self._propagation = Propagation(config, self._verifier, self._acceptance, object_map)
 
     @property
     def rejected_by_odometry_count(self) -> int:
@@ -97,16 +97,15 @@ class LoopCloser:
         self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
         seen = recent_landmarks(self._map, keyframe.odometry, self._continuity.memory_m)
-        first_after = self._continuity.update(keyframe, seen)
-        if first_after is not None:
-            self.lost_since_keyframe = first_after.id
+        self.lost_after_m = self._continuity.update(keyframe, seen)
+        if self.lost_after_m is not None:
             return [query.refusal(Stage.CONSISTENCY, "kidnapped: other landmarks are in view than a moment ago")]
         if self._verifier.latest_m(query) < self._keyframes[0].odometry.travel_m:
             return []
         # 1. Near an accepted closure the pose is predicted, and only verified.
         predicted = self._propagation.predict(query)
         if self._has_prior_map and self._propagation.is_contradicted(query, predicted):
-            self.lost_since_keyframe = self._propagation.contradicted_since(query).id
+            self.lost_after_m = query.travel_m - self._sensor_range_m
             return [query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")]
         propagated = self._propagation.confirmed(predicted)
         if propagated is not None:
@@ -198,14 +197,16 @@ class LoopCloser:
         :meth:`slam.loop_closure.accepted_closures.AcceptedClosures.revoke_since`.
         """
         revoked, is_kidnapped = self.closures.revoke_since(keyframe, since)
-        if is_kidnapped:
-            self._track.lose_since(since)
-        self.lost_since_keyframe = None
+        self.lost_after_m = None
         self._looked_up = None
         self._continuity.restart()
         self._propagation.reset()
         self._acceptance.reset()
         return revoked, is_kidnapped
+
+    def begin_segment(self, first: int) -> None:
+        """Follow the keyframes from ``first`` on to a segment of their own."""
+        self._track.replace_since(self._keyframes[first:])
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe, self._calibration)
@@ -230,7 +231,7 @@ class LoopCloser:
         if best is None:
             return records
         if self._has_prior_map and self._propagation.is_elsewhere(query, best):
-            self.lost_since_keyframe = query.keyframe.id
+            self.lost_after_m = self._keyframes[query.keyframe.id - 1].odometry.travel_m
             return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
         return [*records, *self._accept_and_propagate(best)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,6 @@ from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
-from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 
 
@@ -36,14 +35,12 @@ class Propagation:
         verifier: Verifier,
         acceptance: Acceptance,
         object_map: ObjectMap,
-        keyframes: Sequence[Keyframe],
     ) -> None:
         self._distance_m = config.propagation_distance_m
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
         self._acceptance = acceptance
         self._map = object_map
-        self._keyframes = keyframes
         self._recent: deque[Query] = deque()
         self.seed: Candidate | None = None
 
@@ -96,15 +93,6 @@ class Propagation:
         )
         ratio = changed_log_likelihood_ratio(ratios[~is_old])
         return self._acceptance.is_contradicted(ratio, self._sensor_range_m)
-
-    def contradicted_since(self, query: Query) -> Keyframe:
-        """The first keyframe of the query's segment on the last sensor range of travel."""
-        first, since_m = query.keyframe, query.travel_m - self._sensor_range_m
-        for each in reversed(self._keyframes[: first.id]):
-            if each.odometry.segment != first.odometry.segment or each.odometry.travel_m <= since_m:
-                break
-            first = each
-        return first
 
     def is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
         """Whether a candidate is farther than registration reaches from the place that the seed predicts."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from slam.common.arrays import FloatArray
@@ -50,9 +52,12 @@ class KeyframeTrack:
         self._latest = pose
         self._size += 1
 
-    def lose_since(self, first: int) -> None:
-        """The keyframes from ``first`` on are near no place: where they are is not known."""
-        self._rows["position_local"][first : self._size] = np.inf
+    def replace_since(self, keyframes: Sequence[Keyframe]) -> None:
+        """Replace the last keyframes by others of the same ids, which begin a segment."""
+        self._size = keyframes[0].id
+        self._latest = None
+        for keyframe in keyframes:
+            self.add(keyframe)
 
     def nearest(
         self, position_local: FloatArray, *, segment: int, from_m: float, to_m: float
@@ -69,7 +74,7 @@ class KeyframeTrack:
         offsets = rows["position_local"][first:last, :2] - position_local[:2]
         squares = np.einsum("ij,ij->i", offsets, offsets)
         best = int(np.argmin(squares))
-        return (int(first) + best, float(np.sqrt(squares[best]))) if np.isfinite(squares[best]) else None
+        return int(first) + best, float(np.sqrt(squares[best]))
 
     def drift_sigmas(self, first: int, last: int) -> tuple[float, float]:
         """Standard deviations of the place [m, each coordinate] and the heading [rad] of keyframe ``last`` as seen from

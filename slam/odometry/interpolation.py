@@ -18,8 +18,8 @@ def interpolate_between_keyframes(
     """Poses ``T_map_body`` (N, 4, 4) of all odometry poses.
 
     Each pose is predicted from the keyframe before it and from the one after it, and is blended between the two by
-    time, so that it meets both keyframes and has no step at either. Behind the last keyframe, and where the odometry
-    breaks before the next one, the one before it alone decides.
+    time, so that it meets both keyframes and has no step at either. If only one of them is of the segment of the pose,
+    it alone decides.
 
     Args:
         stamps_ns: (N,) strictly increasing.
@@ -31,6 +31,7 @@ def interpolate_between_keyframes(
     before = np.searchsorted(keyframe_indices, np.arange(len(stamps_ns)), side="right") - 1
     after = np.minimum(before + 1, len(keyframe_indices) - 1)
     after = np.where(segments[keyframe_indices[after]] == segments, after, before)
+    before = np.where(segments[keyframe_indices[before]] == segments, before, after)
 
     def predict(keyframe: IntArray) -> FloatArray:
         return T_map_keyframe[keyframe] @ invert(T_odom_body[keyframe_indices[keyframe]]) @ T_odom_body

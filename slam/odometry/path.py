@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +27,13 @@ class OdometryPath:
         self._segments.append(pose.segment)
         self._rows.frombytes(np.ascontiguousarray(pose.T_odom_body[:3], dtype=np.float64).tobytes())
         self.latest = pose
+
+    def break_at(self, stamp_ns: int) -> None:
+        """Let a new segment begin with the pose at that time."""
+        for index in range(bisect_left(self._stamps_ns, stamp_ns), len(self._stamps_ns)):
+            self._segments[index] += 1
+        if self.latest is not None:
+            self.latest = replace(self.latest, segment=self.latest.segment + 1)
 
     @property
     def first_stamp_ns(self) -> int:

@@ -53,7 +53,6 @@ class OdometryTrack:
         self._jitter_m = JITTER_RANGES * sensor_range_m
         self._limits = StepLimits(sensor_range_m)
         self._first_segment = first_segment
-        self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
         self._jump: Odometry | None = None
         self._T_odom_reported = np.eye(4)
@@ -98,9 +97,15 @@ class OdometryTrack:
             added += self._take(odometry)
         return added
 
-    def break_off(self) -> None:
-        """Let the next pose begin a new segment: other evidence shows a discontinuity of the odometry."""
-        self._breaks_next = True
+    def break_after(self, travel_m: float, *, before_ns: int) -> int:
+        """Let a new segment begin after that travel, and not after a time: other evidence shows a discontinuity.
+
+        Returns the stamp of its first pose.
+        """
+        first = next(i for i, each in enumerate(self._poses) if each.travel_m > travel_m or each.stamp_ns >= before_ns)
+        for index in range(first, len(self._poses)):
+            self._poses[index] = replace(self._poses[index], segment=self._poses[index].segment + 1)
+        return self._poses[first].stamp_ns
 
     def finish(self) -> list[OdometryPose]:
         """Add the message that waits for the next one, if there is any."""
@@ -169,7 +174,7 @@ class OdometryTrack:
                 self._counters["odometry_wild"] += 1
                 return [self._append(odometry)]
             return [self._append(jump), *self._take(odometry)]
-        if self._poses and not self._breaks_next and self._is_beyond_limits(odometry):
+        if self._poses and self._is_beyond_limits(odometry):
             self._jump = odometry
             return []
         return [self._append(odometry)]
@@ -191,8 +196,7 @@ class OdometryTrack:
             self._counted_xyz_m = xyz_m
             pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
         else:
-            breaks = self._breaks_next or self._is_beyond_limits(odometry)
-            self._breaks_next = False
+            breaks = self._is_beyond_limits(odometry)
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
             step_m = math.dist(xyz_m, last.T_odom_body[:3, 3])
             # The jitter of a standing body is no travel.

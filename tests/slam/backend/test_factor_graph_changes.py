@@ -9,7 +9,7 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
 from tests.slam.backend.graphs import (
     KEYFRAMES,
     OFTEN_SEEN,
@@ -140,6 +140,16 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     graph.remove_factor(number)
     graph.update()
     assert number not in graph.factors
+
+
+def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it():
+    """Landmarks seen by both parts would pull them together again."""
+    graph = build(noisy_edges(), sightings())
+    T_step, loose = transform_from_xyz_yaw(np.array([300.0, 0.0, 0.0]), 0.0), np.diag(np.repeat([1.0, 1e4], 3))
+    graph.break_before(Edge(3, 4, T_step, loose, EdgeKind.DISCONTINUITY))
+    graph.optimize()
+    assert np.linalg.norm(relative(graph.pose(3), graph.pose(4))[:3, 3]) == pytest.approx(300.0, abs=0.01)
+    assert {each.keyframe for each in graph.factors.values() if isinstance(each, Observation)} == {0, 1, 2, 3}
 
 
 def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():

@@ -144,14 +144,17 @@ def test_restart_of_the_odometry_in_an_unknown_place_begins_a_segment() -> None:
     assert drive.counters["odometry_corrected"] == 0
 
 
-def test_break_is_not_rejoined() -> None:
+def test_break_at_an_earlier_keyframe_is_not_rejoined() -> None:
     drive = Drive()
     drive.drive(30)
-    drive.frontend.break_off()
+    keyframes = drive.mapper.keyframes
+    first = keyframes[-2]
+    drive.frontend.break_after(keyframes[-3].odometry.travel_m, first)
     drive.drive(10)
     drive.finish()
     drive.assert_each_once()
-    assert [pose.segment for pose in drive.poses] == [0] * 30 + [1] * 10
+    assert {pose.segment for pose in drive.poses[30:]} == {1}
+    assert [each.odometry.segment for each in keyframes] == [0] * first.id + [1] * (len(keyframes) - first.id)
 
 
 def test_missing_transform_is_an_error_at_the_end() -> None:

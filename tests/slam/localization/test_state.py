@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.localization.state import CONTRADICTED, Fix, LocalizationState, State
+from slam.localization.state import CONTRADICTED, DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
 KEYFRAME = Keyframe(3, OdometryPose(7, np.eye(4), 20.0, 0, 1.0), np.eye(4))
 
 
-def update(state: LocalizationState, *, is_localized: bool, breaks: bool = False) -> list[tuple[State, str]]:
-    changes = state.update(KEYFRAME, is_localized=is_localized, breaks=breaks)
+def update(state: LocalizationState, *, is_localized: bool, began: str = "") -> list[tuple[State, str]]:
+    changes = state.update(KEYFRAME, is_localized=is_localized, began=began)
     return [(change.state, change.message) for change in changes]
 
 
@@ -20,7 +20,7 @@ def test_a_robot_maps_until_its_odometry_breaks():
     state = LocalizationState(has_prior_map=False)
     assert update(state, is_localized=True) == []
     assert state.state is State.MAPPING
-    ((lost, why),) = update(state, is_localized=False, breaks=True)
+    ((lost, why),) = update(state, is_localized=False, began=DISCONTINUITY)
     assert lost is state.state is State.LOST
     assert why.startswith("odometry discontinuity")
     assert update(state, is_localized=False) == []
@@ -28,9 +28,8 @@ def test_a_robot_maps_until_its_odometry_breaks():
 
 def test_a_robot_that_was_moved_says_so_once():
     state = LocalizationState(has_prior_map=False)
-    state.declare_kidnapped()
-    assert update(state, is_localized=False, breaks=True)[0][1].startswith("kidnapped")
-    assert update(state, is_localized=False, breaks=True)[0][1].startswith("odometry discontinuity")
+    assert update(state, is_localized=False, began=KIDNAPPED)[0][1].startswith("kidnapped")
+    assert update(state, is_localized=False) == []
 
 
 def test_a_lost_robot_is_found_again():
@@ -46,5 +45,5 @@ def test_a_lost_robot_is_found_again():
 
 def test_in_a_map_of_its_own_a_robot_that_is_found_again_maps_on():
     state = LocalizationState(has_prior_map=False)
-    update(state, is_localized=False, breaks=True)
+    update(state, is_localized=False, began=DISCONTINUITY)
     assert [each for each, _ in update(state, is_localized=True)] == [State.RELOCALIZED, State.MAPPING]

@@ -18,7 +18,6 @@ from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
 from slam.object_map.submap import Submap
-from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
@@ -50,7 +49,7 @@ class Parts(Patterns):
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
         self.is_tracked = False
-        self.kidnapped_at: Keyframe | None = None
+        self.kidnapped_after_m: float | None = None
         self.resets = 0
         self.closed: dict[int, int] = {}
         self.recognised: list[int] = []
@@ -132,18 +131,16 @@ class Parts(Patterns):
         self.recognised.append(candidate.query.id)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
-        return [], self.was_kidnapped
+        return [], True
 
     def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
         return log_likelihood_ratio < -10.0
 
-    was_kidnapped = True
-
     # Continuity monitor.
     memory_m = 60.0
 
-    def update(self, *arguments: Any) -> Keyframe | None:
-        return self.kidnapped_at
+    def update(self, *arguments: Any) -> float | None:
+        return self.kidnapped_after_m
 
     def restart(self) -> None:
         pass
@@ -391,8 +388,8 @@ def test_who_sees_other_landmarks_than_the_map_has_is_lost(parts, count, is_lost
     see(drive, count, STEP_M * FIRST)
     found = drive.close(FIRST + 1)
     assert ("expected landmarks not observed" in [record.reason for record in found]) is is_lost
-    # The keyframes on the last sensor range of travel are in doubt.
-    assert drive.closer.lost_since_keyframe == (FIRST + 1 - int(RECENT_M / STEP_M) + 1 if is_lost else None)
+    # The last sensor range of travel is in doubt.
+    assert drive.closer.lost_after_m == (STEP_M * (FIRST + 1) - RECENT_M if is_lost else None)
 
 
 @pytest.mark.parametrize(("ago_m", "is_lost"), [(RECENT_M - 0.1, True), (RECENT_M, False)])
@@ -400,14 +397,14 @@ def test_landmarks_seen_for_long_do_not_speak_against_a_place(parts, ago_m, is_l
     drive = start_in_map(parts)
     see(drive, 10, STEP_M * (FIRST + 1) - ago_m)
     drive.close(FIRST + 1)
-    assert (drive.closer.lost_since_keyframe is not None) is is_lost
+    assert (drive.closer.lost_after_m is not None) is is_lost
 
 
 def test_landmarks_that_were_merged_into_the_map_count_whenever_they_were_seen(parts):
     drive = start_in_map(parts)
     see(drive, 10, 0.0, segment=0)
     drive.close(FIRST + 1)
-    assert drive.closer.lost_since_keyframe is not None
+    assert drive.closer.lost_after_m is not None
 
 
 def test_what_fits_at_the_predicted_place_does_not_lose_the_robot(parts):
@@ -415,10 +412,10 @@ def test_what_fits_at_the_predicted_place_does_not_lose_the_robot(parts):
     see(drive, 10, STEP_M * FIRST)
     parts.llrs[FIRST + 1] = WEAK_LLR
     drive.close(FIRST + 1)
-    assert drive.closer.lost_since_keyframe is None
+    assert drive.closer.lost_after_m is None
     parts.llrs[FIRST + 2] = -20.0
     drive.close(FIRST + 2)
-    assert drive.closer.lost_since_keyframe is not None
+    assert drive.closer.lost_after_m is not None
 
 
 def test_in_a_map_that_is_being_made_landmarks_may_be_missed(parts):
@@ -427,7 +424,7 @@ def test_in_a_map_that_is_being_made_landmarks_may_be_missed(parts):
     drive.close(FIRST)
     see(drive, 10, STEP_M * FIRST, segment=0)
     drive.close(FIRST + 1)
-    assert drive.closer.lost_since_keyframe is None
+    assert drive.closer.lost_after_m is None
 
 
 @pytest.mark.parametrize(("off_m", "is_lost"), [(5.9, False), (6.1, True)])
@@ -437,7 +434,7 @@ def test_a_closure_far_from_where_the_last_one_leads_is_a_kidnapping(parts, off_
     parts.llrs[FIRST + 1], parts.off_m = SURE_LLR, off_m
     found = drive.close(FIRST + 1)
     assert bool(accepted(found)) is not is_lost
-    assert (drive.closer.lost_since_keyframe is not None) is is_lost
+    assert (drive.closer.lost_after_m is not None) is is_lost
     assert ("contradicts the odometry: kidnapped" in [record.reason for record in found]) is is_lost
 
 
@@ -455,26 +452,17 @@ def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
 def test_a_kidnapping_by_the_landmarks_in_view_loses_the_robot(parts):
     drive = Drive(parts)
     parts.llrs = {FIRST: SURE_LLR}
-    parts.kidnapped_at = drive.keyframes[3]
+    parts.kidnapped_after_m = 12.0
     (record,) = drive.close(FIRST)
     assert record.reason.startswith("kidnapped")
-    assert drive.closer.lost_since_keyframe == 3
-
-
-def test_no_closure_leads_to_a_keyframe_between_a_kidnapping_and_its_detection(parts, monkeypatch):
-    drive = Drive(parts)
-    lost = list[int]()
-    monkeypatch.setattr(KeyframeTrack, "lose_since", lambda track, first: lost.append(first))
-    for parts.was_kidnapped in (False, True):
-        drive.closer.declare_lost(drive.keyframes[-1], 3)
-    assert lost == [3]
+    assert drive.closer.lost_after_m == 12.0
 
 
 def test_who_was_lost_follows_no_closure_and_no_hypothesis_from_before(parts):
     drive = start_in_map(parts)
     drive.closer.declare_lost(drive.keyframes[-1], FIRST)
     assert parts.resets == 1
-    assert drive.closer.lost_since_keyframe is None
+    assert drive.closer.lost_after_m is None
     parts.llrs[FIRST + 1] = TRACKED_LLR
     assert accepted(drive.close(FIRST + 1)) == {}
     parts.llrs[FIRST + 2] = SURE_LLR

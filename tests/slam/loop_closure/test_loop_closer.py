@@ -229,6 +229,16 @@ def test_loops_are_closed_across_a_break_of_the_odometry(tmp_path):
     assert outcome.ate_m < 0.5
 
 
+def test_keyframes_before_a_kidnapping_is_detected_are_where_the_robot_was(tmp_path):
+    """The odometry does not show it; some keyframes later the landmarks do."""
+    kidnap = KidnapConfig(from_m=300.0, to_m=TWO_BLOCKS_ROUND_M, silent=True)
+    outcome = replay_drive(tmp_path, two_blocks(), kidnap=kidnap)
+    assert final_status(outcome.path).counters["kidnappings_detected"] == 1
+    assert outcome.graph.edge_kinds.count("discontinuity") == 1
+    assert outcome.closures["precision"] == 1.0
+    assert outcome.ate_m < 0.5
+
+
 @pytest.mark.parametrize("to_m", [60.0, 200.0])
 def test_after_a_break_what_was_seen_just_before_and_after_it_is_no_one_pass(tmp_path, to_m):
     """It goes on from where it had been before; its odometry begins anew, with numbers that it had before, too."""

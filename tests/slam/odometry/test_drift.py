@@ -29,12 +29,19 @@ def track_of(
     config: OdometryCalibration, *, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)
 ) -> KeyframeTrack:
     track = KeyframeTrack(config)
+    for keyframe in keyframes_of(break_at=break_at, origin=origin):
+        track.add(keyframe)
+    return track
+
+
+def keyframes_of(*, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)) -> list[Keyframe]:
     positions, headings = winding_path()
+    keyframes = []
     for i in range(KEYFRAMES):
         T_odom_body = transform_from_xyz_yaw(np.array([*(positions[i] + origin), 0.3 * i]), headings[i])
         pose = OdometryPose(round(STEP_S * 1e9) * i, T_odom_body, STEP_M * i, int(i >= break_at), 5.0)
-        track.add(Keyframe(i, pose, T_odom_body))
-    return track
+        keyframes.append(Keyframe(i, pose, T_odom_body))
+    return keyframes
 
 
 def odometry_noise(**sigmas: float) -> OdometryCalibration:
@@ -144,13 +151,12 @@ def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
     assert track.nearest(place, segment=1, from_m=-np.inf, to_m=24.0)[0] == 11
 
 
-def test_keyframes_of_unknown_place_are_nearest_to_no_place():
-    track = track_of(OdometryCalibration())
-    everywhere = {"segment": 0, "from_m": -np.inf, "to_m": np.inf}
-    place = winding_path()[0][-1]
-    last, _ = track.nearest(place, **everywhere)
-    track.lose_since(last)
-    before, _ = track.nearest(place, **everywhere)
-    assert before < last
-    track.lose_since(0)
-    assert track.nearest(place, **everywhere) is None
+def test_replaced_keyframes_are_a_segment_of_their_own():
+    first, between, last = KEYFRAMES // 2, KEYFRAMES // 2 + 5, KEYFRAMES - 1
+    track, expected = track_of(OdometryCalibration()), track_of(OdometryCalibration(), break_at=first)
+    track.replace_since(keyframes_of(break_at=first)[first:])
+    assert track.drift_sigmas(first - 1, last) == (np.inf, np.inf)
+    assert track.drift_sigmas(between, last) == pytest.approx(expected.drift_sigmas(between, last))
+    place = winding_path()[0][last]
+    of = {"from_m": -np.inf, "to_m": np.inf}
+    assert [track.nearest(place, segment=1, **of)[0], track.nearest(place, segment=0, **of)[0] < first] == [last, True]

@@ -54,6 +54,14 @@ def test_it_meets_every_keyframe_without_a_step_at_either_side():
     assert change_of_step.max() < 0.3
 
 
+def test_poses_between_a_break_and_the_first_keyframe_after_it_follow_that_keyframe():
+    keyframes, segments = [0, 10, 20], (np.arange(COUNT) >= 7).astype(np.int64)
+    T_map_keyframe = odometry()[keyframes]
+    T_map_keyframe[1:, 0, 3] += 100.0
+    off_m = (bend(keyframes, T_map_keyframe, segments) - odometry())[:, 0, 3]
+    np.testing.assert_allclose(off_m, 100.0 * segments, atol=1e-9)
+
+
 def test_a_correction_is_shared_out_evenly_over_the_time_between_two_keyframes():
     line = transform_from_xyz_yaw(np.arange(COUNT)[:, None] * [1.0, 0, 0], np.zeros(COUNT))
     T_map_keyframe = line[[0, 40]].copy()

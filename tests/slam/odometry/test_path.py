@@ -24,6 +24,16 @@ def test_poses_come_back_as_they_were():
     np.testing.assert_array_equal(path.T_odom_body, [each.T_odom_body for each in poses])
 
 
+def test_a_segment_begins_at_a_past_pose():
+    path = OdometryPath()
+    for number in range(5):
+        path.add(pose(number))
+    path.break_at(pose(3).stamp_ns)
+    assert path.latest is not None
+    assert path.latest.segment == 1
+    np.testing.assert_array_equal(path.segments, [0, 0, 0, 1, 1])
+
+
 def test_a_pose_takes_little_memory():
     path, count = OdometryPath(), 5_000
     tracemalloc.start()
