@@ -99,6 +99,9 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
         return ()
     effects = _effects(tracks, motion)
     X = effects[first] - effects[second]  # (P, 3, terms)
+    # Turns before the first scan of a pair would multiply the errors of its offsets: they turn all that comes after.
+    at = motion.positions[tracks.scan, :2] + tracks.offsets
+    X[:, :2, TERMS.index("turn_share")] -= motion.headings[tracks.scan[first], None] * ((at[first] - at[second]) @ J.T)
     y = np.column_stack([tracks.points[second] - tracks.points[first], tracks.heights[second] - tracks.heights[first]])
     block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)

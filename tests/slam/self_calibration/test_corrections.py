@@ -77,6 +77,19 @@ def test_each_error_is_told_from_the_others(term):
     assert (first.term, first.value) == (term, pytest.approx(0.1, abs=0.015))
 
 
+def test_turns_are_corrected_after_many_of_them():
+    """The heading is up to 60 rad then, which would multiply the noise of offsets."""
+    weaved = weaving()
+    rate = weaved.turn_rates + 1.0
+    motion = replace(weaved, headings=np.cumsum(rate) * PERIOD_S, turn_rates=rate)
+    exact = tracks(motion, noise_m=0.0)
+    wrong = exact.points + 0.3 * _effects(exact, motion)[:, :2, TERMS.index("turn_share")]
+    noise_m = np.random.default_rng(7).normal(0.0, 0.05, wrong.shape)
+    first = estimate_corrections(replace(exact, points=wrong + noise_m, offsets=exact.offsets + noise_m), motion)[0]
+    assert first.is_earned
+    assert (first.term, first.value) == ("turn_share", pytest.approx(-0.3, abs=0.02))
+
+
 def test_term_that_has_the_other_sign_alone_is_earned_after_what_hides_it_is_corrected():
     motion, made = replace(weaving(), headings=weaving().headings + 1.0), tracks(weaving())
     yaw, turn = (_effects(made, motion)[:, :2, TERMS.index(term)] for term in ("yaw_rad", "turn_share"))
