@@ -175,8 +175,9 @@ def _parse_override(text: str) -> tuple[str, Any]:
     key, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not key or not value:
         raise ConfigurationError(f"{_FLAG} {text!r}: expected key=value, for example {_FLAG} keyframe.distance_m=1.5")
+    zero = "0" if value.startswith(".") else ""  # which TOML demands
     try:
-        return key, tomllib.loads(f"value = {value}")["value"]
+        return key, tomllib.loads(f"value = {zero}{value}")["value"]
     except ValueError:
         return key, value  # a word needs no quotes
 

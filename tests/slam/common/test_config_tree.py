@@ -36,6 +36,10 @@ def test_flag_wins_over_file_wins_over_default(tmp_path: Path) -> None:
     assert config.loop_closure.max_candidates == Config().loop_closure.max_candidates
 
 
+def test_flag_takes_a_number_that_begins_with_its_point() -> None:
+    assert load_config(None, ["keyframe.distance_m=.5"]).keyframe.distance_m == 0.5
+
+
 @pytest.mark.parametrize("overrides", [(), OVERRIDES])
 def test_toml_reads_back(tmp_path: Path, overrides: tuple[str, ...]) -> None:
     config = load_config(None, overrides)
