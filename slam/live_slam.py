@@ -95,16 +95,6 @@ class LiveSlam:
         """When the drive began."""
         return self._slam.first_stamp_ns
 
-    @property
-    def solver_seconds(self) -> float:
-        """Time spent inside GTSAM for the map as it is now."""
-        return self._slam.solver_seconds
-
-    @property
-    def closing_seconds(self) -> list[float]:
-        """Time that looking for loops took, keyframe by keyframe."""
-        return self._slam.closing_seconds
-
     def snapshot(self) -> MapSnapshot | None:
         """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
         return self._slam.snapshot()

@@ -10,7 +10,6 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from logs.errors import LogError, UnwritableLogError
@@ -43,8 +42,7 @@ DEFAULTS = Config()
 class ReplaySummary:
     """How a replay went. Times are of this machine and go into no output log.
 
-    ``max_message_latency_s``: longest processing time of one message; ``solver_s``: time inside GTSAM;
-    ``loop_closure_median_s``: time of loop closing at a keyframe. ``relocalization_times_s``,
+    ``max_message_latency_s``: longest processing time of one message. ``relocalization_times_s``,
     ``relocalization_distances_m``: time and travel of each relocalization since the start. ``keyframes_not_saved``:
     those that only a discontinuity connects to the saved map, which are left out of it. ``tracked_ratio``: share of the
     odometry messages with a pose in the map when they came. ``trajectory_check``: whether the final trajectory is the
@@ -54,9 +52,7 @@ class ReplaySummary:
     counters: dict[str, int]
     log_s: float
     wall_s: float
-    solver_s: float
     max_message_latency_s: float
-    loop_closure_median_s: float
     final_status: str
     notes: tuple[str, ...] = ()
     relocalization_times_s: tuple[float, ...] = ()
@@ -180,9 +176,7 @@ def _summarize(
         counters=dict(final.status.counters),
         log_s=log_ns * 1e-9,
         wall_s=time.perf_counter() - started,
-        solver_s=slam.solver_seconds,
         max_message_latency_s=max(mapper.seconds, default=0.0),
-        loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
         notes=notes,
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),

@@ -121,11 +121,6 @@ class Slam:
         """The relocalizations so far."""
         return self._localization.fixes
 
-    @property
-    def solver_seconds(self) -> float:
-        """Time spent inside GTSAM so far."""
-        return self._graph.solver_seconds
-
     def process(self, record: Record) -> list[Record]:
         """Process the next record in the order of the log; returns what is new."""
         if isinstance(record, Transform):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import gtsam
 from gtsam.symbol_shorthand import X
 
-from slam.backend.gtsam_calls import GtsamCalls, graph_of
+from slam.backend.gtsam_calls import graph_of, gtsam_errors
 from slam.backend.solver import Solver, Value
 
 MAX_ITERATIONS = 50
@@ -43,8 +43,8 @@ class Optimization:
 class BatchSolver(Solver):
     """All factors, and values of all variables, which ``update`` improves by one step."""
 
-    def __init__(self, factors: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values, calls: GtsamCalls) -> None:
-        super().__init__(calls)
+    def __init__(self, factors: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values) -> None:
+        super().__init__()
         self._values = values
         for number, factor in factors.items():
             self.add(number, factor)
@@ -60,14 +60,14 @@ class BatchSolver(Solver):
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
         """Solve to the end, or ``roughly``, to a standard deviation."""
-        with self._calls.doing("the batch optimisation"):
+        with gtsam_errors("the batch optimisation"):
             optimization = self._optimize(MAX_ITERATIONS, ROUGH_MIN_DECREASE if roughly else MIN_DECREASE)
         self._note_update()
         return optimization
 
     def log_determinant(self) -> float:
         """Of the information of all variables together."""
-        with self._calls.doing("the elimination of all variables"):
+        with gtsam_errors("the elimination of all variables"):
             return 2.0 * float(self.graph.linearize(self._values).eliminateMultifrontal().logDeterminant())
 
     def values(self) -> gtsam.Values:
@@ -90,7 +90,7 @@ class BatchSolver(Solver):
         self._improve()
 
     def _improve(self) -> None:
-        with self._calls.doing("a step of the batch optimisation"):
+        with gtsam_errors("a step of the batch optimisation"):
             self._optimize(1, MIN_DECREASE)
 
     def _release(self, key: int) -> None:

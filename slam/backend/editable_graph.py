@@ -26,7 +26,6 @@ from slam.backend.factors import (
     observation_factors,
     prior_factor,
 )
-from slam.backend.gtsam_calls import GtsamCalls
 from slam.backend.incremental_solver import IncrementalSolver
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
@@ -42,7 +41,6 @@ class EditableGraph:
         self.prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
-        self._calls = GtsamCalls()
         self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()
         self._factors: dict[int, Factor] = {}
         self._next_factor = 0
@@ -272,4 +270,4 @@ class EditableGraph:
                 return landmark_prior_factor(record)
 
     def _incremental_solver(self) -> IncrementalSolver:
-        return IncrementalSolver(self._calls, sensor_range_m=self._sensor_range_m)
+        return IncrementalSolver(sensor_range_m=self._sensor_range_m)

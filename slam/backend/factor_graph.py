@@ -18,6 +18,7 @@ from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
+from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.incremental_solver import IncrementalSolver
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
@@ -43,11 +44,6 @@ class FactorGraph(EditableGraph):
         self._marginals: tuple[gtsam.Values, Marginals] | None = None  # with the estimate that they are of
 
     @property
-    def solver_seconds(self) -> float:
-        """Time spent inside GTSAM."""
-        return self._calls.seconds
-
-    @property
     def keyframe_variables(self) -> IntArray:
         """Ids (V,) of those that are variables: all but those attached to another one."""
         attached = self._attached.anchors
@@ -71,7 +67,7 @@ class FactorGraph(EditableGraph):
         self._check_ends(edge)
         self.update()
         away = set(moved.tolist())
-        with self._calls.doing("the joining of two segments"):
+        with gtsam_errors("the joining of two segments"):
             values = self._moved_estimate(edge, away)
             number = self._number(self._attached.edge(edge))
             breaks = self._relaxed_breaks(away, values)
@@ -140,7 +136,7 @@ class FactorGraph(EditableGraph):
         self.update()
         if isinstance(self._solver, IncrementalSolver):
             factors = self._solver.factors
-            self._solver = BatchSolver({n: factors[n] for n in sorted(factors)}, self._solver.values(), self._calls)
+            self._solver = BatchSolver({n: factors[n] for n in sorted(factors)}, self._solver.values())
         return self._solver
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
@@ -150,7 +146,7 @@ class FactorGraph(EditableGraph):
     def match_noise(self) -> Optimization:
         """Solve the whole graph with the noise of odometry and closures that their residuals show."""
         solver = self.settle()
-        with self._calls.doing("the estimation of the noise"):
+        with gtsam_errors("the estimation of the noise"):
             records = [self._factors[number] for number in solver.factors]
             found = matched_covariances(solver.graph, solver.values(), records, self._kernel_width)
         self.replace_covariances(
@@ -247,7 +243,7 @@ class FactorGraph(EditableGraph):
         solver = self.settle()
         values = solver.values()
         if self._marginals is None or self._marginals[0] is not values:
-            with self._calls.doing("the marginal covariances"):
+            with gtsam_errors("the marginal covariances"):
                 records = [self._factors[number] for number in solver.factors]
                 self._marginals = values, compute_marginals(solver.graph, values, records, self._kernel_width)
         return self._marginals[1]

@@ -1,9 +1,8 @@
-"""Calls of GTSAM: their time, and their exceptions as errors of ours."""
+"""Calls of GTSAM, whose exceptions become errors of ours."""
 
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
@@ -12,22 +11,13 @@ import gtsam
 from slam.common.errors import FactorGraphError
 
 
-class GtsamCalls:
-    """Measures the time inside GTSAM, ``seconds``, and converts its exceptions to ``FactorGraphError``."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-    @contextmanager
-    def doing(self, what: str) -> Iterator[None]:
-        """The block calls GTSAM for ``what``, which goes into the error with the keyframe or landmark it concerns."""
-        started = time.perf_counter()
-        try:
-            yield
-        except (RuntimeError, ValueError, IndexError) as error:
-            raise FactorGraphError(f"{what} failed{_variable_in(str(error))}: {first_line(error)}") from error
-        finally:
-            self.seconds += time.perf_counter() - started
+@contextmanager
+def gtsam_errors(what: str) -> Iterator[None]:
+    """Exceptions of GTSAM become a ``FactorGraphError``: ``what`` failed, with the keyframe or landmark it concerns."""
+    try:
+        yield
+    except (RuntimeError, ValueError, IndexError) as error:
+        raise FactorGraphError(f"{what} failed{_variable_in(str(error))}: {first_line(error)}") from error
 
 
 def first_line(error: Exception) -> str:

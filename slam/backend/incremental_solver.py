@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.gtsam_calls import GtsamCalls, first_line, graph_of
+from slam.backend.gtsam_calls import first_line, graph_of, gtsam_errors
 from slam.backend.solver import Solver, Value
 
 logger = logging.getLogger(__name__)
@@ -23,8 +23,8 @@ RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
 class IncrementalSolver(Solver):
     """iSAM2 (Kaess et al. 2012), and what is added to it by its next update."""
 
-    def __init__(self, calls: GtsamCalls, *, sensor_range_m: float) -> None:
-        super().__init__(calls)
+    def __init__(self, *, sensor_range_m: float) -> None:
+        super().__init__()
         self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
@@ -48,7 +48,7 @@ class IncrementalSolver(Solver):
     def values(self) -> gtsam.Values:
         """The estimate of all variables; iSAM2 computes those that were not queried before only here."""
         if self._values is None:
-            with self._calls.doing("the estimate"):
+            with gtsam_errors("the estimate"):
                 self._values = self._isam.calculateEstimate()
         return self._values
 
@@ -58,7 +58,7 @@ class IncrementalSolver(Solver):
         return self._new_values
 
     def _improve(self) -> None:
-        with self._calls.doing("the incremental update"):
+        with gtsam_errors("the incremental update"):
             try:
                 removed_slots = [self._slots.pop(number) for number in self._removed]
                 result = self._isam.update(graph_of(self._added.values()), self._new_values, removed_slots)
@@ -106,7 +106,7 @@ class IncrementalSolver(Solver):
         if self._new_values.exists(key):
             return self._new_values.atPose3(key)
         if keyframe not in self._poses:
-            with self._calls.doing(f"the estimate of keyframe {keyframe}"):
+            with gtsam_errors(f"the estimate of keyframe {keyframe}"):
                 known = self._values
                 self._poses[keyframe] = self._isam.calculateEstimatePose3(key) if known is None else known.atPose3(key)
         return self._poses[keyframe]

@@ -10,7 +10,6 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.gtsam_calls import GtsamCalls
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
@@ -24,8 +23,7 @@ class Solver(ABC):
     Variables are named by GTSAM's keys. A landmark leaves with its last factor.
     """
 
-    def __init__(self, calls: GtsamCalls) -> None:
-        self._calls = calls
+    def __init__(self) -> None:
         self._factors: dict[int, gtsam.NonlinearFactor] = {}
         self._uses: Counter[int] = Counter()
         self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update

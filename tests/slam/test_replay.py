@@ -151,7 +151,6 @@ def test_the_summary_agrees_with_the_output(noisy_log, noisy_output, tmp_path):
     assert summary.counters == status.counters
     assert summary.final_status == status.message
     assert summary.log_s == pytest.approx(summary.counters["odometry_used"] * 0.1, abs=0.2)
-    assert 0.0 < summary.solver_s < summary.wall_s
     assert 0.0 < summary.max_message_latency_s < summary.wall_s
 
 

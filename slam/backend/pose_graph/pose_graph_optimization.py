@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import X
 
 from slam.backend.batch_solver import levenberg_marquardt
 from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, PosePrior, between_factor, prior_factor
-from slam.backend.gtsam_calls import GtsamCalls
+from slam.backend.gtsam_calls import gtsam_errors
 from slam.common.arrays import BoolArray, FloatArray
 
 WIDE_KERNEL_WIDTH = 10.0
@@ -52,7 +52,7 @@ def optimize_pose_graph(
     initial = gtsam.Values()
     for keyframe, T in T_map_body.items():
         initial.insert(X(keyframe), gtsam.Pose3(T))
-    with GtsamCalls().doing("the optimisation of the pose graph"):
+    with gtsam_errors("the optimisation of the pose graph"):
         solver = _Solver(factors, closures)
         in_force = np.ones(len(closures), dtype=np.bool_)
         values = solver.solve(~in_force, initial)
