@@ -71,7 +71,7 @@ def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, calle
 
 @pytest.mark.usefixtures("tiny")
 def test_a_training_leaves_its_files_and_goes_on_where_it_was(dslam: Run, tmp_path: Path) -> None:
-    typed = ("train", tmp_path / "net", "--network", "descriptellation", "--epochs", 2, "--threads", 1, "--json")
+    typed = ("train", tmp_path / "net", "--network", "descriptellation", "--epochs", 1, "--threads", 1, "--json")
     first = dslam(*typed)
     assert first.code == 0, first.err
     assert sorted(path.name for path in (tmp_path / "net").iterdir()) == [
