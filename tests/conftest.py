@@ -12,6 +12,8 @@ from slam.common.config import Config
 from slam.replay import ReplaySummary, replay
 from slam.simulation.config import SimulationConfig
 from tests.helpers.short_drives import Entry, drive, write_log
+from tests.tools.runs import Result, Run
+from tools import cli
 
 _ALL_SLOW = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.slow\b", re.MULTILINE)
 
@@ -21,6 +23,17 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     if config.getoption("markexpr") != "not slow" or not collection_path.match("test_*.py"):
         return None
     return True if _ALL_SLOW.search(collection_path.read_text(encoding="utf-8")) else None
+
+
+@pytest.fixture
+def dslam(capsys: pytest.CaptureFixture[str]) -> Run:
+    """The command line, in this process."""
+
+    def run(*arguments: object) -> Result:
+        code = cli.run([str(argument) for argument in arguments])
+        return Result(code, *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from logs.messages import ObjectDetections, Odometry, Transform
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
 from tests.helpers.ros2_logs import Message, detections3d, header, pose, write_ros1_bag
-from tests.user.installed import SAMPLE, attempt
+from tests.tools.runs import SAMPLE, Run
 
 pytestmark = pytest.mark.slow
 
@@ -197,18 +197,19 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_awkward_input(home: Path, tmp_path: Path, name: str) -> None:
+def test_awkward_input(dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     case = CASES[name]
+    monkeypatch.chdir(tmp_path)
     for file, content in case.files.items():
         if callable(content):
             content(tmp_path / file)
         else:
             (tmp_path / file).write_bytes(content if isinstance(content, bytes) else content.encode())
     for command in case.commands.split("; "):
-        result = attempt(home, "dslam", *command.split(), folder=tmp_path)
-    text = " ".join(f"{result.stdout} {result.stderr}".split())
-    assert result.returncode == case.code, text
+        result = dslam(*command.split())
+    text = " ".join(f"{result.out} {result.err}".split())
+    assert result.code == case.code, text
     assert case.told in text
-    assert case.code == 0 or result.stderr.count("\n") == 1  # one reason, once
+    assert case.code == 0 or result.err.count("\n") == 1  # one reason, once
     assert sorted(each.name for each in tmp_path.iterdir() if each.suffix == ".part") == []
     assert case.code == 0 or sorted(each.name for each in tmp_path.iterdir()) == sorted(case.files)

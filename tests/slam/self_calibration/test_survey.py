@@ -325,9 +325,8 @@ def test_turns_of_the_odometry_are_corrected(turn):
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():
-    found = survey(
-        turned_records(25.0, scans=200, objects=40), DetectionCalibration(assume_body_frame=True, yaw_deg=5.0)
-    )
+    by_hand = DetectionCalibration(assume_body_frame=True, yaw_deg=5.0)
+    found = survey(turned_records(25.0, scans=200, objects=40), by_hand)
     assert found.corrected == {}
 
 
