@@ -18,23 +18,6 @@ from tools import console
 pytestmark = pytest.mark.slow
 
 
-def test_json_is_one_object(dslam: Run, mapped: Path, tmp_path: Path) -> None:
-    for arguments in (
-        ("simulate", tmp_path / "a.mcap", "--length", 20),
-        ("info", SAMPLE),
-        ("info", mapped),
-        ("replay", SAMPLE, "-o", tmp_path / "c.mcap"),
-        ("evaluate", mapped),
-        ("config", "--simulation"),
-    ):
-        result = dslam(*arguments, "--json")
-        assert (result.code, result.err) == (0, "")
-        told = json.loads(result.out)
-        if arguments[0] == "replay":
-            assert told["counters"]["odometry_used"] == 164
-            assert told["counters"]["landmarks_confirmed"] > 20
-
-
 def test_a_drive_is_simulated_mapped_evaluated_and_exported(dslam: Run, tmp_path: Path) -> None:
     drive, output, picture = tmp_path / "drive.mcap", tmp_path / "map.mcap", tmp_path / "map.png"
     made = dslam("simulate", drive, "--seed", 2, "--length", 100, "--set", "sensor.dropout=0.2")

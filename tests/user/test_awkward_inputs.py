@@ -118,9 +118,6 @@ def drive(
 PLANTS = json.dumps({"plants": [{"kind": "tree", "sure": 0.5, "at": {"x": 5, "y": 2}}]})
 CASES = {
     "class_id": table("objects tree 10", TABLE.replace("label", "class_id")),
-    "name": table("objects tree 10", TABLE.replace("label", "name")),
-    "type": table("objects tree 10", TABLE.replace("label", "type")),
-    "category_id": table("objects tree 10", TABLE.replace("label", "category_id")),
     "a column that looks like a label": table(
         "no column label, but object_class; call the column with the classes label",
         TABLE.replace("label", "object_class"),

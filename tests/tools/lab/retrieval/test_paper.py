@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from descriptors.errors import DescriptorError
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tests.helpers.long_street import start_of_street
 from tools.lab.retrieval.labelled_map import LabelledMap
@@ -56,15 +54,6 @@ def test_a_descriptor_that_means_something_has_the_counterpart_among_its_nearest
     for scenario in SCENARIOS:
         assert top_5["descriptellation_lr", scenario.name] > top_5["random", scenario.name] + 0.1
     assert top_5["descriptellation_lr", SELF.name] > 0.85  # an object whose partners are hidden is in no pair
-
-
-def test_what_cannot_be_measured_is_refused(street):
-    with pytest.raises(DescriptorError, match=r"'rings'.*descriptellation_lr"):
-        benchmark_descriptors(*street, ["rings"], queries=2, seeds=1)
-    with pytest.raises(SimulationError, match="no length"):
-        benchmark_descriptors(street[0], np.zeros((3, 2)), ["gosmatch_vertex"], queries=2, seeds=1)
-    with pytest.raises(SimulationError, match="no object"):
-        benchmark_descriptors(street[0], street[1] + 9000.0, ["gosmatch_vertex"], queries=2, seeds=1)
 
 
 def test_a_map_that_nothing_can_be_localized_in_has_no_share_of_the_ceiling():
