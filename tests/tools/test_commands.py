@@ -12,7 +12,7 @@ import pytest
 
 from logs.messages import LoopClosureRecord, Odometry
 from logs.writer import LogWriter
-from tests.tools.runs import SAMPLE, Run
+from tests.tools.runs import Run
 from tools import console
 
 pytestmark = pytest.mark.slow
@@ -41,13 +41,6 @@ def test_a_drive_is_simulated_mapped_evaluated_and_exported(dslam: Run, tmp_path
     told = dslam("info", output, "--closures").out
     for text in ("defaults, but calibrate=false, keyframe.distance_m=3", "landmarks_confirmed", "map of another log"):
         assert text in " ".join(told.split())
-
-
-def test_info_of_an_input(dslam: Run) -> None:
-    result = dslam("info", SAMPLE)
-    assert result.code == 0
-    for text in ("/odom as odometry", "/detections as detections", "foxglove.Odometry", "tree", "base_link"):
-        assert text in result.out
 
 
 def test_info_lists_loop_closures(dslam: Run, tmp_path: Path) -> None:
@@ -83,11 +76,3 @@ def test_a_narrow_terminal_loses_no_digit(dslam: Run, mapped: Path, monkeypatch:
         monkeypatch.setattr(console, "PIPE_WIDTH", width)
         narrow = dslam("evaluate", mapped, "--all").out
         assert sorted(numbers.findall(narrow)) == sorted(numbers.findall(wide))
-
-
-def test_configuration_goes_round(dslam: Run, tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    printed = dslam("config", "--set", "keyframe.distance_m=1.5").out
-    assert "distance_m = 1.5" in printed
-    path.write_text(printed)
-    assert json.loads(dslam("config", "--config", path, "--json").out)["keyframe"]["distance_m"] == 1.5

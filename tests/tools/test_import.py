@@ -51,11 +51,6 @@ def test_faults_are_one_line(dslam: Run, drive: TextDrive) -> None:
     assert_refused(dslam("import", "csv", drive.files()["odometry"], *options(drive)), "is the input")
 
 
-@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "track_id", "frame"])
-def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
-    assert word in dslam("import", "csv", "--help").out
-
-
 @pytest.mark.slow
 def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
     cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))

@@ -127,9 +127,3 @@ def test_train_refuses_options_that_do_not_fit(
 ) -> None:
     assert_refused(dslam("train", tmp_path / "net", *options), *told)
     assert not (tmp_path / "net").exists() or "--device" in options
-
-
-@pytest.mark.usefixtures("tiny")
-def test_a_damaged_checkpoint_is_refused(dslam: Run, tmp_path: Path) -> None:
-    (tmp_path / "checkpoint.pt").write_bytes(b"half a checkpoint")
-    assert_refused(dslam("train", tmp_path), "checkpoint.pt", "cannot be read", "delete it")

@@ -117,18 +117,15 @@ def drive(
 
 PLANTS = json.dumps({"plants": [{"kind": "tree", "sure": 0.5, "at": {"x": 5, "y": 2}}]})
 CASES = {
-    "class_id": table("objects tree 10", TABLE.replace("label", "class_id")),
     "a column that looks like a label": table(
         "no column label, but object_class; call the column with the classes label",
         TABLE.replace("label", "object_class"),
         code=2,
     ),
-    "ISO 8601": table("objects tree 10", dated(ISO), DATED_POSES),
     "datetimes of pandas": table("objects tree 10", dated(PANDAS), DATED_POSES),
     "dates without a header": table(
         "begin it with a header such as stamp_s,label,x_m,y_m,z_m", odometry=DATED_POSES.partition("\n")[2], code=2
     ),
-    "Parquet": table("pandas.read_parquet('t.parquet').to_csv('table.csv')", b"PAR1\xff", code=2, name="t.parquet"),
     "labels in Chinese": table("objects 路灯 10", TABLE.replace("tree", "路灯")),
     "a file of Windows": table("objects tree 10", "\ufeff" + TABLE.replace("\n", "\r\n")),
     "decimal commas": table(

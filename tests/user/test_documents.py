@@ -65,18 +65,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = zip(world.positions.tolist(), world.labels, world.object_ids, strict=True)
     write_table(folder / "world.csv", ["x_m", "y_m", "z_m", "class", "id"], ([*at, *of] for at, *of in rows))
     write_table(folder / "tour.csv", ["x_m", "y_m"], world.tour.tolist())
-    simulate = ["simulate", "--objects", str(folder / "world.csv"), "--trajectory", str(folder / "tour.csv")]
+    town = ["--objects", str(folder / "world.csv"), "--trajectory", str(folder / "tour.csv")]
+    simulate = ["simulate", *town, "--set", "drive.rate_hz=5"]
     assert cli.run([*simulate, str(drive)]) == 0
     assert cli.run([*simulate, str(tuesday), "--length", "120", "--set", "sensor.dropout=0.3"]) == 0
     for source, output, saved in ((drive, "map.mcap", "town.mcap"), (tuesday, "b1.mcap", "harbour.mcap")):
         made = ["replay", str(source), "-o", str(folder / output), "--save-map", str(folder / saved)]
         assert cli.run(made) == 0
-    for name, copy, setting in (("a2", "b2", "1.9"), ("a3", "b3", "1.8")):
+    for name, setting in (("a2", "1.9"), ("a3", "1.8"), ("b2", "1.7"), ("b3", "1.6")):
         changed = ["--set", f"keyframe.distance_m={setting}"]
         assert cli.run(["replay", str(tuesday), "-o", str(folder / f"{name}.mcap"), *changed]) == 0
-        shutil.copy(folder / f"{name}.mcap", folder / f"{copy}.mcap")
     for seed, day in enumerate(("monday", "wednesday", "thursday", "friday"), start=1):
-        assert cli.run([*simulate, str(folder / f"{day}.mcap"), "--seed", str(seed)]) == 0
+        assert cli.run([*simulate, str(folder / f"{day}.mcap"), "--length", "120", "--seed", str(seed)]) == 0
     shutil.copy(drive, folder / "mine.mcap")
     for copy in ("saved.mcap", "map_saved.mcap"):
         shutil.copy(folder / "town.mcap", folder / copy)
@@ -157,12 +157,6 @@ def test_each_command_of_a_page_runs(
         result = dslam(*arguments, *shorter)
         assert result.code == 0, f"{arguments}: {result.err}"
     assert not list(work.glob("*.part"))
-
-
-def test_what_is_left_out_is_in_the_pages() -> None:
-    lines = [" ".join(each) for listed in COMMANDS.values() for each in listed]
-    for pattern in ELSEWHERE:
-        assert any(re.search(pattern, line) for line in lines), pattern
 
 
 @pytest.mark.parametrize("name", CODE)

@@ -66,8 +66,3 @@ def test_a_score_that_is_no_number_comes_last() -> None:
     found = figures([(1, float("nan"), False), (2, 0.0, True)], [1, 2])
     assert found["precision_recall_curve"]["precision"] == [1.0, 0.5]
     assert found["recall_at_full_precision"] == 0.5
-
-
-def test_without_candidates_or_revisits() -> None:
-    assert len(sweep([], [1])) == 0
-    assert sweep([(1, 1.0, True)], []) is None

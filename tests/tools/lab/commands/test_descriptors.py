@@ -26,15 +26,6 @@ def write_world(folder: Path) -> tuple[object, ...]:
     return ("--objects", folder / "objects.csv", "--trajectory", folder / "trajectory.csv")
 
 
-def test_a_table_for_people(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "descriptellation_lr")
-    assert (result.code, result.err) == (0, "")
-    assert "699 objects, 16 classes; 5 queries x 1 seeds" in result.out
-    assert "of ceiling %" in result.out
-    lines = [line for line in result.out.splitlines() if line.startswith("descriptel")]
-    assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
-
-
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "--json")
