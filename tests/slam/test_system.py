@@ -21,7 +21,6 @@ from logs.messages import (
     Transform,
 )
 from slam.common.arrays import FloatArray
-from slam.common.calibration import Calibration, OdometryCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, transform_from_xyz_yaw
@@ -30,7 +29,7 @@ from slam.evaluation.inputs.records import read_records
 from slam.evaluation.inputs.synchronization import clean_poses
 from slam.evaluation.metrics.association import find_aliases, identify_landmarks, label_detections
 from slam.final_map import FinalMap
-from slam.simulation.config import KidnapConfig, SimulationConfig
+from slam.simulation.config import DriveConfig, KidnapConfig, SimulationConfig
 from slam.system import Slam
 from tests.helpers.short_drives import (
     EXACT,
@@ -113,9 +112,10 @@ def by_sector(entries: Iterable[Entry], sensors: int) -> list[Entry]:
     return found
 
 
-def test_several_sensors_that_each_see_a_sector_map_all_objects(exact_drive, tmp_path):
+def test_several_sensors_that_each_see_a_sector_map_all_objects(tmp_path):
     """Each object is in one of three messages only, and is no less certain for that."""
-    entries = [entry for entry in by_sector(exact_drive, 3) if not isinstance(entry[2], DetectionTruth)]
+    slow = drive(EXACT.model_copy(update={"drive": DriveConfig(rate_hz=5.0)}))
+    entries = [entry for entry in by_sector(slow, 3) if not isinstance(entry[2], DetectionTruth)]
     run(entries, tmp_path / "out.mcap")
     (found,) = records_of(tmp_path / "out.mcap", "/slam/map")
     assert isinstance(found, ObjectMapRecord)
@@ -132,9 +132,6 @@ def test_odometry_that_is_a_fifth_too_long_is_corrected(exact_drive, tmp_path):
     found = run(stretched, tmp_path / "out.mcap")
     assert found.odometry.ate_m > 2.0
     assert found.estimate.ate_m < 0.01
-    known = Config(calibration=Calibration(odometry=OdometryCalibration(length_scale=1.0 / 1.2)))
-    corrected = run(stretched, tmp_path / "corrected.mcap", known)
-    assert corrected.estimate.ate_m < 0.1
 
 
 # With noise
