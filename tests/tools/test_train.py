@@ -47,7 +47,9 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Trainings on a few constellations; torch's settings, which are the process's, are put back."""
     threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
-    monkeypatch.setattr(contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=2, objects_per_map=20))
+    monkeypatch.setattr(
+        contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=1, objects_per_map=20, views=1)
+    )
     yield
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(deterministic)
