@@ -239,6 +239,18 @@ def test_followed_vehicle_retires_because_it_moves():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
+def test_vehicle_that_stops_becomes_a_landmark_where_it_stands():
+    bench = Bench()
+    for i in range(160):
+        bench.move(0.1 * i, 0.02 * i)
+        vehicle = np.array([[3.0 + 0.5 * min(i, 30), 8.0, 0.0]])
+        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=0.6)
+    assert bench.reasons()[4] == "moving"
+    confirmed = bench.map.in_state(LandmarkState.CONFIRMED)
+    assert len(confirmed) == 5
+    np.testing.assert_allclose(bench.map.rows["position_local"][confirmed[-1]], [18.0, 8.0, 0.0], atol=0.1)
+
+
 def test_followed_vehicle_stays_one_landmark():
     assert len(drive_past_a_vehicle(8.0, 40, sigma_m=0.3).map) == 5
 
@@ -351,6 +363,17 @@ def test_noise_by_range_is_that_at_the_range_of_the_landmark(has_own, share):
     squares = np.sum((OBJECTS - here) ** 2, axis=1)
     added = np.zeros(4) if has_own else 0.02**2 * (1.0 - share**2) * squares
     np.testing.assert_allclose(tracked.scan.covariances, (0.2**2 + added)[:, None, None] * np.eye(3), atol=1e-6)
+
+
+def test_landmarks_that_became_inactive_since_a_scan_was_located_are_none_of_its_detections():
+    bench = Bench()
+    bench.drive(12)
+    bench.move(1.2, 6.0)
+    tracked, pose = bench.locate(1.2)
+    bench.mapper._deactivate(np.ones(4, dtype=np.bool_))
+    associations = bench.mapper.add_scan(tracked, pose)
+    assert associations.landmark_ids == ("",) * 4
+    assert not associations.created.any()
 
 
 def test_associations_have_one_entry_per_detection_of_the_message():
