@@ -271,8 +271,11 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
         np.testing.assert_allclose(next(parts), after * squares[0] + before * squares[1], atol=1e-9)
 
 
-def test_noise_of_heights_is_told_apart() -> None:
-    found = estimate_components(*tilting(0, tilt=0.01, rise=0.1, height=0.05))
+@pytest.mark.parametrize(("name", "sigma"), [("tilt_by_travel", 0.01), ("rise_by_travel", 0.1), ("height", 0.3)])
+def test_noise_of_heights_is_told_apart(name: str, sigma: float) -> None:
+    given = {"tilt_by_travel": 0.001, "rise_by_travel": 0.01, "height": 0.05} | {name: sigma}
+    found = estimate_components(
+        *tilting(0, tilt=given["tilt_by_travel"], rise=given["rise_by_travel"], height=given["height"])
+    )
     assert found is not None
-    for name, sigma in {"tilt_by_travel": 0.01, "rise_by_travel": 0.1, "height": 0.05}.items():
-        assert sigma / 2.0 < np.sqrt(getattr(found.variances, name)) < sigma * 2.0, name
+    assert sigma / 2.0 < np.sqrt(getattr(found.variances, name)) < sigma * 2.0
