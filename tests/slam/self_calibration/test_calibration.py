@@ -37,7 +37,7 @@ def value_of(config: Config, key: str) -> float:
 
 @pytest.fixture(scope="module")
 def surveyed() -> Survey:
-    return summarize(SurveyedDrive(0, NOISE, objects=100).scans)
+    return summarize(SurveyedDrive(0, NOISE, scans=500, objects=60).scans)
 
 
 def scaled(survey: Survey, factor: float) -> Survey:

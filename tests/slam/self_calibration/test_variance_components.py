@@ -48,7 +48,7 @@ POWERS = {
 
 @pytest.fixture
 def few_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(variance_components, "USED_PAIRS", 500)
+    monkeypatch.setattr(variance_components, "USED_PAIRS", 1000)
 
 
 def estimate(drive: SurveyedDrive) -> ComponentEstimate:
@@ -179,6 +179,7 @@ def test_noise_of_half_the_spacing_is_no_bias_of_the_view() -> None:
     assert np.sqrt(found.variances.view) < 0.25
 
 
+@pytest.mark.usefixtures("few_pairs")
 @pytest.mark.parametrize(
     ("noise", "along_m", "across_m"),
     [
@@ -271,6 +272,7 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
         np.testing.assert_allclose(next(parts), after * squares[0] + before * squares[1], atol=1e-9)
 
 
+@pytest.mark.usefixtures("few_pairs")
 @pytest.mark.parametrize(("name", "sigma"), [("tilt_by_travel", 0.01), ("rise_by_travel", 0.1), ("height", 0.3)])
 def test_noise_of_heights_is_told_apart(name: str, sigma: float) -> None:
     given = {"tilt_by_travel": 0.001, "rise_by_travel": 0.01, "height": 0.05} | {name: sigma}
