@@ -17,6 +17,7 @@ from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
+from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 CONFIG = DetectionCalibration()
@@ -139,6 +140,14 @@ def test_several_logs_are_surveyed_as_one_drive():
 
 def test_too_few_objects_tell_no_noise():
     assert survey(straight(), CONFIG).components is None
+
+
+def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
+    none = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
+    found = ComponentEstimate(replace(none, radial=0.03, tangential=0.05, view=0.05), none, 1000)
+    monkeypatch.setattr("slam.self_calibration.survey.estimate_components", lambda *_: found)
+    monkeypatch.setattr("slam.self_calibration.survey.clutter_density", lambda scans, tracked, sigma_m: sigma_m)
+    assert survey(straight(), CONFIG).clutter_density == pytest.approx(0.3)
 
 
 def test_a_drive_is_summed_up_with_the_noise_that_it_has():
