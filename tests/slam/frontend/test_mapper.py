@@ -157,11 +157,11 @@ def test_landmark_seen_too_seldom_is_not_confirmed():
 
 def test_scans_of_sensors_that_take_turns_count_as_one(young):
     bench = Bench()
-    for i in range(30):
+    for i in range(40):
         bench.move(0.1 * i, 0.05 * i)
-        one = slice(i % 3, i % 3 + 1)
-        bench.see(0.1 * i, OBJECTS[one], LABELS[one], sensor=f"sensor {i % 3}")
-    assert bench.states() == [LandmarkState.CONFIRMED] * 3
+        one = slice(i % 4, i % 4 + 1)
+        bench.see(0.1 * i, OBJECTS[one], LABELS[one], sensor=f"sensor {i % 4}")
+    assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
 @pytest.mark.parametrize(("scans", "step_m"), [(20, 0.01), (3, 5.0)], ids=["scans", "distance"])

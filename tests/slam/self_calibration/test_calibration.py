@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import Calibration, OdometryCalibration
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
-from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, SUBMAP_RANGES, calibrate
+from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
 from slam.self_calibration.survey import Survey, summarize
