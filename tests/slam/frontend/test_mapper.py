@@ -7,7 +7,7 @@ import pytest
 
 from logs.messages import DetectionAssociations, Odometry
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Observation
+from slam.backend.factors import Edge, Observation
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
@@ -329,7 +329,12 @@ def test_what_others_were_merged_into_is_not_gone(young):
 def test_keyframe_begins_where_odometry_and_landmarks_have_it(monkeypatch):
     bench, steps = Bench(), list[FloatArray | None]()
     add = bench.graph.add_next_keyframe
-    monkeypatch.setattr(bench.graph, "add_next_keyframe", lambda edge, T=None: add(edge, steps.append(T)))
+
+    def added(edge: Edge, T_first: FloatArray | None = None) -> None:
+        steps.append(T_first)
+        add(edge, T_first)
+
+    monkeypatch.setattr(bench.graph, "add_next_keyframe", added)
     bench.drive(5)
     bench.move(1.0, 5000.0)
     first, second, _ = bench.mapper.keyframes
