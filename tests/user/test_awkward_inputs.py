@@ -96,11 +96,11 @@ class Case:
     code: int = 0
 
 
-def table(told: str, detections: str = TABLE, odometry: str = POSES, *, code: int = 0, name: str = "t.csv") -> Case:
-    commands = f"import csv drive.mcap --odometry odometry.txt --detections {name}"
+def table(told: str, detections: str = TABLE, odometry: str = POSES, *, code: int = 0) -> Case:
+    commands = "import csv drive.mcap --odometry odometry.txt --detections t.csv"
     if code == 0:
         commands += "; info drive.mcap"
-    return Case(told, commands, {"odometry.txt": odometry, name: detections}, code)
+    return Case(told, commands, {"odometry.txt": odometry, "t.csv": detections}, code)
 
 
 def places(told: str, text: str, *options: str, code: int = 0) -> Case:

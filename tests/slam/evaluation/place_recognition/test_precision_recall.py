@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.evaluation.place_recognition.revisits import describe_sweep, sweep_scores
@@ -44,6 +44,7 @@ def brute_force(candidates: list[Candidate], revisit_ids: list[int]) -> list[tup
 
 
 # Few scores, so that many are equal.
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(st.integers(0, 8), st.sampled_from([0.0, 0.5, 1.0, 2.0]), st.booleans()), max_size=40),
     st.lists(st.integers(0, 9), min_size=1, max_size=10, unique=True),
