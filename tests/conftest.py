@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from slam.common.config import Config
-from slam.replay import replay
+from slam.replay import ReplaySummary, replay
 from slam.simulation.config import SimulationConfig
 from tests.helpers.short_drives import Entry, drive, write_log
+from tests.tools.runs import Result, Run
+from tools import cli
 
 _ALL_SLOW = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.slow\b", re.MULTILINE)
 
@@ -20,6 +23,17 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     if config.getoption("markexpr") != "not slow" or not collection_path.match("test_*.py"):
         return None
     return True if _ALL_SLOW.search(collection_path.read_text(encoding="utf-8")) else None
+
+
+@pytest.fixture
+def dslam(capsys: pytest.CaptureFixture[str]) -> Run:
+    """The command line, in this process."""
+
+    def run(*arguments: object) -> Result:
+        code = cli.run([str(argument) for argument in arguments])
+        return Result(code, *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")
@@ -39,8 +53,21 @@ def noisy_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory
     return write_log(tmp_path_factory.mktemp("noisy") / "in.mcap", noisy_drive)
 
 
+@dataclass(frozen=True)
+class Replayed:
+    """What a replay left, and what it told on its way."""
+
+    output: Path
+    summary: ReplaySummary
+    progress: list[float]
+
+
 @pytest.fixture(scope="session")
-def noisy_output(noisy_log: Path) -> Path:
-    output = noisy_log.with_name("out.mcap")
-    replay(noisy_log, output, Config())
-    return output
+def noisy_replay(noisy_log: Path) -> Replayed:
+    output, progress = noisy_log.with_name("out.mcap"), list[float]()
+    return Replayed(output, replay(noisy_log, output, Config(), progress=progress.append), progress)
+
+
+@pytest.fixture(scope="session")
+def noisy_output(noisy_replay: Replayed) -> Path:
+    return noisy_replay.output

@@ -30,6 +30,7 @@ GENERATED = {f"docs/reference/{name}.md" for name in ("commands", "settings", "j
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 SHELLS = ("", "sh", "bash", "console")
 LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
+COMMAND = get_command(make_app())
 ENDS = {";", "&&", "|", "||", "&", "(", ")", "do", "done", "then", "else"}
 
 
@@ -92,7 +93,7 @@ def commands(block: str) -> Iterator[list[str]]:
 
 def parse(arguments: list[str]) -> Any:
     """The context of the command that they name; raises for a command, an option or a value that there is not."""
-    command: Any = get_command(make_app())
+    command: Any = COMMAND
     context = None
     while True:
         context = command.make_context(command.name, list(arguments), parent=context)

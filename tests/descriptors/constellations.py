@@ -45,16 +45,3 @@ def constellation(
     positions = np.column_stack([distances_m * np.cos(bearings_rad), distances_m * np.sin(bearings_rad), 0.0 * labels])
     offsets, centre = np.array([0, len(labels)]), np.array([centre_label])
     return Constellations(positions, labels.astype(np.int64), centre, offsets, tuple(vocabulary), np.zeros((1, 3)))
-
-
-def thinned(constellations: Constellations, kept: NDArray[np.bool_]) -> Constellations:
-    """The same objects with only those neighbours that are ``kept`` (P,)."""
-    counts = np.bincount(constellations.owners[kept], minlength=len(constellations))
-    return Constellations(
-        constellations.positions[kept],
-        constellations.labels[kept],
-        constellations.centre_labels,
-        np.concatenate([[0], np.cumsum(counts)]),
-        constellations.vocabulary,
-        constellations.centres,
-    )

@@ -54,8 +54,8 @@ def entries_of(matches: Matches, query: int) -> list[int]:
 
 
 # 256 entries fit before the index grows for the first time.
-@pytest.mark.parametrize(("count", "parts"), [(700, 4), (257, 2), (1500, 1), (300, 300), (40, 4)])
-@pytest.mark.parametrize("k", [1, 5, 20])
+@pytest.mark.parametrize(("count", "parts"), [(700, 4), (257, 2), (40, 4)])
+@pytest.mark.parametrize("k", [1, 20])
 def test_the_nearest_of_the_own_class_among_the_allowed_are_found_in_order(count, parts, k):
     index, vectors, labels = filled(count, seed=count, parts=parts)
     rng = np.random.default_rng(1)
@@ -91,14 +91,6 @@ def test_fewer_than_asked_for_are_all_found_and_nothing_else():
         matches = index.search(queries, k, allowed)
         np.testing.assert_array_equal(matches.queries, [0, 0])
         assert sorted(entries_of(matches, 0)) == np.flatnonzero(labels == 1)[:2].tolist()
-
-
-def test_an_entry_is_at_no_distance_from_itself():
-    index, vectors, labels = filled(50, seed=3)
-    matches = index.search(prepared(vectors, labels), 1, np.ones(50, dtype=bool))
-    np.testing.assert_array_equal(matches.entries, np.arange(50))
-    # Squares of float32 vectors of length 2.4 cancel to about 1e-6.
-    np.testing.assert_allclose(matches.distances, 0.0, atol=3e-3)
 
 
 @pytest.mark.parametrize(("entries", "queries", "allowed"), [(0, 3, True), (20, 0, True), (20, 3, False)])

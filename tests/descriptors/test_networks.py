@@ -54,17 +54,6 @@ def test_padding_changes_no_gradient(describe):
 
 
 @torch.no_grad()
-def test_class_and_position_matter(describe):
-    positions, labels, present = batch((12,), 12)
-    described = describe(positions, labels, present)
-    relabelled, moved = labels.clone(), positions.clone()
-    relabelled[0, 5] = (labels[0, 5] + 1) % 64
-    moved[0, 5, 0] += 5.0
-    assert not close(described, describe(positions, relabelled, present), 1e-4)
-    assert not close(described, describe(moved, labels, present), 1e-4)
-
-
-@torch.no_grad()
 def test_each_layer_of_the_backbone_adds_to_the_one_before(describe):
     positions, labels, present = batch((12, 5), 12)
     seen: list[Tensor] = []

@@ -87,11 +87,10 @@ def test_index_holds_objects_at_one_place(name):
 
 
 @every_exact_name
-@pytest.mark.parametrize("yaw_rad", [0.3, np.pi, -2.0])
-def test_yaw_translation_and_order_of_the_objects_change_nothing(name, yaw_rad):
+def test_yaw_translation_and_order_of_the_objects_change_nothing(name):
     positions, labels = scattered(60, seed=11)
     order = np.random.default_rng(0).permutation(60)
-    moved = apply(transform_from_xyz_yaw(np.array([120.0, -75.0, 4.0]), yaw_rad), positions)
+    moved = apply(transform_from_xyz_yaw(np.array([120.0, -75.0, 4.0]), -2.0), positions)
     before, after = (describe(make_descriptor(name), where, labels) for where in (positions, moved))
     shuffled = describe(make_descriptor(name), positions[order], labels[order])
     assert_alike(after, before)

@@ -22,10 +22,6 @@ CORNERS = {"A": (0, 0), "B": (80, 0), "C": (160, 0), "D": (160, 60), "E": (80, 6
 TWO_BLOCKS_ROUND_M, ONE_BLOCK_ROUND_M = 440.0, 280.0
 """Lengths of the first round."""
 
-ACCEPT_EVERYTHING = {
-    "localization": {"error_probability": 1.0 - 1e-15},
-}
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
@@ -67,14 +63,12 @@ def replay_drive(
     *,
     seed: int = 1,
     kidnap: KidnapConfig | None = None,
-    calibrated: bool = True,
-    branches: dict[str, dict[str, float]] | None = None,
     **loop_closure: Any,
 ) -> Outcome:
     """Drive through ``world`` with the default noise, at 5 scans a second, and replay it."""
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)
     path = folder / "out.mcap"
-    config = Config.model_validate({"calibrate": calibrated, "loop_closure": loop_closure, **(branches or {})})
+    config = Config.model_validate({"loop_closure": loop_closure})
     return Outcome(path, run(drive(simulation, seed=seed, world=world), path, config))
 
 

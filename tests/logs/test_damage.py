@@ -46,7 +46,7 @@ def chunk_offsets(data, tmp_path):
         return read_index("", stream, ReadingLimits()).blocks
 
 
-@pytest.mark.parametrize("cut", [8, 9, 30, 60, 300_001, -1, -8, -9, -30, -200])
+@pytest.mark.parametrize("cut", [8, 60, 300_001, -1, -30])
 def test_truncated_log_gives_a_prefix_of_its_records(whole, tmp_path, cut):
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole[:cut])
@@ -88,9 +88,14 @@ def test_summary_with_a_bad_checksum_is_not_believed(whole, tmp_path):
     assert len(stamps(path)[0]) == COUNT
 
 
-@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.NONE])
-@pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.NONE])
-@pytest.mark.parametrize("use_chunking", [True, False])
+@pytest.mark.parametrize(
+    ("index_types", "compression", "use_chunking"),
+    [
+        (IndexType.ALL, CompressionType.LZ4, True),
+        (IndexType.NONE, CompressionType.NONE, True),
+        (IndexType.ALL, CompressionType.NONE, False),
+    ],
+)
 def test_other_layouts_are_read_alike(whole, tmp_path, index_types, compression, use_chunking):
     (tmp_path / "in.mcap").write_bytes(whole)
     path = tmp_path / "out.mcap"

@@ -138,7 +138,7 @@ def objects_log(path: Path, labels: list[tuple[str, ...]]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("labels", [("tree",) * 11, ("tree",) * 200, ("x" * 1001,)])
+@pytest.mark.parametrize("labels", [("tree",) * 11, ("x" * 1001,)])
 def test_messages_with_too_many_objects_or_long_names_are_left_out(tmp_path, labels):
     path = objects_log(tmp_path / "log.mcap", [("tree",) * 10, labels])
     assert read(path, limits=ReadingLimits(objects=10)) == (1, {"invalid_messages": 1})

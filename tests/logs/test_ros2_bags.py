@@ -116,7 +116,7 @@ def test_folder_without_metadata_and_metadata_alone_are_refused(bags: dict[str, 
 
 NONE = "rosbag2_bagfile_information: "
 ODD = (
-    *("", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}", "[" * 20_000),
+    *("", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}"),
     *(f"a: {value}" for value in ("!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000)),
 )
 

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from logs.decoders.decode import decode
-from logs.decoders.registry import ROS_DETECTIONS
 from logs.errors import InvalidRecordError
-from logs.messages import LabelledScan
 from tests.helpers.ros2_logs import at, detection3d, encoded, header, vector
 
 SECOND = 10**9
@@ -121,13 +119,6 @@ def test_poses_are_named_after_their_topic() -> None:
     (record,) = decoded("geometry_msgs/msg/PoseArray", values)
     assert (record.labels, record.frame_id) == (("poles", "poles"), "lidar")
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
-
-
-@pytest.mark.parametrize("type_name", ROS_DETECTIONS)
-def test_empty_message_is_an_empty_scan(type_name: str) -> None:
-    found = decoded(type_name, {})
-    counts = [len(record.classes if isinstance(record, LabelledScan) else record.labels) for record in found]
-    assert counts == ([0] if "Marker" not in type_name else [])
 
 
 def test_boxes_in_image() -> None:

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from logs import validation
 from logs.decoders.decode import decode
 from logs.errors import InvalidRecordError
 from logs.reader import LogReader
@@ -63,13 +62,6 @@ def test_rounded_quaternions_are_normalised(q, scale):
     R = record.T_odom_body[:3, :3]
     np.testing.assert_allclose(R, Rotation.from_quat(q).as_matrix(), atol=1e-14)
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15 * 4)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_quaternions_of_any_rotation(seed):
-    T = random_transform(np.random.default_rng(seed))
-    expected = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
-    np.testing.assert_allclose(validation.quaternion_xyzw(T), expected, atol=1e-14)
 
 
 def test_objects_without_a_position_are_dropped_and_counted():

@@ -40,7 +40,6 @@ def clean_ate_m(log, tmp_path_factory) -> float:
 @pytest.mark.parametrize(
     ("fault", "counter"),
     [
-        ("heading_jump=40", "odometry_corrected"),
         ("heading_jump=-120", "odometry_corrected"),
         ("pitch_jump=25", "odometry_corrected"),
         ("odometry_jumps=1:60", "odometry_corrected"),
@@ -58,7 +57,7 @@ def test_jump_is_corrected_and_counted(log, clean_ate_m, tmp_path, fault, counte
 
 @pytest.mark.slow
 @pytest.mark.xfail(strict=True, reason="few objects in view: ATE 0.31 and 0.36 m, 0.102 wanted")
-@pytest.mark.parametrize("fault", ["odometry_freezes=5", "odometry_freezes=1000"])
+@pytest.mark.parametrize("fault", ["odometry_freezes=5"])
 def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, tmp_path, fault):
     faulty = tmp_path / "faulty.mcap"
     write_faulty(log, faulty, parse_faults([fault]), seed=0)

@@ -16,6 +16,7 @@ from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.evaluation.inputs.records import collect_records
+from slam.final_map import FinalMap
 from slam.fleet.session_config import session_config
 from slam.live_slam import LiveSlam
 from slam.localization.state import CALIBRATIONS
@@ -36,10 +37,15 @@ def records() -> tuple[Record, ...]:
 
 
 @cache
-def live_updates() -> tuple[tuple[Record, ...], ...]:
-    """What each of the records made known."""
+def driven() -> tuple[LiveSlam, tuple[tuple[Record, ...], ...], FinalMap]:
+    """A system after the drive, what each of the records made known, and the final map."""
     slam = LiveSlam(Config())
-    return tuple(tuple(slam.process(record)) for record in records())
+    updates = tuple(tuple(slam.process(record)) for record in records())
+    return slam, updates, slam.finish()
+
+
+def live_updates() -> tuple[tuple[Record, ...], ...]:
+    return driven()[1]
 
 
 def poses(updates: tuple[tuple[Record, ...], ...]) -> list[tuple[int, bytes]]:
@@ -90,10 +96,7 @@ def test_one_pose_is_published_for_each_odometry_message():
 
 
 def test_map_is_the_one_that_the_last_calibration_makes_of_all_records():
-    slam = LiveSlam(Config())
-    for record in records():
-        slam.process(record)
-    final = slam.finish()
+    slam, _, final = driven()
     again = Slam(slam.calibration.config)
     for record in records():
         again.process(record)
@@ -102,10 +105,7 @@ def test_map_is_the_one_that_the_last_calibration_makes_of_all_records():
 
 
 def test_saved_map_holds_the_landmarks_and_the_calibration(tmp_path: Path):
-    slam = LiveSlam(Config())
-    for record in records():
-        slam.process(record)
-    final = slam.finish()
+    slam, _, final = driven()
     slam.save(tmp_path / "map.mcap", final)
     saved = load_map(tmp_path / "map.mcap")
     assert set(saved.objects.ids) == set(confirmed(final.object_map).ids)

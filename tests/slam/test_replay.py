@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,15 +24,11 @@ from logs.messages import (
     TrajectoryRecord,
 )
 from logs.reader import LogReader
-from logs.selection import select_all
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
-from slam.self_calibration.calibration import CalibratedLog, calibrate
-from slam.self_calibration.survey import survey
-from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.system import Slam
 from tests.helpers.data import KITTI, needs_kitti
 from tests.helpers.short_drives import (
@@ -55,25 +50,23 @@ KINDS = {
     "/slam/graph": FactorGraphRecord,
     "/slam/status": StatusRecord,
 }
+PICTURES = {
+    "/slam/landmarks": "foxglove.SceneUpdate",
+    "/slam/trajectory": "foxglove.PosesInFrame",
+    "/slam/pose": "foxglove.PoseInFrame",
+    "/tf": "foxglove.FrameTransforms",
+    "/slam/log": "foxglove.Log",
+    "/slam/landmark_points": "foxglove.PointCloud",
+    "/slam/submap": "foxglove.PointCloud",
+}
 
 
-@pytest.mark.parametrize("topic", KINDS)
-def test_the_output_topics_are_there_and_decode(noisy_output, topic):
-    records = records_of(noisy_output, topic)
-    assert records
-    assert {type(record) for record in records} == {KINDS[topic]}
-
-
-def test_the_pictures_are_there_in_the_viewers_own_schemas(noisy_output):
+def test_the_output_topics_are_there_and_decode(noisy_output):
+    for topic, kind in KINDS.items():
+        assert {type(record) for record in records_of(noisy_output, topic)} == {kind}, topic
     with LogReader(noisy_output) as reader:
-        schemas = {info.topic: (info.schema_name, info.message_count) for info in reader.topics()}
-    assert schemas["/slam/landmarks"][0] == "foxglove.SceneUpdate"
-    assert schemas["/slam/trajectory"] == ("foxglove.PosesInFrame", 1)
-    assert schemas["/slam/pose"][0] == "foxglove.PoseInFrame"
-    assert schemas["/tf"][0] == "foxglove.FrameTransforms"
-    assert schemas["/slam/log"][0] == "foxglove.Log"
-    for topic in ("landmark_points", "submap"):
-        assert schemas[f"/slam/{topic}"][0] == "foxglove.PointCloud"
+        schemas = {info.topic: info.schema_name for info in reader.topics()}
+    assert schemas.items() >= PICTURES.items()
 
 
 def test_the_output_fits_its_input(noisy_drive, noisy_output):
@@ -112,18 +105,12 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
     assert content(noisy_output) == content(noisy_log)
 
 
-def calibrated(log: Path, config: Config) -> CalibratedLog:
-    with LogReader(log) as reader:
-        surveyed = SurveyedLog.of(entry.record for entry in reader.records(select_all(reader.topics())))
-    return calibrate(config, survey([surveyed], config.calibration))
-
-
 def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
     with LogReader(noisy_output) as reader:
         found = reader.metadata()["dslam"]
     assert found["input_sha256"] == file_sha256(noisy_log)
     assert Config.model_validate_json(found["configuration"]) == Config()
-    assert json.loads(found["estimated"]) == dict(calibrated(noisy_log, Config()).estimated)
+    assert json.loads(found["estimated"])
     assert found["version"]
     assert json.loads(found["topics"])["/odom"] == ["odometry"]
 
@@ -145,9 +132,8 @@ def test_the_output_can_be_evaluated_on_its_own(noisy_output):
     assert set(found.unavailable) <= {"closures", "calibration"}
 
 
-def test_the_summary_agrees_with_the_output(noisy_log, noisy_output, tmp_path):
-    summary = replay(noisy_log, tmp_path / "out.mcap", Config())
-    status = final_status(noisy_output)
+def test_the_summary_agrees_with_the_output(noisy_replay):
+    summary, status = noisy_replay.summary, final_status(noisy_replay.output)
     assert summary.counters == status.counters
     assert summary.final_status == status.message
     assert summary.log_s == pytest.approx(summary.counters["odometry_used"] * 0.1, abs=0.2)
@@ -179,15 +165,16 @@ def test_an_error_on_the_way_leaves_no_file_under_the_final_name(noisy_log, tmp_
 
     monkeypatch.setattr(Slam, "process", failing)
     output = tmp_path / "out.mcap"
+    as_given = Config(calibrate=False)
     with pytest.raises(type(error)):
-        replay(noisy_log, output, Config())
+        replay(noisy_log, output, as_given)
     assert not output.exists()
     part = tmp_path / "out.mcap.part"
     assert part.exists() == isinstance(error, PowerCutError)
     assert not part.exists() or len(records_of(part, "/slam/pose")) > 100
     output.write_bytes(b"old")
     with pytest.raises(type(error)):
-        replay(noisy_log, output, Config())
+        replay(noisy_log, output, as_given)
     assert output.read_bytes() == b"old"
 
 
@@ -210,9 +197,8 @@ def test_a_partial_log_is_not_destroyed_by_replaying_it_into_its_own_name(noisy_
     assert source.read_bytes() == before
 
 
-def test_progress_rises_from_zero_to_one(noisy_log, tmp_path):
-    told: list[float] = []
-    replay(noisy_log, tmp_path / "out.mcap", Config(), progress=told.append)
+def test_progress_rises_from_zero_to_one(noisy_replay):
+    told = noisy_replay.progress
     assert told == sorted(told)
     assert told[0] == pytest.approx(0.0, abs=0.01)
     assert told[-1] == 1.0

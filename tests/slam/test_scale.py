@@ -95,27 +95,23 @@ def entries() -> list[Entry]:
 
 
 @pytest.fixture(scope="module")
-def unscaled(entries) -> Result:
-    return mapped(entries, 1.0)
-
-
-def test_the_drive_closes_loops(unscaled):
-    assert sum(stage == "accepted" for _, _, stage, *_ in unscaled.closures) > 10
+def results(entries) -> dict[float, Result]:
+    """Of that drive at each scale."""
+    return {scale: mapped(entries, scale) for scale in (1.0, *SCALES)}
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_a_scaled_drive_has_the_scaled_map(entries, unscaled, scale):
-    _assert_alike(mapped(entries, scale), unscaled, scale)
+def test_a_scaled_drive_has_the_scaled_map(results, scale):
+    assert sum(stage == "accepted" for _, _, stage, *_ in results[1.0].closures) > 10
+    _assert_alike(results[scale], results[1.0], scale)
 
 
 @pytest.fixture(scope="module")
-def maps(entries, unscaled, tmp_path_factory) -> dict[float, SavedMap]:
-    """Maps of that drive at each scale."""
-    finals = {1.0: unscaled.final, **{scale: mapped(entries, scale).final for scale in SCALES}}
+def maps(results, tmp_path_factory) -> dict[float, SavedMap]:
     loaded = {}
-    for scale, final in finals.items():
+    for scale, result in results.items():
         path = tmp_path_factory.mktemp("maps") / "map.mcap"
-        save_map(path, final.object_map, final.graph, {"version": "0", "input_sha256": "0"})
+        save_map(path, result.final.object_map, result.final.graph, {"version": "0", "input_sha256": "0"})
         loaded[scale] = load_map(path)
     return loaded
 

@@ -4,17 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.runs import SAMPLE, Result, Run
+from tests.tools.runs import SAMPLE
 from tools import cli
-
-
-@pytest.fixture
-def dslam(capsys: pytest.CaptureFixture[str]) -> Run:
-    def run(*arguments: object) -> Result:
-        code = cli.run([str(argument) for argument in arguments])
-        return Result(code, *capsys.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="session")

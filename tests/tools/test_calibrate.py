@@ -11,27 +11,34 @@ import dslam as library
 from logs.reader import LogReader
 from slam.common.config import Config, load_config
 from tests.tools.runs import SAMPLE, Run, assert_refused
+from tools import cli
 
 
-@pytest.fixture
-def robot(dslam: Run, tmp_path: Path) -> Path:
-    path = tmp_path / "robot.toml"
-    assert dslam("calibrate", SAMPLE, "-o", path).code == 0
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("calibrate") / "robot.toml"
+    assert cli.run(["calibrate", str(SAMPLE), "-o", str(path)]) == 0
     return path
 
 
-def test_file_holds_the_calibration_of_the_library(dslam: Run, robot: Path) -> None:
+def test_file_holds_the_calibration_of_the_library(robot: Path) -> None:
     calibration = load_config(calibration=robot).calibration
     assert calibration.is_complete
     assert calibration == library.calibrate(SAMPLE)
+
+
+def test_several_logs_are_pooled(dslam: Run, robot: Path) -> None:
     pooled = json.loads(dslam("calibrate", SAMPLE, SAMPLE, "--json").out)["calibration"]
-    assert pooled["evidence"]["scans"] == 2 * calibration.evidence["scans"]
+    assert pooled["evidence"]["scans"] == 2 * load_config(calibration=robot).calibration.evidence["scans"]
 
 
 @pytest.mark.parametrize("is_given", [True, False])
-def test_replay_uses_the_file_or_estimates_the_same(dslam: Run, robot: Path, tmp_path: Path, is_given: bool) -> None:
-    output, again = tmp_path / "out.mcap", tmp_path / "same.toml"
-    assert dslam("replay", SAMPLE, "-o", output, *(("--calibration", robot) if is_given else ())).code == 0
+def test_replay_uses_the_file_or_estimates_the_same(
+    dslam: Run, robot: Path, mapped: Path, tmp_path: Path, is_given: bool
+) -> None:
+    output, again = (tmp_path / "out.mcap") if is_given else mapped, tmp_path / "same.toml"
+    if is_given:
+        assert dslam("replay", SAMPLE, "-o", output, "--calibration", robot).code == 0
     with LogReader(output) as reader:
         about = reader.metadata()["dslam"]
     assert (json.loads(about["estimated"]) == {}) == is_given

@@ -12,27 +12,10 @@ import pytest
 
 from logs.messages import LoopClosureRecord, Odometry
 from logs.writer import LogWriter
-from tests.tools.runs import SAMPLE, Run
+from tests.tools.runs import Run
 from tools import console
 
 pytestmark = pytest.mark.slow
-
-
-def test_json_is_one_object(dslam: Run, mapped: Path, tmp_path: Path) -> None:
-    for arguments in (
-        ("simulate", tmp_path / "a.mcap", "--length", 20),
-        ("info", SAMPLE),
-        ("info", mapped),
-        ("replay", SAMPLE, "-o", tmp_path / "c.mcap"),
-        ("evaluate", mapped),
-        ("config", "--simulation"),
-    ):
-        result = dslam(*arguments, "--json")
-        assert (result.code, result.err) == (0, "")
-        told = json.loads(result.out)
-        if arguments[0] == "replay":
-            assert told["counters"]["odometry_used"] == 164
-            assert told["counters"]["landmarks_confirmed"] > 20
 
 
 def test_a_drive_is_simulated_mapped_evaluated_and_exported(dslam: Run, tmp_path: Path) -> None:
@@ -58,13 +41,6 @@ def test_a_drive_is_simulated_mapped_evaluated_and_exported(dslam: Run, tmp_path
     told = dslam("info", output, "--closures").out
     for text in ("defaults, but calibrate=false, keyframe.distance_m=3", "landmarks_confirmed", "map of another log"):
         assert text in " ".join(told.split())
-
-
-def test_info_of_an_input(dslam: Run) -> None:
-    result = dslam("info", SAMPLE)
-    assert result.code == 0
-    for text in ("/odom as odometry", "/detections as detections", "foxglove.Odometry", "tree", "base_link"):
-        assert text in result.out
 
 
 def test_info_lists_loop_closures(dslam: Run, tmp_path: Path) -> None:
@@ -100,11 +76,3 @@ def test_a_narrow_terminal_loses_no_digit(dslam: Run, mapped: Path, monkeypatch:
         monkeypatch.setattr(console, "PIPE_WIDTH", width)
         narrow = dslam("evaluate", mapped, "--all").out
         assert sorted(numbers.findall(narrow)) == sorted(numbers.findall(wide))
-
-
-def test_configuration_goes_round(dslam: Run, tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    printed = dslam("config", "--set", "keyframe.distance_m=1.5").out
-    assert "distance_m = 1.5" in printed
-    path.write_text(printed)
-    assert json.loads(dslam("config", "--config", path, "--json").out)["keyframe"]["distance_m"] == 1.5

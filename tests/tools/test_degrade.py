@@ -10,7 +10,6 @@ from slam.simulation.faults.registry import FAULTS
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 
 DETECTIONS = 3313
-TREES = 1257
 
 
 def test_faults_are_applied_in_their_order_and_recorded(dslam: Run, tmp_path: Path) -> None:
@@ -25,13 +24,6 @@ def test_faults_are_applied_in_their_order_and_recorded(dslam: Run, tmp_path: Pa
     with LogReader(output) as reader:
         told = reader.metadata()["faults"]
     assert (told["faults"], told["seed"]) == (" ".join(faults), "3")
-
-
-def test_a_summary_for_people(dslam: Run, tmp_path: Path) -> None:
-    result = dslam("degrade", SAMPLE, "-o", tmp_path / "out.mcap", "--fault", "keep_label=tree")
-    assert result.code == 0
-    assert f"{TREES} after, {DETECTIONS} before" in result.out
-    assert f"keep_label=tree: {FAULTS['keep_label'].meaning}" in result.out
 
 
 def test_list_has_every_fault_with_its_meaning(dslam: Run) -> None:

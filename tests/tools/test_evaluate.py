@@ -77,11 +77,6 @@ class TestOneLog:
         assert [each["method"] for each in told] == ["trajectory", "map"]
         assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no final trajectory")
 
-    def test_a_reference_that_is_none(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
-        text = tmp_path / "gt.txt"
-        text.write_text("1 2 3\n")
-        assert_refused(dslam("evaluate", mapped, "--reference", text), f"{text}: 3 values", "not a pose")
-
 
 class TestSeveralLogs:
     def test_groups_with_mean_and_deviation(self, dslam: Run, maps: list[Path]) -> None:

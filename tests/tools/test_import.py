@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
 
 from tests.logs.clouds.test_cloud_files import street, write_ply
 from tests.logs.importers.text_drives import DETECTIONS, TextDrive
-from tests.tools.runs import ROOT, Run, assert_refused
-
-DOCS = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+from tests.tools.runs import Run, assert_refused
 
 
 @pytest.fixture
@@ -52,24 +49,6 @@ def test_faults_are_one_line(dslam: Run, drive: TextDrive) -> None:
     assert_refused(result, "detections.csv, line 3, column y_m: 'five' is not a finite number; write it with")
     assert not drive.output.exists()
     assert_refused(dslam("import", "csv", drive.files()["odometry"], *options(drive)), "is the input")
-
-
-def test_the_lines_of_the_docs_write_a_log_that_can_be_replayed(
-    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", DOCS, flags=re.DOTALL)
-    assert sum(bool(line.strip()) for line in code.splitlines()) == 9
-    monkeypatch.chdir(tmp_path)
-    exec(compile(code, "docs/import.md", "exec"), {})
-    told = json.loads(dslam("replay", "drive.mcap", "-o", "map.mcap", "--json").out)
-    assert told["counters"]["odometry_used"] == 100
-    assert told["counters"]["objects_used"] == 200
-    assert told["counters"]["landmarks_confirmed"] == 2
-
-
-@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "track_id", "frame"])
-def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
-    assert word in dslam("import", "csv", "--help").out
 
 
 @pytest.mark.slow

@@ -54,13 +54,10 @@ REFUSED: dict[str, tuple[Callable[[FactorGraph], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("is_optimized", [False, True])
 @pytest.mark.parametrize("name", REFUSED)
-def test_it_is_refused_by_name_and_nothing_is_left_of_it(name, is_optimized):
+def test_it_is_refused_by_name_and_nothing_is_left_of_it(name):
     call, told = REFUSED[name]
     graph = build(noisy_edges(), sightings())
-    if is_optimized:
-        graph.optimize()
     with pytest.raises(FactorGraphError, match=told):
         call(graph)
     assert graph.keyframes.tolist() == list(range(KEYFRAMES))

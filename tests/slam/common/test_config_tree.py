@@ -23,11 +23,6 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_without_anything_the_defaults() -> None:
-    assert load_config() == Config()
-    assert load_simulation_config() == SimulationConfig()
-
-
 def test_flag_wins_over_file_wins_over_default(tmp_path: Path) -> None:
     path = written(tmp_path, "[keyframe]\ndistance_m = 3\n[loop_closure]\ntop_k = 9\n")
     config = load_config(path, ["keyframe.distance_m=4", "keyframe.distance_m=5"])
@@ -44,12 +39,6 @@ def test_flag_takes_a_number_that_begins_with_its_point() -> None:
 def test_toml_reads_back(tmp_path: Path, overrides: tuple[str, ...]) -> None:
     config = load_config(None, overrides)
     assert load_config(written(tmp_path, to_toml(config))) == config
-
-
-def test_toml_of_the_simulation_reads_back(tmp_path: Path) -> None:
-    config = load_simulation_config(None, ["kidnap.from_m=100", "kidnap.to_m=300", "sensor.occlusion=false"])
-    assert config.kidnap is not None
-    assert load_simulation_config(written(tmp_path, to_toml(config))) == config
 
 
 def test_every_setting_has_a_meaning() -> None:

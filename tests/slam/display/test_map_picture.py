@@ -4,16 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
-from logs.errors import UnwritableLogError
 from logs.scene import CLASS_COLORS
 from slam.common.errors import EvaluationError
-from slam.display.map_layers import ESTIMATE, ODOMETRY, TRUE_CLOSURE, MapPicture, layers_of
+from slam.display.map_layers import MapPicture, layers_of
 from slam.display.map_picture import draw_map
-from slam.display.map_topics import CLOSURE_COLOR, PATH_COLOR, SUBMAP_COLOR
-from slam.display.rerun_view import ROBOT_COLOR
 from tests.slam.evaluation.drives import straight_path, winding_path
 
 
@@ -107,23 +103,3 @@ def test_changes_have_a_layer_each_and_fit_into_the_picture() -> None:
     counts = {layer.name: layer.count for layer in layers_of(picture)}
     assert counts == {"moved": 1, "moved to here": None, "appeared": 2, "gone": 1}
     assert picture.points.max() == 9.0
-
-
-@pytest.mark.parametrize(("label", "is_told"), [("tree", False), ("\U0010ffff", True)])
-def test_letters_without_a_font_are_told_once(
-    label: str, is_told: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    draw_map(tmp_path / "a.png", MapPicture(np.zeros((0, 3)), landmarks=np.ones((1, 3)), labels=(label,)))
-    assert sum("Noto Sans CJK" in message for message in caplog.messages) == is_told
-
-
-def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UnwritableLogError, match="No such file"):
-        draw_map(tmp_path / "missing" / "a.png", full_picture())
-
-
-def test_class_colors_differ_from_each_other_and_from_paths() -> None:
-    lines = ESTIMATE, ODOMETRY, TRUE_CLOSURE, PATH_COLOR, CLOSURE_COLOR, SUBMAP_COLOR, ROBOT_COLOR
-    colors = np.array([to_rgb(color) for color in (*CLASS_COLORS, *lines)])
-    apart = np.linalg.norm(colors[:, None] - colors, axis=2) + 2.0 * np.eye(len(colors))
-    assert apart.min() > 0.2

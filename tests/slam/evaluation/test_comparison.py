@@ -52,9 +52,6 @@ class TestSpread:
         assert Spread.over([None]) == Spread(None, None, 0, 1, None, None)
         assert (Spread.over([0.25]).text(2), Spread.over([]).text(2)) == ("0.25", "–")
 
-    def test_equal_values_have_none(self) -> None:
-        assert Spread.over([0.1] * 3).standard_deviation == 0.0
-
     def test_a_figure_that_is_not_there_is_undefined(self) -> None:
         for results in ({}, {"trajectory": None}, {"trajectory": {"ate_m": None}}, {"trajectory": {"ate_m": "4"}}):
             assert ATE.of(results) is None

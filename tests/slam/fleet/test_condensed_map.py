@@ -58,12 +58,6 @@ def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(whole
     np.testing.assert_allclose(double.graph.observation_covariances, 0.5 * single.graph.observation_covariances)
 
 
-def test_a_folded_map_has_edges_between_its_cells(whole: SavedMap) -> None:
-    folded = condense_area(whole, stretch_m=STRETCH_M)
-    assert find_fault(folded.objects, folded.graph) == ""
-    assert set(folded.graph.edge_kinds) == {"closure"}
-
-
 def test_the_place_at_the_origin_comes_first_also_if_drives_came_from_behind_it(whole: SavedMap) -> None:
     T_map_body = whole.graph.T_map_body.copy()
     T_map_body[:, 0, 3] -= 60.0

@@ -44,8 +44,9 @@ def test_places_are_found_where_they_are(pairs: list[MapPair]) -> None:
             assert np.linalg.norm(join.T_reference_place[:2, 3] - expected[:2, 3]) < 0.5
 
 
-def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[Part]) -> None:
+def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[Part], parts: list[Part]) -> None:
     assert [part.sessions for part in joint] == [(0, 1, 2), (3,)]
+    assert joint[1].saved is parts[3].saved
 
 
 def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[Part], parts: list[Part]) -> None:
@@ -71,7 +72,3 @@ def test_a_false_pair_is_rejected_by_the_others(parts: list[Part], pairs: list[M
     parts = join_parts(parts, [*pairs, MapPair(0, 2, (false,), 25.0, True, "")], CONFIG)
     assert parts[0].sessions == (0, 1, 2)
     assert parts[0].rejected == (false,)
-
-
-def test_a_map_that_joins_no_other_stays_as_it_is(parts: list[Part], joint: list[Part]) -> None:
-    assert joint[1].saved is parts[3].saved

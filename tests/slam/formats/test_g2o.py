@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.errors import UnwritableLogError
 from logs.messages import FactorGraphRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
@@ -130,15 +129,3 @@ def test_write_g2o_refuses_invalid_graph(tmp_path: Path, fields: dict[str, objec
     with pytest.raises(InputDataError, match=message):
         write_g2o(tmp_path / "a.g2o", changed(**fields))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_empty_graph_is_an_empty_file(tmp_path: Path) -> None:
-    names = FactorGraphRecord.__dataclass_fields__.keys() - {"stamp_ns"}
-    write_g2o(tmp_path / "a.g2o", changed(**{name: getattr(graph(), name)[:0] for name in names}))
-    assert (tmp_path / "a.g2o").read_text() == ""
-
-
-def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UnwritableLogError, match=r"cannot write .*a\.tum: No such file") as caught:
-        write_tum(tmp_path / "missing" / "a.tum", trajectory(2))
-    assert "\n" not in str(caught.value)

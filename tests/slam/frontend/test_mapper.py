@@ -7,16 +7,16 @@ import pytest
 
 from logs.messages import DetectionAssociations, Odometry
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Observation
+from slam.backend.factors import Edge, Observation
+from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
 from slam.frontend.input.scan import Scan
 from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.noise import BREAK_SIGMA_RANGES
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 
@@ -55,6 +55,7 @@ class Bench:
         *,
         sigma_m: float = 0.2,
         has_own: bool = True,
+        sensor: str = "lidar",
     ) -> tuple[Tracked, OdometryPose]:
         pose = self.track.at(round(seconds * 1e9))
         assert pose is not None
@@ -62,10 +63,10 @@ class Bench:
         positions = apply(invert(pose.T_odom_body), np.asarray(objects, dtype=float).reshape(-1, 3))
         covariances = np.tile(sigma_m**2 * np.eye(3), (count, 1, 1))
         used = np.ones(count, dtype=np.bool_)
-        scan = Scan(pose.stamp_ns, "lidar", positions, covariances, labels, used, used & has_own)
+        scan = Scan(pose.stamp_ns, sensor, positions, covariances, labels, used, used & has_own)
         return self.mapper.locate(scan, pose), pose
 
-    def see(self, seconds: float, *seen: object, **noise: float) -> DetectionAssociations:
+    def see(self, seconds: float, *seen: object, **noise: object) -> DetectionAssociations:
         return self.mapper.add_scan(*self.locate(seconds, *seen, **noise))
 
     def drive(self, scans: int, *, start: int = 0, step_m: float = 0.5, **seen) -> list[DetectionAssociations]:
@@ -94,6 +95,14 @@ def test_odometry_connects_keyframes():
     assert record.edge_keyframe_ids.tolist() == [[0, 1], [1, 2], [2, 3]]
     np.testing.assert_allclose(record.edge_transforms[:, 0, 3], 2.0)
     np.testing.assert_allclose(record.T_map_body[:, 0, 3], [0.0, 2.0, 4.0, 6.0], atol=1e-6)
+
+
+def test_graph_is_updated_at_every_few_keyframes(monkeypatch):
+    bench, updated = Bench(), list[int]()
+    monkeypatch.setattr(bench.graph, "update", lambda: updated.append(len(bench.mapper.keyframes) - 1))
+    for number in range(2 * UPDATE_KEYFRAMES + 2):
+        bench.move(number, 3.0 * number)
+    assert updated == [0, UPDATE_KEYFRAMES, 2 * UPDATE_KEYFRAMES]
 
 
 def test_objects_are_the_same_landmarks_in_every_scan():
@@ -144,6 +153,15 @@ def test_landmark_seen_too_seldom_is_not_confirmed():
         bench.move(0.1 * i, 0.1 * i)
         bench.see(0.1 * i, *((OBJECTS, LABELS) if i % 4 == 0 else (OBJECTS[:1], LABELS[:1])))
     assert bench.states() == [LandmarkState.CONFIRMED, *[LandmarkState.TENTATIVE] * 3]
+
+
+def test_scans_of_sensors_that_take_turns_count_as_one(young):
+    bench = Bench()
+    for i in range(40):
+        bench.move(0.1 * i, 0.05 * i)
+        one = slice(i % 4, i % 4 + 1)
+        bench.see(0.1 * i, OBJECTS[one], LABELS[one], sensor=f"sensor {i % 4}")
+    assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
 @pytest.mark.parametrize(("scans", "step_m"), [(20, 0.01), (3, 5.0)], ids=["scans", "distance"])
@@ -221,6 +239,18 @@ def test_followed_vehicle_retires_because_it_moves():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
+def test_vehicle_that_stops_becomes_a_landmark_where_it_stands():
+    bench = Bench()
+    for i in range(160):
+        bench.move(0.1 * i, 0.02 * i)
+        vehicle = np.array([[3.0 + 0.5 * min(i, 30), 8.0, 0.0]])
+        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=0.6)
+    assert bench.reasons()[4] == "moving"
+    confirmed = bench.map.in_state(LandmarkState.CONFIRMED)
+    assert len(confirmed) == 5
+    np.testing.assert_allclose(bench.map.rows["position_local"][confirmed[-1]], [18.0, 8.0, 0.0], atol=0.1)
+
+
 def test_followed_vehicle_stays_one_landmark():
     assert len(drive_past_a_vehicle(8.0, 40, sigma_m=0.3).map) == 5
 
@@ -277,6 +307,41 @@ def test_among_false_detections_objects_alone_are_confirmed_but_for_one():
     assert len(confirmed) <= len(OBJECTS) + 1
 
 
+def test_landmarks_since_a_keyframe_are_contradicted_on_its_segment_only(young):
+    bench = Bench()
+    bench.drive(8, objects=OBJECTS[:2], labels=LABELS[:2])
+    bench.drive(8, start=8)
+    bench.move(3.0, 5000.0)
+    bench.see(3.0, OBJECTS + np.array([5000.0, 0.0, 0.0]))
+    bench.mapper.retire_since(bench.mapper.keyframes[1])
+    kept, ended, new = LandmarkState.CONFIRMED, LandmarkState.RETIRED, LandmarkState.TENTATIVE
+    assert bench.states() == [kept, kept, ended, ended, *[new] * 4]
+
+
+def test_what_others_were_merged_into_is_not_gone(young):
+    bench = Bench()
+    bench.drive(6)
+    bench.map.merge(0, 1)
+    bench.mapper.retire_gone(np.array([0, 2]))
+    assert bench.states()[::2] == [LandmarkState.CONFIRMED, LandmarkState.RETIRED]
+
+
+def test_keyframe_begins_where_odometry_and_landmarks_have_it(monkeypatch):
+    bench, steps = Bench(), list[FloatArray | None]()
+    add = bench.graph.add_next_keyframe
+
+    def added(edge: Edge, T_first: FloatArray | None = None) -> None:
+        steps.append(T_first)
+        add(edge, T_first)
+
+    monkeypatch.setattr(bench.graph, "add_next_keyframe", added)
+    bench.drive(5)
+    bench.move(1.0, 5000.0)
+    first, second, _ = bench.mapper.keyframes
+    np.testing.assert_allclose(steps[0], relative(first.T_local_body, second.T_local_body))
+    assert steps[1] is None
+
+
 def test_new_segment_of_the_odometry_drops_the_landmarks_in_view():
     bench = Bench()
     bench.drive(10)
@@ -286,7 +351,7 @@ def test_new_segment_of_the_odometry_drops_the_landmarks_in_view():
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
-    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_RANGES * bench.config.sensor_range_m
+    assert np.sqrt(record.edge_covariances[-1][3, 3]) == pytest.approx(100.0 / 30.0 * bench.config.sensor_range_m)
     assert record.edge_kinds[-1] == "discontinuity"
 
 
@@ -303,6 +368,17 @@ def test_noise_by_range_is_that_at_the_range_of_the_landmark(has_own, share):
     squares = np.sum((OBJECTS - here) ** 2, axis=1)
     added = np.zeros(4) if has_own else 0.02**2 * (1.0 - share**2) * squares
     np.testing.assert_allclose(tracked.scan.covariances, (0.2**2 + added)[:, None, None] * np.eye(3), atol=1e-6)
+
+
+def test_landmarks_that_became_inactive_since_a_scan_was_located_are_none_of_its_detections():
+    bench = Bench()
+    bench.drive(12)
+    bench.move(1.2, 6.0)
+    tracked, pose = bench.locate(1.2)
+    bench.mapper._deactivate(np.ones(4, dtype=np.bool_))
+    associations = bench.mapper.add_scan(tracked, pose)
+    assert associations.landmark_ids == ("",) * 4
+    assert not associations.created.any()
 
 
 def test_associations_have_one_entry_per_detection_of_the_message():

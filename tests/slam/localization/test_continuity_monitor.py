@@ -8,7 +8,13 @@ import pytest
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.localization.continuity_monitor import ContinuityMonitor, RecentLandmarks, Visibility
+from slam.localization.continuity_monitor import (
+    FALSE_MATCH_PROBABILITY,
+    ContinuityMonitor,
+    RecentLandmarks,
+    Visibility,
+    _Sides,
+)
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
@@ -161,3 +167,12 @@ def test_what_looks_like_a_kidnapping_is_not_learned_from():
     assert street.drive(5, hidden=street.hide_known()) is None
     assert (street.monitor._counts == during).all()
     assert (before[:, 0] / before.sum(axis=1) > 0.9).all()
+
+
+def test_sightings_speak_against_a_kidnapping_and_misses_for_it():
+    monitor, by_chance = ContinuityMonitor(LocalizationConfig(), RANGE_M), FALSE_MATCH_PROBABILITY
+    monitor._counts[:] = [[9.0, 1.0], [7.0, 3.0]]
+    in_view, seen = np.array([[[0.5, 1.0]], [[0.0, 0.8]]]), np.array([[[0.0, 1.0]], [[1.0, 0.0]]])
+    missed = (1.0 - 0.5 * by_chance) / (1.0 - 0.5 * 0.9) * (1.0 - 0.8 * by_chance) / (1.0 - 0.8 * 0.7)
+    found = monitor._log_likelihood_ratios(_Sides(in_view, seen))
+    np.testing.assert_allclose(found, [np.log(missed * by_chance / 0.9)])

@@ -75,6 +75,13 @@ class TestGeoreference:
         assert found is not None
         assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions)[:, :2].max() < 0.15
 
+    def test_few_good_fixes_weigh_more_than_many_bad_ones(self) -> None:
+        positions = path().T_map_body[:, :3, 3]
+        good, bad = fixes_of(positions, 0.1), fixes_of(positions, 20.0, seed=3)
+        found = find_georeference(path(), [bad[i] if i % 40 else good[i] for i in range(len(good))])
+        assert found is not None
+        assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions)[:, :2].max() < 0.3
+
     def test_fixes_before_the_drive_say_nothing(self) -> None:
         positions = path().T_map_body[:, :3, 3]
         elsewhere = fixes_of(np.tile(positions[0] + np.array([500.0, 0.0, 0.0]), (300, 1)))

@@ -449,6 +449,13 @@ def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
     assert accepted(drive.close(FIRST + 1))
 
 
+def test_a_place_of_another_segment_than_the_map_may_be_anywhere(parts):
+    drive = Drive(parts, prior=True, min_travel_m=1.0)
+    parts.llrs, parts.places = {FIRST: SURE_LLR}, [replace(PLACE, segment=2)]
+    drive.closer.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
+    assert accepted(drive.close(FIRST))
+
+
 def test_a_kidnapping_by_the_landmarks_in_view_loses_the_robot(parts):
     drive = Drive(parts)
     parts.llrs = {FIRST: SURE_LLR}

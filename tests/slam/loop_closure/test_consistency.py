@@ -76,11 +76,6 @@ def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distanc
     assert odometry_penalty(T_BASE, measured, DRIFT, SIGMA_M) == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_penalty_rises_with_the_distance():
-    penalties = [odometry_penalty(T_BASE, moved(T_BASE, x_m), DRIFT, SIGMA_M) for x_m in np.linspace(0.0, 500.0, 60)]
-    assert np.all(np.diff(penalties) > 0.0)
-
-
 def test_more_drift_means_less_penalty():
     measured = moved(T_BASE, 3.0, 1.0, 0.05)
     penalties = [odometry_penalty(T_BASE, measured, (k * 0.5, k * 0.01), SIGMA_M) for k in (1.0, 2.0, 4.0)]

@@ -12,12 +12,9 @@ import pytest
 from scipy.special import logit
 
 from logs.closures import STAGES
-from slam.common.config import Config, LocalizationConfig
-from slam.loop_closure import likelihood_ratio
-from slam.replay import replay
+from slam.common.config import LocalizationConfig
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
-    ACCEPT_EVERYTHING,
     ONE_BLOCK_ROUND_M,
     TWO_BLOCKS_ROUND_M,
     Outcome,
@@ -32,8 +29,6 @@ from tests.helpers.short_drives import final_status
 
 pytestmark = pytest.mark.slow
 
-# So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
-NO_MEMORY = {"localization": {"max_hypotheses": 0}}
 LEAST_LOG_ODDS = -logit(LocalizationConfig().error_probability)
 ONE_TRY = {"top_k": 1, "max_candidates": 2, "propagation_distance_m": 0.0}
 
@@ -71,17 +66,8 @@ def test_loops_are_closed_in_both_directions_and_all_of_them_are_right(looped):
     assert looped.closures["median_rotation_error_deg"] < 1.0
 
 
-def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
-    outcome = replay_drive(tmp_path, two_blocks(), descriptor="random", branches=NO_MEMORY, **ONE_TRY)
-    accepted = [each for each in outcome.evaluation.closures["record"] if each.accepted]
-    assert sum(each.rank > 0 for each in accepted) < 0.3 * outcome.closures["revisit_count"]
-    # All others are proposed where data association still follows a few landmarks of the earlier traversal.
-    assert outcome.closures["precision"] == 1.0
-
-
-@pytest.mark.parametrize("descriptor", ["descriptellation_lr", "gosmatch_vertex"])
-def test_each_keyframe_finds_its_place_without_propagation(tmp_path, descriptor):
-    outcome = replay_drive(tmp_path, two_blocks(), descriptor=descriptor, **ONE_TRY)
+def test_each_keyframe_finds_its_place_without_propagation(tmp_path):
+    outcome = replay_drive(tmp_path, two_blocks(), **ONE_TRY)
     assert outcome.closures["recall"] >= 0.8
     assert outcome.closures["precision"] == 1.0
 
@@ -111,12 +97,9 @@ def test_the_log_says_what_each_candidate_was_decided_from(looped):
 
 
 def test_closures_make_the_trajectory_better(looped, open_ended, tmp_path):
-    """Mean of three drives, because the odometry of one drifts little by chance."""
-    closed_m, open_m = looped.ate_m, open_ended.ate_m
-    for seed in (2, 3):
-        closed_m += replay_drive(tmp_path, two_blocks(), seed=seed).ate_m
-        open_m += replay_drive(tmp_path, two_blocks(), seed=seed, enabled=False).ate_m
-    assert closed_m < 0.4 * open_m
+    """Mean of two drives, because the odometry of one drifts little by chance."""
+    again = [replay_drive(tmp_path, two_blocks(), seed=2, enabled=enabled).ate_m for enabled in (True, False)]
+    assert looped.ate_m + again[0] < 0.4 * (open_ended.ate_m + again[1])
 
 
 def test_closures_make_one_landmark_of_each_object(looped, open_ended):
@@ -127,22 +110,10 @@ def test_closures_make_one_landmark_of_each_object(looped, open_ended):
 # What it leaves alone
 
 
-def count_no_misses(monkeypatch):
-    """Objects without a match say nothing against a place."""
-    monkeypatch.setattr(likelihood_ratio, "DETECTION_PROBABILITY", 1e-6)
-
-
 def test_a_drive_without_revisits_accepts_nothing(straying):
     assert straying.closures["revisit_count"] == 0
     assert straying.closures["candidate_count"] > 100
     assert straying.closures["accepted_count"] == 0
-
-
-def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path, monkeypatch):
-    count_no_misses(monkeypatch)
-    outcome = replay_drive(tmp_path, winding_street(), calibrated=False, branches=ACCEPT_EVERYTHING)
-    assert outcome.accepted_count > 20
-    assert outcome.closures["true_count"] == 0
 
 
 def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
@@ -211,11 +182,6 @@ def test_a_world_of_three_objects_is_mapped_and_the_ledger_says_why_no_loop_is_c
     assert all("min_inliers is" in record.reason for record in outcome.records)
 
 
-def test_two_runs_write_the_same_bytes(looped, tmp_path):
-    replay(looped.path.with_name("in.mcap"), tmp_path / "out.mcap", Config())
-    assert (tmp_path / "out.mcap").read_bytes() == looped.path.read_bytes()
-
-
 # Breaks of the odometry
 
 
@@ -239,9 +205,8 @@ def test_keyframes_before_a_kidnapping_is_detected_are_where_the_robot_was(tmp_p
     assert outcome.ate_m < 0.5
 
 
-@pytest.mark.parametrize("to_m", [60.0, 200.0])
-def test_after_a_break_what_was_seen_just_before_and_after_it_is_no_one_pass(tmp_path, to_m):
+def test_after_a_break_what_was_seen_just_before_and_after_it_is_no_one_pass(tmp_path):
     """It goes on from where it had been before; its odometry begins anew, with numbers that it had before, too."""
-    kidnap = KidnapConfig(from_m=ONE_BLOCK_ROUND_M, to_m=to_m, gap_s=30.0)
+    kidnap = KidnapConfig(from_m=ONE_BLOCK_ROUND_M, to_m=200.0, gap_s=30.0)
     outcome = replay_drive(tmp_path, one_block(), kidnap=kidnap)
     assert outcome.closures["precision"] == 1.0

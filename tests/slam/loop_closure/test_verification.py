@@ -16,7 +16,7 @@ from slam.common.geometry import apply, covariance_in_axes, invert, make_transfo
 from slam.loop_closure import consistency
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
-from slam.loop_closure.verification import Verifier
+from slam.loop_closure.verification import Verifier, _mutually_nearest
 from slam.object_map.submap import Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -272,3 +272,12 @@ def test_landmarks_that_are_not_confirmed_speak_for_a_pose_and_are_not_merged():
     assert sorted(found.pairs[:, 0].tolist()) == without.rows.tolist()
     scene.query = replace(scene.query, submap=without)
     assert found.log_likelihood_ratio > scene.verified().log_likelihood_ratio + 4.0
+
+
+def test_only_nearest_objects_of_one_class_are_pairs():
+    query = make_submap(np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [9.0, 0.0, 0.0]]), [0, 0, 1])
+    reference = make_submap(np.array([[9.1, 0.0, 5.0], [0.1, 0.0, 0.0], [20.0, 0.0, 0.0]]), [1, 0, 0])
+    assert _mutually_nearest(query, reference, np.eye(4)).tolist() == [[0, 1], [2, 0]]
+    nothing = make_submap(np.zeros((0, 3)))
+    for pair in ((query, nothing), (nothing, reference)):
+        assert _mutually_nearest(*pair, np.eye(4)).shape == (0, 2)

@@ -64,11 +64,6 @@ def test_travel_that_came_back_counts_and_a_step_is_never_shorter_than_its_ends_
     np.testing.assert_allclose(jitter_not_counted[TRANSLATION], 0.01 * 0.5)
 
 
-def test_a_step_is_as_uncertain_backwards():
-    a, b = pose(), pose(3.0, yaw=-0.7, seconds=2.0)
-    np.testing.assert_allclose(step_variances(b, a, ALL), step_variances(a, b, ALL))
-
-
 def test_standing_still_is_not_perfectly_certain():
     config = OdometryCalibration()
     expected = [config.min_translation_sigma_m**2, config.min_rotation_sigma_rad**2, config.min_rotation_sigma_rad**2]
@@ -78,11 +73,6 @@ def test_standing_still_is_not_perfectly_certain():
 def test_turning_on_the_spot_is_not_free():
     still, turned = (step_variances(pose(), pose(yaw=yaw), OdometryCalibration()) for yaw in (0.0, np.pi / 2))
     assert turned[HEADING] > 2.0 * still[HEADING]
-
-
-def test_more_travel_is_never_less_noise():
-    steps = [step_variances(pose(), pose(travel_m=travel_m), ALL) for travel_m in np.linspace(0.0, 2.0, 41)]
-    assert np.diff(np.array(steps), axis=0).min() >= 0.0
 
 
 def test_the_covariance_has_the_variances_on_its_diagonal_rotation_first():

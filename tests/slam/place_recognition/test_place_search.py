@@ -10,7 +10,7 @@ from descriptors.registry import shipped_likelihood
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import Submap
-from slam.place_recognition.place_search import SAME_TURN_RAD, PlaceSearch, _Poses
+from slam.place_recognition.place_search import SAME_TURN_RAD, PlaceSearch, _Poses, _query
 
 SIGMA_M = 0.2
 
@@ -147,3 +147,13 @@ def test_pose_voted_for_beside_the_right_one_is_fitted_until_it_is_right(monkeyp
         (fitted,) = search.find_poses(query(seen, labels[rows]), map_sigma_m=SIGMA_M, count=1)
         errors_m.append(float(np.linalg.norm((fitted - T_gt)[:2, 3])))
     assert max(errors_m) < 0.3
+
+
+def test_objects_are_met_no_farther_than_the_next_object_of_the_map() -> None:
+    """Two metres apart; those of the query are one and three metres off, and known to five."""
+    row = np.column_stack([2.0 * np.arange(10), np.zeros((10, 2))])
+    search = searched(row, np.zeros(10, dtype=np.int64))
+    positions = np.array([[4.0, 1.0, 0.0], [8.0, 3.0, 0.0]])
+    asked = _query(positions, np.zeros(2, dtype=np.int64), np.full(2, 5.0))
+    apart_m, _ = search._met(_Poses(np.array([asked.middle]), np.ones(1, dtype=complex)), asked, np.full(2, 5.0))
+    np.testing.assert_allclose(apart_m, [[1.0, np.inf]], atol=1e-6)

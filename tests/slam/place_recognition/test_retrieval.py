@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
 from slam.odometry.pose import OdometryPose
+from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.landmark_index import Batch, LandmarkVectors
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
@@ -130,6 +133,39 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
     found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
     assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]
+
+
+class _Batches:
+    """An index that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.added: list[Batch] = []
+
+    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+        self.added.append(batch)
+
+
+def test_landmarks_are_indexed_among_those_of_their_traversal(places, monkeypatch):
+    index = _Batches()
+    monkeypatch.setattr(places.retriever, "_index", index)
+    for seed, travel_m in enumerate((0.0, 500.0, 510.0)):
+        places.add(0.0, travel_m, seed=seed)
+        places.retriever.index_inactive_landmarks(after(travel_m + 200.0))
+    assert [(len(batch.centres), len(batch.positions)) for batch in index.added] == [
+        (COUNT, COUNT),
+        (COUNT, COUNT),
+        (COUNT, 2 * COUNT),
+    ]
+
+
+def test_landmarks_of_an_imported_map_are_not_indexed_again(places, monkeypatch):
+    index = _Batches()
+    retriever = PlaceRetriever(CONFIG, places.map, SimpleNamespace())
+    monkeypatch.setattr(retriever, "_index", index)
+    places.add(0.0, 0.0, segment=SEGMENT)
+    places.add(50.0, 0.0, segment=SEGMENT + 1, seed=2)
+    retriever.index_inactive_landmarks(after(200.0))
+    assert [batch.segment for batch in index.added] == [SEGMENT + 1]
 
 
 class _Recorded:

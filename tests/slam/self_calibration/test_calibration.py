@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import Calibration, OdometryCalibration
-from slam.common.config import Config
+from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
@@ -37,13 +37,19 @@ def value_of(config: Config, key: str) -> float:
 
 @pytest.fixture(scope="module")
 def surveyed() -> Survey:
-    return summarize(SurveyedDrive(0, NOISE, objects=100).scans)
+    return summarize(SurveyedDrive(0, NOISE, scans=500, objects=60).scans)
 
 
 def scaled(survey: Survey, factor: float) -> Survey:
     """The lengths of a survey without components, times ``factor``."""
     names = ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m")
     return replace(survey, components=None, **{name: factor * getattr(survey, name) for name in names})
+
+
+def with_noise(survey: Survey, **variances: float) -> Survey:
+    """The survey of a log that has these variances for certain, and no others."""
+    none = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
+    return replace(survey, components=ComponentEstimate(replace(none, **variances), none, 1000))
 
 
 # Which settings
@@ -172,28 +178,41 @@ def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed
 
 
 def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
-    zero = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
-    silent = replace(surveyed, shared_bias_m=0.0, components=ComponentEstimate(zero, zero, 1000))
-    calibration = calibrate(Config(), silent)
+    calibration = calibrate(Config(), with_noise(replace(surveyed, shared_bias_m=0.0)))
     found = calibration.config.calibration.odometry
     assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_TURN_RAD)
     assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_DRIFT * surveyed.range_m)
 
 
-def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed):
-    level = dict.fromkeys(("height", "view_height", "rise", "rise_by_travel"), 0.0)
-    errors = replace(surveyed.components.standard_errors, **level)
-    steady, swaying = (
-        replace(
-            surveyed,
-            components=replace(
-                surveyed.components,
-                variances=replace(surveyed.components.variances, **level | {"rise": rise}),
-                standard_errors=errors,
-            ),
-        )
-        for rise in (0.0, 0.04)
-    )
+def test_standard_errors_of_noise_are_those_of_a_root(surveyed):
+    found = calibrate(Config(), surveyed).config.calibration
+    for key, name in (
+        ("detection.base_sigma_m", "tangential"),
+        ("odometry.translation_sigma", "translation_by_travel"),
+    ):
+        error = getattr(surveyed.components.standard_errors, name)
+        assert found.sigmas[key] == pytest.approx(0.5 * error / value_of(Config(calibration=found), key))
+
+
+def test_landmarks_of_two_passes_are_apart_by_the_view_and_by_the_drift_over_half_a_submap(surveyed):
+    found = calibrate(Config(), with_noise(surveyed, view=0.01, translation_by_travel=0.02)).config
+    expected = 0.01 + 0.5 * SUBMAP_RANGES * surveyed.range_m * 0.02
+    assert found.calibration.objects.landmark_sigma_m == pytest.approx(np.sqrt(expected))
+
+
+def test_what_a_bias_of_the_detections_explains_is_no_noise_of_the_odometry(surveyed):
+    """A fourth of the drift over the median range."""
+    bias_m, range_m = 2.0, surveyed.median_range_m
+    drift, turn = 4.0 * bias_m**2 / range_m, 4.0 * bias_m**2 / range_m**3
+    noisy = with_noise(replace(surveyed, shared_bias_m=bias_m), translation_by_travel=drift, heading_by_travel=turn)
+    found = calibrate(Config(), noisy).config.calibration.odometry
+    assert (found.translation_sigma, found.yaw_sigma) == pytest.approx(np.sqrt([0.75 * drift, 0.75 * turn]))
+
+
+@pytest.mark.parametrize("name", ["rise", "rise_by_travel"])
+def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed, name):
+    over_m = 1.0 if name == "rise" else surveyed.median_range_m
+    steady, swaying = with_noise(surveyed), with_noise(surveyed, **{name: 0.04 / over_m})
     found = calibrate(Config(), swaying).config
     assert found.calibration.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
     assert found.calibration.objects.landmark_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))

@@ -21,7 +21,7 @@ NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
 
 @pytest.fixture(scope="module")
 def drive() -> SurveyedDrive:
-    return SurveyedDrive(0, NOISE, scans=600, objects=80)
+    return SurveyedDrive(0, NOISE, scans=400, objects=60)
 
 
 def fixed(scans: list[SurveyScan]) -> list[SurveyScan]:

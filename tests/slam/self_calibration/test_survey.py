@@ -17,6 +17,7 @@ from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
+from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 CONFIG = DetectionCalibration()
@@ -141,8 +142,16 @@ def test_too_few_objects_tell_no_noise():
     assert survey(straight(), CONFIG).components is None
 
 
+def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
+    none = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
+    found = ComponentEstimate(replace(none, radial=0.03, tangential=0.05, view=0.05), none, 1000)
+    monkeypatch.setattr("slam.self_calibration.survey.estimate_components", lambda *_: found)
+    monkeypatch.setattr("slam.self_calibration.survey.clutter_density", lambda scans, tracked, sigma_m: sigma_m)
+    assert survey(straight(), CONFIG).clutter_density == pytest.approx(0.3)
+
+
 def test_a_drive_is_summed_up_with_the_noise_that_it_has():
-    drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.03}, objects=100)
+    drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.03}, scans=300, objects=40)
     found = summarize(drive.scans)
     assert found.components is not None
     variances = found.components.variances
@@ -152,16 +161,15 @@ def test_a_drive_is_summed_up_with_the_noise_that_it_has():
     assert np.isnan(found.claimed_ratio)
 
 
-@pytest.mark.parametrize("claimed_m", [0.05, 0.2])
-def test_the_variance_that_messages_claim_is_compared_with_that_which_they_have(claimed_m):
-    drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1}, scans=600, objects=100)
-    scans = [replace(scan, variances=np.full(len(scan.labels), claimed_m**2)) for scan in drive.scans]
-    assert summarize(scans).claimed_ratio == pytest.approx((0.1 / claimed_m) ** 2, rel=0.3)
+def test_the_variance_that_messages_claim_is_compared_with_that_which_they_have():
+    drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1}, scans=200, objects=30)
+    scans = [replace(scan, variances=np.full(len(scan.labels), 0.2**2)) for scan in drive.scans]
+    assert summarize(scans).claimed_ratio == pytest.approx((0.1 / 0.2) ** 2, rel=0.3)
 
 
 def test_lengths_of_a_survey_scale_with_the_log():
     small, large = (
-        summarize(SurveyedDrive(0, {"radial": 0.1}, scans=150, scale=scale).scans) for scale in (1.0, 1000.0)
+        summarize(SurveyedDrive(0, {"radial": 0.1}, scans=60, objects=30, scale=scale).scans) for scale in (1.0, 1000.0)
     )
     for name in ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"):
         assert getattr(large, name) == pytest.approx(1000.0 * getattr(small, name)), name
@@ -173,9 +181,10 @@ def angles_deg(found: Survey) -> list[float]:
     return [found.corrected.get(f"detection.{name}_deg", 0.0) for name in ("roll", "pitch", "yaw")]
 
 
-def turned_records(yaw_deg: float) -> list[Record]:
+def turned_records(yaw_deg: float, *, scans: int = 600, objects: int = 100) -> list[Record]:
     """A drive whose sensor is turned by an angle that no transform tells."""
-    drive = SurveyedDrive(0, {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}, objects=100)
+    noise = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+    drive = SurveyedDrive(0, noise, scans=scans, objects=objects)
     R = Rotation.from_euler("z", -yaw_deg, degrees=True).as_matrix()
     records: list[Record] = []
     for scan in drive.scans:
@@ -186,15 +195,25 @@ def turned_records(yaw_deg: float) -> list[Record]:
     return records
 
 
+def short_records() -> list[Record]:
+    """Where it matters little what the drive tells."""
+    return turned_records(0.0, scans=60, objects=15)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("yaw_deg", [0.0, 12.0, -25.0, 90.0, 100.0])
+def test_where_all_is_right_nothing_is_corrected():
+    assert survey(turned_records(0.0), ON_BODY).corrected == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("yaw_deg", [-25.0, 100.0])
 def test_a_sensor_that_is_turned_is_turned_back(yaw_deg):
     found = survey(turned_records(yaw_deg), ON_BODY)
     assert angles_deg(found) == pytest.approx([0.0, 0.0, yaw_deg], abs=2.0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pitch_deg", [0.0, 15.0, -10.0])
+@pytest.mark.parametrize("pitch_deg", [15.0, -10.0])
 def test_a_sensor_that_pitches_is_no_error_of_lengths(pitch_deg):
     """Seen by it, what is ahead is nearer, as if the odometry were too long."""
     R = Rotation.from_euler("y", -pitch_deg, degrees=True).as_matrix()
@@ -207,7 +226,7 @@ def test_a_sensor_that_pitches_is_no_error_of_lengths(pitch_deg):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shift_m", [(0.0, 0.0), (2.0, 0.0), (0.0, -1.5)])
+@pytest.mark.parametrize("shift_m", [(2.0, 0.0), (0.0, -1.5)])
 def test_a_sensor_that_sits_elsewhere_is_put_there(shift_m):
     records = [
         replace(each, positions=each.positions - [*shift_m, 0.0]) if isinstance(each, ObjectDetections) else each
@@ -224,7 +243,7 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
     shift, bias = Correction("x_m", 0.5, 0.01, 0.2, True), Correction("near_m", bias_m, 0.2, 0.0, False)
     found = iter([(shift, bias)])
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: next(found, ()))
-    surveyed = survey(turned_records(0.0), ON_BODY)
+    surveyed = survey(short_records(), ON_BODY)
     assert surveyed.corrected == shifts
     assert surveyed.suspected == ({} if shifts else {"detection.x_m": 0.5})
 
@@ -244,12 +263,12 @@ def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, correcti
     """Of a term, its value, and whether it explains much."""
     found = iter([Correction(term, value, 0.001, 0.2 if much else 0.0, True) for term, value, much in corrections])
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: tuple(islice(found, 1)))
-    surveyed = survey(turned_records(0.0), ON_BODY)
+    surveyed = survey(short_records(), ON_BODY)
     assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("climb", [0.0, 0.1, -0.02])
+@pytest.mark.parametrize("climb", [0.1, -0.02])
 def test_a_climb_of_the_odometry_is_corrected_and_no_pitch_of_the_sensor(climb):
     rng = np.random.default_rng(0)
     records = [
@@ -270,7 +289,7 @@ def scaled_records(length: float, turn: float, climb: float = 0.0) -> list[Recor
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length", [1.0, 1.2, 0.8])
+@pytest.mark.parametrize("length", [1.2, 0.8])
 def test_lengths_of_the_odometry_are_corrected(length):
     found = survey(scaled_records(length, 1.0), ON_BODY)
     assert found.corrected.get("odometry.length_scale", 1.0) == pytest.approx(1.0 / length, abs=0.01)
@@ -287,7 +306,7 @@ def test_nothing_is_corrected_where_objects_seem_to_move_with_the_body(monkeypat
     """As in optical axes that nothing tells: a pitch fits besides."""
     found = Correction("length_share", -0.63, 0.01, 0.64, True), Correction("pitch_rad", 0.37, 0.01, 0.34, True)
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: found)
-    surveyed = survey(turned_records(0.0), ON_BODY)
+    surveyed = survey(short_records(), ON_BODY)
     assert surveyed.corrected == {}
 
 
@@ -308,14 +327,15 @@ def winding_records(turn: float) -> list[Record]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("turn", [1.0, 1.1, 0.85])
+@pytest.mark.parametrize("turn", [1.1, 0.85])
 def test_turns_of_the_odometry_are_corrected(turn):
     found = survey(winding_records(turn), ON_BODY)
     assert found.corrected.get("odometry.turn_scale", 1.0) == pytest.approx(1.0 / turn, abs=0.01)
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():
-    found = survey(turned_records(25.0), DetectionCalibration(assume_body_frame=True, yaw_deg=5.0))
+    by_hand = DetectionCalibration(assume_body_frame=True, yaw_deg=5.0)
+    found = survey(turned_records(25.0, scans=200, objects=40), by_hand)
     assert found.corrected == {}
 
 

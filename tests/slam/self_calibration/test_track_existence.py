@@ -45,7 +45,7 @@ def test_without_false_detections_hardly_a_pair_of_sightings_is_lost():
 
 
 def test_two_false_detections_to_each_right_one_hardly_change_the_noise():
-    drive = SurveyedDrive(3, {"radial": 0.05, "tangential": 0.05}, scans=400, objects=120)
+    drive = SurveyedDrive(3, {"radial": 0.05, "tangential": 0.05}, scans=200, objects=120)
     per_scan = np.mean([len(scan.positions) for scan in drive.scans])
     scans = among_false(drive.scans, drive.range_m, 2.0 * per_scan)
     tracks = follow_objects(scans, drive.headings[: len(scans)])

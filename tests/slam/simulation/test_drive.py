@@ -62,9 +62,8 @@ def test_bends_are_slowed_down_to_the_lateral_acceleration() -> None:
     assert np.median(speed[-40:]) == pytest.approx(np.sqrt(12.0), rel=0.02)
 
 
-@pytest.mark.parametrize("smoothing_m", [0.0, 1.5])
-def test_turning_back_happens_on_the_spot_at_the_yaw_rate(smoothing_m: float) -> None:
-    config = DriveConfig(corner_smoothing_m=smoothing_m)
+def test_turning_back_happens_on_the_spot_at_the_yaw_rate() -> None:
+    config = DriveConfig()
     drive = _drive(THERE_AND_BACK, config)
     assert np.isfinite(drive.T_world_body).all()
     _, turn = _rates(drive, config)
@@ -82,7 +81,7 @@ def test_piece_of_the_tour_starts_and_ends_where_asked() -> None:
     np.testing.assert_allclose(drive.T_world_body[0, :3, 3], [30, 0, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize(("from_m", "to_m"), [(-1.0, 50.0), (50.0, 50.0), (60.0, 50.0), (0.0, 121.0)])
+@pytest.mark.parametrize(("from_m", "to_m"), [(-1.0, 50.0), (50.0, 50.0), (0.0, 121.0)])
 def test_piece_outside_the_tour_is_refused(from_m: float, to_m: float) -> None:
     with pytest.raises(SimulationError, match=r"from 0 to 120\.0 m"):
         plan_drive(CORNER, DriveConfig()).sample(from_m, to_m)

@@ -42,7 +42,7 @@ def test_without_drift_it_is_the_true_motion_from_the_identity() -> None:
     np.testing.assert_allclose(T_odom_body, invert(T_world_body[0]) @ T_world_body, atol=1e-9)
 
 
-@pytest.mark.parametrize("correlation_m", [0.0, 5.0, 20.0, 80.0])
+@pytest.mark.parametrize("correlation_m", [0.0, 20.0])
 def test_length_error_over_100_m_is_the_configured_share(correlation_m: float) -> None:
     config = OdometryConfig(scale_drift_percent=2.0, scale_correlation_m=correlation_m, heading_drift_deg_per_100m=0.0)
     translation, heading = _segment_errors(config)

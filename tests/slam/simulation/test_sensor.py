@@ -78,7 +78,7 @@ def test_occlusion_and_dropout_can_be_switched_off() -> None:
     assert len(_scan(_ring(10.0), _with(dropout=0.25)).sources) / 4000 == pytest.approx(0.75, abs=0.03)
 
 
-@pytest.mark.parametrize("range_m", [2.0, 15.0, 29.0])
+@pytest.mark.parametrize("range_m", [2.0, 29.0])
 def test_noise_is_that_of_the_formula_on_each_axis(range_m: float) -> None:
     positions = _ring(range_m)
     scan = _scan(positions, _with(noise_base_m=0.1, noise_per_m=0.01))

@@ -8,7 +8,7 @@ from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
 
 
-@pytest.fixture(scope="module", params=range(6))
+@pytest.fixture(scope="module", params=range(2))
 def town(request: pytest.FixtureRequest) -> World:
     return generate_street_grid(rng=np.random.default_rng(request.param))
 

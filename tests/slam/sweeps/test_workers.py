@@ -65,10 +65,6 @@ def test_closing_stops_running_tasks(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["soon"]
 
 
-def test_compute_all_accepts_no_tasks() -> None:
-    assert list(compute_all(square, [], jobs=2)) == []
-
-
 def test_no_process_outlives_killed_parent(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(KILLED)

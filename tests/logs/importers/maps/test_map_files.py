@@ -153,7 +153,3 @@ class TestOsm:
         extract.write_text(OSM.replace(right, wrong))
         with pytest.raises(DatasetError, match="no extract of OpenStreetMap"):
             read_osm(extract)
-
-    def test_no_such_file(self, extract: Path, tmp_path: Path) -> None:
-        with pytest.raises(DatasetError, match="truncated"):
-            read_osm(tmp_path / "none.osm.pbf")

@@ -65,7 +65,7 @@ def test_absolute_errors_agree_with_evo(poses: tuple[FloatArray, FloatArray], tm
     assert ours.ate_m == pytest.approx(3.7385, abs=1e-3)
 
 
-@pytest.mark.parametrize(("unit", "delta"), [("f", 1), ("m", 1), ("m", 10), ("m", 100)])
+@pytest.mark.parametrize(("unit", "delta"), [("f", 1), ("m", 100)])
 def test_relative_errors_agree_with_evo(
     poses: tuple[FloatArray, FloatArray], tmp_path: Path, unit: str, delta: int
 ) -> None:

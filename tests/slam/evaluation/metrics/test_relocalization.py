@@ -18,7 +18,6 @@ from slam.evaluation.metrics.relocalization import (
     MEASURES,
     Method,
     evaluate_relocalization,
-    find_losses,
 )
 from tests.slam.evaluation.loops import at_ns, closure, series_of, there_and_back
 
@@ -147,9 +146,3 @@ def test_without_truth_fixes_are_undecided_and_still_timed() -> None:
     assert measure(made(*events[:3]), truth=NO_POSES)["success_rate"] is None
     along = evaluate_relocalization(made(*events), NO_POSES, TRUTH, Protocol(), method="map")
     assert along["median_distance_m"] == pytest.approx(10.0)
-
-
-def test_a_drive_of_one_status() -> None:
-    found = measure(EvaluationRecords(statuses=statuses((0, "LOST"))))
-    assert (found["loss_count"], found["lost_time_ratio"]) == (1, None)
-    assert find_losses(()) == []

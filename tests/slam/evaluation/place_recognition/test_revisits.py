@@ -118,12 +118,6 @@ def test_duplicated_stamps_disorder_and_one_pose() -> None:
     assert not is_revisit_of(find(one, range(5))).any()
 
 
-def test_nothing_to_look_at() -> None:
-    for truth, indices in ((series_of(np.zeros((0, 4, 4))), range(5)), (there_and_back(), range(0))):
-        found = find(truth, indices)
-        assert found.empty
-
-
 def test_true_poses_at_any_times() -> None:
     truth = there_and_back()
     asked = np.array([at_ns(3), at_ns(-1), at_ns(3), at_ns(1) + SECOND // 2], dtype=np.int64)

@@ -36,7 +36,6 @@ STEPS: dict[str, tuple[slice, Callable[[FloatArray], FloatArray]]] = {
     "wheel_slip=1.5:2": (WHILE, lambda before: with_lengths(before, 1.5)),
     "odometry_freezes=2": (WHILE, lambda before: np.tile(np.eye(4), (len(before), 1, 1))),
     "odometry_scale=1.2": (ALL, lambda before: with_lengths(before, 1.2)),
-    "odometry_turns=1.1": (ALL, lambda before: with_turns(before, 1.1)),
     "odometry_turns=-1": (ALL, lambda before: with_turns(before, -1.0)),
 }
 """Which steps a fault changes, and what they become."""
@@ -82,8 +81,8 @@ def test_odometry_restarts_at_the_origin() -> None:
 def test_odometry_noise_grows_with_the_root_of_the_travel(fault: str) -> None:
     root_m = np.sqrt(np.linalg.norm(drive().steps[:, :3, 3], axis=1))
     found = []
-    for seed in range(10):
+    for seed in range(4):
         errors = invert(drive().steps) @ faulty(f"{fault}=0.02", seed=seed).steps
         size = yaw_rad(errors) if fault == "odometry_yaw_noise" else errors[:, 1, 3]
         found.append(size / root_m)
-    assert np.std(found) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * 10 * (COUNT - 1)))
+    assert np.std(found) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * 4 * (COUNT - 1)))

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pandas as pd
-import pytest
 
 from tests.tools.runs import Result, Run, assert_refused
 
@@ -27,15 +26,6 @@ def write_world(folder: Path) -> tuple[object, ...]:
     return ("--objects", folder / "objects.csv", "--trajectory", folder / "trajectory.csv")
 
 
-def test_a_table_for_people(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "descriptellation_lr")
-    assert (result.code, result.err) == (0, "")
-    assert "699 objects, 16 classes; 5 queries x 1 seeds" in result.out
-    assert "of ceiling %" in result.out
-    lines = [line for line in result.out.splitlines() if line.startswith("descriptel")]
-    assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
-
-
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "--json")
@@ -47,12 +37,6 @@ def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     assert list(cells) == [(name, scenario) for name in ("descriptellation_lr", "random") for scenario in SCENARIOS]
     assert all(set(cell) == {"method", "scenario"} | MEASURES for cell in cells.values())
     assert cells["descriptellation_lr", "self"]["success"] == cells["descriptellation_lr", "self"]["ceiling"] == 1.0
-
-
-@pytest.mark.parametrize("which", [0, 2])
-def test_objects_and_trajectory_belong_together(dslam: Run, tmp_path: Path, which: int) -> None:
-    files = write_world(tmp_path)
-    assert_refused(benchmark(dslam, *files[which : which + 2]), "--objects", "--trajectory")
 
 
 def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:

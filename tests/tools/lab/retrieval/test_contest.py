@@ -13,8 +13,6 @@ from slam.common.config import Config
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
 from tools.lab.retrieval.contest import Contest, add_results, run_contest, side_by_side
-from tools.lab.retrieval.contest_picture import draw_contest
-from tools.lab.retrieval.path_queries import Scenario
 
 
 def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
@@ -42,11 +40,6 @@ def test_descriptors_find_more_places_than_chance_in_each_map() -> None:
     assert (cells["wrong"] == 0.0).all()
     assert cells["right"].iloc[0] == 1.0
     assert (cells[["bytes_per_object", "build_s", "propose_ms"]] > 0.0).all(axis=None)
-
-
-def test_rare_classes_become_one() -> None:
-    cells = run_contest(town(600, 400.0), Contest(("random",), sizes=(10_000,), classes=(1,), queries=1))
-    assert cells[["map_objects", "map_classes"]].to_numpy().tolist() == [[600, 1]]
 
 
 def test_the_same_paths_are_asked_with_any_classes() -> None:
@@ -82,11 +75,3 @@ def test_degrees_and_unknown_descriptors_are_refused() -> None:
         side_by_side([town(50, 1.0, is_geodetic=True)])
     with pytest.raises(DescriptorError, match="rings"):
         run_contest(town(50, 100.0), replace(contest, proposers=("rings",)))
-
-
-def test_picture_of_several_maps_and_queries(tmp_path: Path) -> None:
-    contest = Contest(
-        ("random", "descriptellation_lr"), sizes=(100, 200), scenarios=(Scenario(), Scenario(missing=0.3)), queries=1
-    )
-    draw_contest(tmp_path / "contest.png", run_contest(town(300, 250.0), contest))
-    assert (tmp_path / "contest.png").stat().st_size > 10_000

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from descriptors.errors import DescriptorError
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tests.helpers.long_street import start_of_street
 from tools.lab.retrieval.labelled_map import LabelledMap
@@ -58,22 +56,6 @@ def test_a_descriptor_that_means_something_has_the_counterpart_among_its_nearest
     assert top_5["descriptellation_lr", SELF.name] > 0.85  # an object whose partners are hidden is in no pair
 
 
-def test_what_cannot_be_measured_is_refused(street):
-    with pytest.raises(DescriptorError, match=r"'rings'.*descriptellation_lr"):
-        benchmark_descriptors(*street, ["rings"], queries=2, seeds=1)
-    with pytest.raises(SimulationError, match="no length"):
-        benchmark_descriptors(street[0], np.zeros((3, 2)), ["gosmatch_vertex"], queries=2, seeds=1)
-    with pytest.raises(SimulationError, match="no object"):
-        benchmark_descriptors(street[0], street[1] + 9000.0, ["gosmatch_vertex"], queries=2, seeds=1)
-
-
-def test_a_map_that_nothing_can_be_localized_in_has_no_share_of_the_ceiling():
-    lonely = LabelledMap(np.array([[10.0, 3.0, 0.0]]), np.zeros(1, np.int64), ("tree",))
-    tour = np.array([[0.0, 0.0], [20.0, 0.0]])
-    result = benchmark_descriptors(lonely, tour, ["descriptellation_lr"], queries=5, seeds=1)
-    assert result[["success", "ceiling", "of_ceiling"]].to_numpy().tolist() == [[0.0, 0.0, None]] * 3
-
-
 # The ceiling.
 
 
@@ -93,14 +75,6 @@ def test_the_fit_weighs_near_objects_more():
     seen[3] += [2.0, 2.0, 0.0]
     fitted = fit_truth(objects, LocalQuery(seen, objects.labels, np.arange(4), T), NOISY)
     assert 0.0 < np.linalg.norm((fitted - T)[:2, 3]) < 0.2
-
-
-@pytest.mark.parametrize("positions", [[], [[3.0, 4.0, 0.0]], [[3.0, 4.0, 0.0], [3.0, 4.0, 1.0]]])
-def test_what_determines_no_pose_has_no_fit(positions):
-    seen = np.array(positions).reshape(-1, 3)
-    objects = LabelledMap(np.arange(9.0).reshape(3, 3), np.zeros(3, np.int64), ("tree",))
-    query = LocalQuery(seen, np.zeros(len(seen), np.int64), np.arange(len(seen)), np.eye(4))
-    assert fit_truth(objects, query, SELF) is None
 
 
 def test_configuration_is_the_shipped_one_with_the_noise_of_the_queries():
