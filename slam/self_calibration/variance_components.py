@@ -266,14 +266,14 @@ class _Fit:
         D = np.einsum("c,cnd->nd", self.variances[:OWN], own)
         Q = np.einsum("c,cgi->gi", self.variances[OWN:], shared)
         inverse = weights[:, None] / np.maximum(D, EXACT)
-        M = np.add.reduceat(np.einsum("ndi,nd,ndj->nij", A, inverse, A), self._start, axis=0)
+        M = np.add.reduceat(A.swapaxes(1, 2) @ (inverse[:, :, None] * A), self._start, axis=0)
         v = np.add.reduceat(np.einsum("ndi,nd->ni", A, inverse * y), self._start, axis=0)
         root = np.sqrt(Q / group_weights[:, None])
         C = np.linalg.inv(np.eye(7) + root[:, :, None] * M * root[:, None, :])
         C = root[:, :, None] * C * root[:, None, :]  # posterior covariance of xi
         xi = np.einsum("gij,gj->gi", C, v)
         e = y - np.einsum("ndi,ni->nd", A, xi[group])
-        unknown = np.einsum("ndi,nij,ndj->nd", A, C[group], A)
+        unknown = np.sum(A @ C[group] * A, axis=2)
         own_expected = np.maximum(inverse - inverse**2 * unknown, 0.0)
         shared_expected = np.maximum(np.einsum("gii->gi", M - M @ C @ M), 0.0)
         of_own = [each / weights[:, None] for each in ((e * inverse) ** 2, own_expected)]

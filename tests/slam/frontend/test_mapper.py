@@ -307,15 +307,17 @@ def test_among_false_detections_objects_alone_are_confirmed_but_for_one():
     assert len(confirmed) <= len(OBJECTS) + 1
 
 
-def test_landmarks_since_a_keyframe_are_contradicted_on_its_segment_only(young):
+def test_a_break_at_a_keyframe_begins_a_segment_without_landmarks(young):
     bench = Bench()
     bench.drive(8, objects=OBJECTS[:2], labels=LABELS[:2])
     bench.drive(8, start=8)
-    bench.move(3.0, 5000.0)
-    bench.see(3.0, OBJECTS + np.array([5000.0, 0.0, 0.0]))
-    bench.mapper.retire_since(bench.mapper.keyframes[1])
-    kept, ended, new = LandmarkState.CONFIRMED, LandmarkState.RETIRED, LandmarkState.TENTATIVE
-    assert bench.states() == [kept, kept, ended, ended, *[new] * 4]
+    keyframes = bench.mapper.keyframes
+    bench.mapper.break_at(keyframes[1])
+    kept, ended = LandmarkState.CONFIRMED, LandmarkState.RETIRED
+    assert bench.states() == [kept, kept, ended, ended]
+    assert [each.odometry.segment for each in keyframes] == [0] + [1] * (len(keyframes) - 1)
+    bench.see(1.5, OBJECTS)
+    assert bench.map.rows["segment"][4:].tolist() == [1] * 4
 
 
 def test_what_others_were_merged_into_is_not_gone(young):
