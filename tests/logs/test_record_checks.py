@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from logs import messages as m
+from logs.encoders import encode
 from logs.errors import InvalidRecordError
 
 SEEN: dict[str, Any] = {
@@ -67,6 +68,12 @@ def test_stamps(stamp_ns: Any) -> None:
 def test_detections(changed: dict[str, Any], fault: str) -> None:
     with pytest.raises(InvalidRecordError, match=fault):
         m.ObjectDetections(**{**SEEN, **changed})
+
+
+@pytest.mark.parametrize("record", [None, m.ObjectDetections(**{**SEEN, "labels": ("a", "\ud800")})])
+def test_what_cannot_be_written(record: Any) -> None:
+    with pytest.raises(InvalidRecordError, match="no record|no Unicode text"):
+        encode(record)
 
 
 def test_arrays_of_other_numbers_and_those_that_cannot_be_written_are_taken() -> None:

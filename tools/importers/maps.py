@@ -118,6 +118,7 @@ def _make_map(
     json: bool,
 ) -> None:
     """Write the map of ``objects`` and print what is in it."""
+    from logs.importers.tables import UNLABELLED
     from slam.localization.map_import import import_map
     from slam.place_recognition.imported_map import save_imported_map
     from tools import console
@@ -127,6 +128,10 @@ def _make_map(
     imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
     counts = Counter(objects.labels).most_common()
+    notes = list(objects.notes)
+    if label is None and UNLABELLED in objects.labels:
+        unlabelled = f"{objects.labels.count(UNLABELLED)} of {len(objects)} objects"
+        notes.append(f"{unlabelled} have no class and are of the class {UNLABELLED}; --class NAME sets one for all")
     georeference = imported.georeference
     if json:
         console.show_json(
@@ -135,7 +140,7 @@ def _make_map(
                 "object_count": len(imported),
                 "class_counts": dict(counts),
                 "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
-                "notes": list(objects.notes),
+                "notes": notes,
             }
         )
         return
@@ -151,5 +156,5 @@ def _make_map(
         f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
         f"  {classes}{others}",
         f"  origin at {where}" if georeference is not None else f"  origin {where}",
-        *(f"  note: {note}" for note in objects.notes),
+        *(f"  note: {note}" for note in notes),
     )

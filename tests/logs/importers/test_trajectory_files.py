@@ -75,7 +75,7 @@ def test_stamps_keep_every_digit() -> None:
         ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp_s: '-1' is before 0"),
         ("0.1 0 0 0 0 0 0 1\n", r"poses\.txt: one pose only"),
         ("stamp_s,x_m,z_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for y in metres among .*; call .* y_m"),
-        ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no column for the quaternion's qx"),
+        ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no rotation among stamp_s, x_m, y_m; give yaw"),
         ("t;x;y;yaw\n0;1,5;2;3\n", r"line 2, column x: '1,5' is not a finite number; write .* decimal point"),
         ("t,x,y,yaw\n0,1,2,359\n1,1,2,1\n", r"line 3, column yaw: 1 is more than a whole turn .*yaw_deg"),
         ("0e9 0 0 0 0 0 0 1\n1e8 1 0 0 0 0 0 1\n", r"column stamp_s: poses are 1e\+08 s apart .*by its unit"),
