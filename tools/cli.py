@@ -38,6 +38,8 @@ _EXTRA_OF = {
     "rerun": "view",
     "foxglove": "live",
     "osmium": "osm",
+    "geopandas": "gis",
+    "pyogrio": "gis",
 }
 """The extra that installs each module which is not needed by all commands."""
 

@@ -133,10 +133,8 @@ def _cut(name: str, most: int) -> str:
 
 def _subtitle(picture: MapPicture) -> str:
     parts = []
-    for positions, name in ((picture.estimate, "path"), (picture.odometry, "odometry")):
-        if len(positions):
-            parts.append(f"{name} {np.nansum(np.linalg.norm(np.diff(positions, axis=0), axis=1)):.0f} m")
-            break
+    if picture.length_m is not None:
+        parts.append(f"path {picture.length_m:.0f} m")
     if picture.labels:
         parts.append(f"landmarks {len(picture.labels)}, classes {len(set(picture.labels))}")
     if picture.ate_m is not None:

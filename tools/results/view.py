@@ -32,6 +32,8 @@ def view(
     Example: dslam view map.mcap
     """
     check_outputs([save], [log])
+    if save is not None and save.suffix not in (".rrd", ".png", ".json"):
+        raise typer.BadParameter(f"{save} does not end with .rrd, .png or .json.", param_hint="--save")
     from logs.reader import LogReader
     from logs.storage.placement import replacing, write_text
     from slam.display import rerun_view
