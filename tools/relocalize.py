@@ -93,7 +93,7 @@ def relocalize(
             f"{counters['relocalizations_revoked']} relocalizations revoked",
             "written": str(output) + (f", {picture}" if picture and is_found else ""),
         }
-        shown = ("found", "recognised", "tracked", "kidnapped", "warnings", "of the log", "final status", "written")
+        shown = ("found", "recognised", "tracked", "kidnapped", "warnings", "final status", "written")
         found = {"found": "never: no place of the map was recognised"} | rows
         console.show(console.pairs({name: found[name] for name in shown if name in found}))
     if not is_found:

@@ -102,7 +102,7 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
     """
     if survey is None:
         return CalibratedLog(
-            config, notes=("no detection is within the time of the odometry: nothing was estimated from the log",)
+            config, notes=("no detection could be placed on the odometry: nothing was estimated from the log",)
         )
     corrections = _corrections(survey, delays)
     lengths, noise = _lengths(config, survey), _noise(config, survey)
