@@ -102,7 +102,7 @@ def calibrate_logs(paths: Sequence[Path], config: Config, *, topics: Mapping[str
         SlamError: the transforms of a log contradict one another.
     """
     if not paths:
-        raise InputDataError("no log to calibrate from; give one at least")
+        raise InputDataError("no log to calibrate from; give at least one")
     surveyed, delays = [], []
     for path in paths:
         with LogReader(path, config.reading_limits) as reader:

@@ -26,7 +26,7 @@ ConfigFile = Annotated[
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; wins over the file. Repeatable."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; overrides the file. Repeatable."),
 ]
 CalibrationFile = Annotated[
     Path | None,

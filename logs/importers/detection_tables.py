@@ -107,7 +107,7 @@ def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], 
         if median_m > MAX_RANGE_M:
             raise DatasetError(
                 f"{table.name}, column {column.name}: the median is {median_m:.4g} m, which is no range in the body "
-                f"frame; if these are millimetres, call the column {column.name.removesuffix('_m')}_mm"
+                f"frame; if these are millimetres, name the column {column.name.removesuffix('_m')}_mm"
             )
     return is_empty, positions
 

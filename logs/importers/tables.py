@@ -86,7 +86,7 @@ class Table:
         column = self.find(fields, units)
         if column is None:
             there = ", ".join(self.columns)
-            raise DatasetError(f"{self.name}: no column for {what} among {there}; call the one that holds it {example}")
+            raise DatasetError(f"{self.name}: no column for {what} among {there}; name the one that holds it {example}")
         return column
 
     def first_texts(self, names: Iterable[str]) -> Sequence[str]:
@@ -104,7 +104,7 @@ class Table:
         alike = [name for name in self.columns if name not in self.used and _LIKE_LABELS.search(name)]
         if alike and not any(labels):
             raise DatasetError(
-                f"{self.name}: no column label, but {', '.join(alike)}; call the column with the classes label, or "
+                f"{self.name}: no column label, but {', '.join(alike)}; name the column with the classes label, or "
                 "remove it"
             )
         return labels

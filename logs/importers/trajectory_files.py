@@ -124,7 +124,11 @@ def _rotations(table: Table) -> FloatArray:
         yaw_rad = table.numbers(yaw)
         # Headings that are wrapped lie within one turn, and others change by less from pose to pose.
         jumps = np.abs(np.diff(yaw_rad, prepend=yaw_rad[:1])) > 2.0 * np.pi
-        table.refuse(jumps, yaw, "CELL is more than a whole turn from before; if these are degrees, call it yaw_deg")
+        table.refuse(
+            jumps,
+            yaw,
+            "CELL differs from the heading before by more than a turn; if these are degrees, name the column yaw_deg",
+        )
         return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
     columns = [column for column in (table.find((name,)) for name in _TUM[4:]) if column is not None]
     if len(columns) < 4:
@@ -169,7 +173,7 @@ def _check_plausible(name: str, trajectory: Trajectory) -> None:
     if len(speeds_mps) and np.median(speeds_mps) > MAX_SPEED_MPS:
         raise DatasetError(
             f"{name}: the body moves at {np.median(speeds_mps):.4g} m/s (median); positions are metres: divide them by "
-            "1000 if these are millimetres, and see that the stamps are right"
+            "1000 if these are millimetres, and check the stamps"
         )
 
 

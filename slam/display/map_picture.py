@@ -88,7 +88,9 @@ def to_png(figure: Figure) -> bytes:
     with warnings.catch_warnings(record=True) as missing:
         figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
     if any("Glyph" in str(each.message) for each in missing):
-        logger.warning("letters that no font here has are drawn as boxes; install one of: %s", ", ".join(_FONTS[1:]))
+        logger.warning(
+            "some letters are in no installed font and are drawn as boxes; install one of: %s", ", ".join(_FONTS[1:])
+        )
     return png.getvalue()
 
 

@@ -62,7 +62,7 @@ def test_stamps(stamp_ns: Any) -> None:
         ({"track_ids": ("1",)}, "track_ids is not a tuple of 2 strings; give one for each label"),
         ({"sizes": np.zeros(2)}, r"sizes .* of shape \(2, 3\)"),
         ({"covariances": np.zeros((2, 3))}, r"covariances .* of shape \(2, 3, 3\)"),
-        ({"frame_id": None}, "frame_id is None; give a text"),
+        ({"frame_id": None}, "frame_id is None; give a string"),
     ],
 )
 def test_detections(changed: dict[str, Any], fault: str) -> None:

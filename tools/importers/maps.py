@@ -67,8 +67,8 @@ def map_of_objects(
 ) -> None:
     """A map of objects from open data, in which 'relocalize' and 'replay --map' find a robot.
 
-    Columns of a table: x_m and y_m, or lat and lon in degrees; where known z_m, class and id. --origin says where on
-    earth metres are counted from, east and north of it. OpenStreetMap needs pyosmium: pip install
+    Columns of a table: x_m and y_m, or lat and lon in degrees; optionally z_m, class and id. --origin is the place on
+    earth where x and y are 0; x points east, y north. OpenStreetMap needs pyosmium: pip install
     'descriptellation-slam[osm]'.
 
     Example: dslam import map town_map.mcap --file objects.csv --origin 60.17,24.94

@@ -67,7 +67,7 @@ def view(
             recording.save(part, default_blueprint=blueprint)
             rerun_view.send_log(log, recording)
             recording.disconnect()
-        console.show(f"{save}: open it by 'rerun {save}'")
+        console.show(f"{save}: open it with 'rerun {save}'")
         return
     from slam.display.rerun_viewer import start_viewer
 

@@ -22,7 +22,7 @@ def fleet(
     months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Logs mapped at a time. \\[default: one per core]", show_default=False),
+        typer.Option(min=1, help="Number of logs mapped in parallel. \\[default: one per core]", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
     json: Json = False,
