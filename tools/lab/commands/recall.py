@@ -58,7 +58,9 @@ def recall(
     ] = None,
     seen: Annotated[
         list[int] | None,
-        typer.Option(min=3, metavar="N", help="Objects of a query; by default all on 5/3 ranges. Repeatable."),
+        typer.Option(
+            min=3, metavar="N", help="Objects of a query; by default all in range on a path of 5/3 ranges. Repeatable."
+        ),
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
