@@ -33,12 +33,9 @@ class InitialPose:
         Raises:
             InputDataError: another shape, or numbers that are not finite or positive.
         """
-        is_place = np.shape(self.position) == (2,) and np.isfinite(np.asarray(self.position, dtype=np.float64)).all()
-        if not is_place or not 0.0 < self.sigma_m < np.inf:
-            raise InputDataError(
-                f"initial pose: position {self.position}, sigma_m {self.sigma_m}; give x and y in metres, and a "
-                "positive standard deviation"
-            )
+        numbers = np.array([*np.ravel(self.position), self.sigma_m, self.yaw_rad or 0.0], dtype=np.float64)
+        if np.shape(self.position) != (2,) or not (np.isfinite(numbers).all() and self.sigma_m > 0.0):
+            raise InputDataError(f"{self}: give x and y in metres, and a positive standard deviation")
 
     def radius_m(self, travel_m: float) -> float:
         """How far from ``position`` the robot can be after ``travel_m`` of the drive."""
