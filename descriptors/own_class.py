@@ -32,7 +32,7 @@ def make_own(name: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)()
     except Exception as error:  # user code raises anything
-        raise DescriptorError(f"{name}: cannot be made: {type(error).__name__}: {error}") from error
+        raise DescriptorError(f"{name}: cannot be constructed: {type(error).__name__}: {error}") from error
 
 
 class OwnDescriptor:
@@ -77,7 +77,7 @@ class OwnDescriptor:
             )
         if self._length not in (None, vectors.shape[1]):
             raise DescriptorError(
-                f"{self._class}: describe returns vectors of {vectors.shape[1]} numbers after some of {self._length}"
+                f"{self._class}: describe returns vectors of length {vectors.shape[1]}, before of length {self._length}"
             )
         if not np.isfinite(vectors).all():
             row = int(np.flatnonzero(~np.isfinite(vectors).all(axis=1))[0])

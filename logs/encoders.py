@@ -21,6 +21,7 @@ from google.protobuf.message import Message
 
 from logs import messages as m
 from logs.dslam_codec import CODECS
+from logs.errors import InvalidRecordError
 from logs.scene import encode_lines, encode_markers, encode_points, timestamp
 from logs.validation import FloatArray, quaternion_xyzw
 
@@ -31,14 +32,16 @@ def encode(record: m.Record) -> Message:
     """The protobuf message of ``record``.
 
     Raises:
-        TypeError: no record of ``logs.messages``.
+        InvalidRecordError: no record of ``logs.messages``, or a text that is no Unicode.
     """
-    if type(record) in CODECS:
-        return CODECS[type(record)].encode(record)
-    encoder = _ENCODERS.get(type(record))
+    codec = CODECS.get(type(record))
+    encoder = codec.encode if codec is not None else _ENCODERS.get(type(record))
     if encoder is None:
-        raise TypeError(f"{type(record).__name__} is not a record of logs.messages")
-    return encoder(record)
+        raise InvalidRecordError(f"{type(record).__name__} is no record; give Odometry, ObjectDetections, ...")
+    try:
+        return encoder(record)
+    except UnicodeEncodeError as error:
+        raise InvalidRecordError(f"{type(record).__name__}: {error.object!r:.40} is no Unicode text") from error
 
 
 def encode_path(trajectory: m.TrajectoryRecord) -> Message:

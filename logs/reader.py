@@ -59,6 +59,7 @@ class LogReader:
         self._limits = limits or ReadingLimits()
         self.files = find_files(self.path)
         self._decoding_counters: Counter[str] = Counter()
+        self._reported = set[tuple[str, str]]()
         with ExitStack() as until_closed:
             self._storages: list[Storage] = [open_storage(file, self._limits, until_closed) for file in self.files]
             self._until_closed = until_closed.pop_all()
@@ -146,7 +147,7 @@ class LogReader:
         Messages of the topics in ``times_of`` that are neither come without their content. A message that no record
         may be made of is counted and comes without records.
         """
-        decoder = RecordDecoder(self._limits)
+        decoder = RecordDecoder(self._limits, reported=self._reported)
         self._decoding_counters = decoder.counters
         read = {*selection.topics, *copy}
         for raw in self.messages({*read, *times_of}, without_content=set(times_of) - read):

@@ -66,7 +66,7 @@ def _check_stamp(record: Any) -> None:
 
 def _check_text(record: Any, name: str) -> None:
     if not isinstance(getattr(record, name), str):
-        raise _error(record, name, f"{getattr(record, name)!r:.40}; give a text")
+        raise _error(record, name, f"{getattr(record, name)!r:.40}; give a string")
 
 
 def _are_texts(values: Any) -> bool:

@@ -206,6 +206,8 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: d
 
 def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
     fitting = [info.topic for info in inputs if kind in info.kinds]
+    if not fitting and any(info.topic.startswith(OUTPUT_PREFIX) for info in there):
+        return TopicSelectionError(f"no topic gives {kind}: 'dslam replay' wrote this log; give the log of the drive")
     remedy = "record a topic with a schema that does (docs/log.md lists them)"
     if kind == RecordKind.DETECTIONS:
         remedy += ", or name the fields of its messages by --topic ('dslam info LOG' suggests them)"

@@ -32,7 +32,7 @@ MAX_FRAMES = 100
 MAX_CLOSURES = 100_000
 """Later records of loop closures are not kept."""
 
-_GUESSED_MESSAGES = 20
+_GUESSED_MESSAGES = 100
 """The first ones may hold no object."""
 _FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")

@@ -91,8 +91,7 @@ class LogWriter:
         """Write ``record`` on ``topic`` at ``log_time_ns``, by default the stamp of the record.
 
         Raises:
-            TypeError: ``record`` is none of ``logs.messages``.
-            InvalidRecordError: a time that a log cannot hold.
+            InvalidRecordError: no record, or a time or text that a log cannot hold.
         """
         message = encode(record)
         self._write_message(topic, message, _checked(topic, record.stamp_ns, log_time_ns))

@@ -15,6 +15,7 @@ from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
 from slam.common.calibration import Calibration
 from slam.common.config import Config
+from slam.common.errors import InputDataError
 from slam.display.drive_display import FRAMES
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
@@ -100,6 +101,8 @@ def calibrate_logs(paths: Sequence[Path], config: Config, *, topics: Mapping[str
         LogError: a log cannot be read, or lacks a topic.
         SlamError: the transforms of a log contradict one another.
     """
+    if not paths:
+        raise InputDataError("no log to calibrate from; give at least one")
     surveyed, delays = [], []
     for path in paths:
         with LogReader(path, config.reading_limits) as reader:

@@ -221,7 +221,7 @@ def _save(
 def _about_labels(labels: LabelMap) -> list[str]:
     """Names of the table of labels that the log does not have."""
     return [
-        *(f"no detection has the class of {name}" for name in labels.unused()),
+        *(f"{name}: no detection has this class" for name in labels.unused()),
         *(f"class {name} is read as {to}: they differ in case only" for name, to in labels.respelled().items()),
     ]
 

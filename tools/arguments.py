@@ -26,7 +26,7 @@ ConfigFile = Annotated[
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; wins over the file. Repeatable."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; overrides the file. Repeatable."),
 ]
 CalibrationFile = Annotated[
     Path | None,
@@ -46,10 +46,16 @@ Topics = Annotated[
 ]
 
 
-def can_draw(path: Path | None) -> Path | None:
-    """The path of a picture or page; where its libraries are missing, the command ends before any work is done."""
+def can_draw(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    """The path of a picture or page; if its libraries are missing or it is named as another format, the command ends
+    before any work is done.
+    """
     if path is not None:
         import matplotlib  # noqa: F401
+
+        suffix = ".png" if param.name == "picture" else ".html"
+        if path.suffix.lower() != suffix:
+            raise typer.BadParameter(f"{path} does not end with {suffix}, the format that is written.")
     return path
 
 

@@ -38,6 +38,8 @@ _EXTRA_OF = {
     "rerun": "view",
     "foxglove": "live",
     "osmium": "osm",
+    "geopandas": "gis",
+    "pyogrio": "gis",
 }
 """The extra that installs each module which is not needed by all commands."""
 
@@ -140,9 +142,7 @@ def run(arguments: Sequence[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
             return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
         if isinstance(error, MemoryError):
-            return _fail(
-                "the memory does not suffice; give a smaller log, or lower the limits.* settings", ExitCode.BAD_INPUT
-            )
+            return _fail("out of memory; give a smaller log, or lower the limits.* settings", ExitCode.BAD_INPUT)
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.cells import cell_len
 from rich.console import Console, RenderableType
@@ -17,9 +17,6 @@ from rich.table import Table
 from rich.text import Text
 
 from logs.container.names import visible
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 PIPE_WIDTH = 120
 _MAX_NUMBER_WIDTH = 12
@@ -94,11 +91,6 @@ def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), tit
     for row in rows:
         shown.add_row(*row.values())
     return shown
-
-
-def frame(table_of_texts: pd.DataFrame, title: str | None = None) -> Table:
-    """A table of texts; the index names the rows."""
-    return table(table_of_texts.rename_axis("").reset_index().to_dict("records"), title=title)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools.arguments import ConfigFile, Jobs, Json, Settings, check_outputs, parse_origin
+from tools.arguments import ConfigFile, Jobs, Json, Picture, Settings, check_outputs, parse_origin
 from tools.evaluation.requirements import Require, finish
 
 if TYPE_CHECKING:
@@ -75,9 +75,7 @@ def add(
 @app.command()
 def status(
     city: Folder,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Picture of what changed.", show_default=False)
-    ] = None,
+    picture: Picture = None,
     since: Day = None,
     until: Day = None,
     require: Require = None,

@@ -51,7 +51,7 @@ def live(
     """Map a drive while it happens, and publish the estimates to Foxglove.
 
     A stream holds dslam.StreamMessage records, each after its length as a varint (logs/schemas/dslam.proto). The
-    estimates use past records only, also for values that the calibration does not hold.
+    estimates use past records only, and so do values that are missing in the calibration.
 
     Example: dslam live drive.mcap --speed 2 --calibration robot.toml
     """

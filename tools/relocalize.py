@@ -93,7 +93,7 @@ def relocalize(
             f"{counters['relocalizations_revoked']} relocalizations revoked",
             "written": str(output) + (f", {picture}" if picture and is_found else ""),
         }
-        shown = ("found", "recognised", "tracked", "kidnapped", "warnings", "of the log", "final status", "written")
+        shown = ("found", "recognised", "tracked", "kidnapped", "warnings", "final status", "written")
         found = {"found": "never: no place of the map was recognised"} | rows
         console.show(console.pairs({name: found[name] for name in shown if name in found}))
     if not is_found:
@@ -103,18 +103,17 @@ def relocalize(
 def _parsed_prior(near: str | None) -> InitialPose | None:
     import numpy as np
 
+    from slam.common.errors import InputDataError
     from slam.place_recognition.initial_pose import InitialPose
 
     if near is None:
         return None
     try:
         x_m, y_m, *yaw_deg, sigma_m = (float(part) for part in near.split(","))
-    except ValueError:
-        x_m, y_m, yaw_deg, sigma_m = 0.0, 0.0, [], -1.0
-    if len(yaw_deg) > 1 or not (sigma_m > 0.0 and np.isfinite([x_m, y_m, *yaw_deg, sigma_m]).all()):
+        (yaw_rad,) = np.deg2rad(yaw_deg).tolist() or [None]
+        return InitialPose(np.array([x_m, y_m]), sigma_m, yaw_rad=yaw_rad)
+    except (ValueError, InputDataError):
         raise typer.BadParameter(
             f"{near!r} is not X,Y,SIGMA or X,Y,YAW,SIGMA in metres and degrees, as in 120,-35,90,10.",
             param_hint="--near",
-        )
-    yaw_rad = float(np.deg2rad(yaw_deg[0])) if yaw_deg else None
-    return InitialPose(np.array([x_m, y_m]), sigma_m, yaw_rad=yaw_rad)
+        ) from None

@@ -121,8 +121,7 @@ def describe(summary: ReplaySummary) -> dict[str, str]:
         "loops": f"{accepted} loop closures accepted ({retrieved} retrieved, {accepted - retrieved} propagated), "
         f"{counters['closures_inserted']} factors" + _odometry_note(counters["closures_rejected_by_odometry"]),
         "found": ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes),
-        "warnings": ", ".join(noted_counters(counters)) or "none",
-        "of the log": "; ".join(summary.notes),
+        "warnings": "; ".join([*noted_counters(counters), *summary.notes]) or "none",
         "trajectory": str(summary.trajectory_check),
         "final status": summary.final_status,
     }

@@ -19,7 +19,7 @@ def simulate(
     trajectory: Annotated[Path | None, typer.Option(metavar="CSV", help="Tour through that world: x_m,y_m.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all errors, and of the town without --world-seed.")] = 0,
     world_seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of the town: several drives through one town.")
+        int | None, typer.Option(min=0, metavar="N", help="Seed of the town, for several drives through one town.")
     ] = None,
     length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
     config_file: ConfigFile = None,

@@ -111,7 +111,7 @@ def _load(path: Path) -> tuple[dict[str, NDArray[Any]], DescriptellationLRArchit
     if wrong:
         raise WeightsError(f"{path}: tensors that do not fit the architecture: {', '.join(wrong)}")
     if not all(np.isfinite(tensor).all() for tensor in weights.tensors.values()):
-        raise WeightsError(f"{path}: a tensor is not finite; get it again")
+        raise WeightsError(f"{path}: a tensor is not finite; download it again")
     sizes = (architecture.rings, architecture.sectors, architecture.partners)
     if not (0.0 < architecture.inner < architecture.outer < np.inf and 0 < min(sizes) <= max(sizes) <= MAX_SIZE):
         raise WeightsError(f"{path}: its sizes are invalid: {architecture}")

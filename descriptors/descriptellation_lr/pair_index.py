@@ -92,7 +92,7 @@ class PairIndex:
         """
         filled = words.shape[1] * WORD
         if words.shape[0] != likelihood.architecture.cells or not len(ends) == len(lengths) == len(classes) == filled:
-            raise ValueError("its pairs are of another version")
+            raise ValueError("its index of pairs is of another version")
         index = cls(likelihood, unit_m)
         index.words, index.ends, index.lengths, index.classes = words, ends, lengths, classes
         index._sorted = int(np.searchsorted(classes, FILLER))

@@ -111,7 +111,7 @@ def draw_sample(
                 drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
             )
             return Sample(constellations, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
-    raise DescriptorError("the maps have no place with objects enough to train on")
+    raise DescriptorError("no place in the maps has enough objects to train on")
 
 
 def scores_of(network: nn.Module, sample: Sample | PairSample, device: torch.device) -> Tensor:

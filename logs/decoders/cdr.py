@@ -91,7 +91,7 @@ def _count_fields(store: Typestore, type_name: str, depth: int) -> int:
         KeyError: a part is not defined.
     """
     if depth == 0:
-        raise ValueError(f"parts of parts more than {_MAX_DEPTH} times")
+        raise ValueError(f"nested more than {_MAX_DEPTH} levels deep")
     count = 1
     fielddefs: list[tuple[str, Any]] = list(store.fielddefs[type_name][1])
     for _, (kind, described) in fielddefs:

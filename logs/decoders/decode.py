@@ -65,7 +65,7 @@ def decode(
         return records
     except _OTHER_FIELDS as error:
         if not isinstance(error, Refusal):
-            error = Refusal("fields of other types than known", str(error)[:200])
+            error = Refusal("a field has an unexpected type", str(error)[:200])
         raise InvalidRecordError(
             f"{raw.topic} at {raw.log_time_ns} ns: {error}; the message is left out", reason=error.reason
         ) from error

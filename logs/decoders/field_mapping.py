@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +20,9 @@ from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
 _PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
-_PLAIN = re.compile(r"(\w{1,50}\[\])?( \w+=\w{1,50})+")
+_PLAIN = re.compile(r"(\w{1,50}\[\])?( \w+=[\w.]{1,50})+")
 _USUAL_NAMES = {
+    "position": ("position", "pos", "location", "center", "xyz"),
     "label": ("label", "class", "class_name", "category", "kind", "species", "type", "name", "class_id"),
     "score": ("score", "confidence", "probability", "conf"),
 }
@@ -59,9 +60,9 @@ class FieldMapping:
             Refusal: bytes that are no such message, or a field that is not there.
         """
         message = _tree(context.raw)
-        objects = _field(message, self.objects) if self.objects else [message]
-        found = [self._detection(each) for each in objects]
-        header = _field(message, "header", None)
+        objects = _field(message, self.objects) if self.objects else message
+        found = [self._detection(each) for each in (objects if isinstance(objects, list) else [objects])]
+        header = None if isinstance(message, list) else _field(message, "header", None)
         place = context.raw.log_time_ns, ""
         if header is not None:
             seconds, nanoseconds = _field(header, "stamp.sec"), _field(header, "stamp.nanosec")
@@ -89,18 +90,31 @@ def guess_mapping(raw: RawMessage) -> str:
         message = _tree(raw)
     except Exception:  # whatever the bytes are, there is nothing to guess
         return ""
-    for name, value in {"": [message], **_fields(message)}.items():
+    for name, value in {"": message if isinstance(message, list) else [message], **_fields(message)}.items():
         item = _fields(value[0]) if isinstance(value, list | tuple) and value else {}
-        place = next((f"position={field}" for field, at in item.items() if {"x", "y"} <= _fields(at).keys()), "")
-        if {"x", "y"} <= item.keys():
+        item = item | {f"{field}.{part}": at for field, whole in item.items() for part, at in _fields(whole).items()}
+        usual = {part: _usually_called(names, item) for part, names in _USUAL_NAMES.items()}
+        places = [field for field in usual.pop("position") if isinstance(item[field], list) or _is_place(item[field])]
+        places += [field for field, at in item.items() if _is_place(at)]
+        place = f"position={places[0]}" if places else ""
+        if _is_place(item):
             place = " ".join(f"{axis}={axis}" for axis in "xyz" if axis in item)
-        named = {part: next(filter(item.__contains__, names), "") for part, names in _USUAL_NAMES.items()}
+        named = {part: next((f for f in fields if not _fields(item[f])), "") for part, fields in usual.items()}
         others = [f"{part}={field}" for part, field in named.items() if field]
         mapping = " ".join([f"{name}[]" if name else "", place, *others])
         is_object = place and (name or named["label"])  # a position alone is none
         if is_object and _PLAIN.fullmatch(mapping):
             return mapping
     return ""
+
+
+def _usually_called(names: Sequence[str], item: Mapping[str, Any]) -> list[str]:
+    """The fields of ``item``, or of its fields, whose name is one of ``names``, in their order."""
+    return [field for name in names for field in item if field.rpartition(".")[2] == name]
+
+
+def _is_place(value: Any) -> bool:
+    return {"x", "y"} <= _fields(value).keys()
 
 
 def _fields(value: Any) -> dict[str, Any]:
@@ -133,6 +147,6 @@ def _field(value: Any, path: str, otherwise: Any = _MISSING) -> Any:
 
 def _xyz(value: Any) -> tuple[float, float, float]:
     if isinstance(value, list | tuple) or hasattr(value, "tolist"):
-        x, y, z = (float(number) for number in value)
-        return x, y, z
+        x, y, *z = (float(number) for number in value)
+        return x, y, sum(z[:1])
     return float(_field(value, "x")), float(_field(value, "y")), float(_field(value, "z", 0.0))

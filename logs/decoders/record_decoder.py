@@ -24,13 +24,19 @@ class RecordDecoder:
     """Decodes messages, and counts those that are unfit.
 
     ``counters``: ``invalid_messages``, ``undecodable`` (messages whose schema does not fit), ``dropped_objects``,
-    ``ignored_covariances``, ``ignored_sizes``. Invalid messages are reported once for each topic and reason.
+    ``ignored_covariances``, ``ignored_sizes``. Invalid messages are reported once for each topic and reason, of
+    which ``reported`` keeps those of earlier passes.
     """
 
-    def __init__(self, limits: ReadingLimits | None = None, counters: Counter[str] | None = None) -> None:
+    def __init__(
+        self,
+        limits: ReadingLimits | None = None,
+        counters: Counter[str] | None = None,
+        reported: set[tuple[str, str]] | None = None,
+    ) -> None:
         self._limits = limits or ReadingLimits()
         self._definitions: set[Schema | None] = set()
-        self._reported: set[tuple[str, str]] = set()
+        self._reported = set[tuple[str, str]]() if reported is None else reported
         self.counters = Counter[str]() if counters is None else counters
 
     def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:

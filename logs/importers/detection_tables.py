@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 from logs.dslam_codec import take_rows
 from logs.errors import DatasetError
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import LABEL_NAMES, LENGTH_UNITS, Table
+from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections
-
-ONLY_LABEL = "object"
-"""Class of detections that have none."""
 
 BODY_FRAME = "base_link"
 
@@ -33,7 +30,7 @@ class DetectionTable:
     ``detections``: of all rows; ``frames`` (R,); ``true_ids`` (R,): the object that each shows, "" for a false
     positive, None where the file has none; ``is_empty`` (R,): rows without position and label, for scans in which
     nothing was seen; ``left_out``: the columns that have no place in a log; ``unlabelled_count``: how many became
-    ``ONLY_LABEL``.
+    ``UNLABELLED``.
     """
 
     stamps: Stamps
@@ -69,14 +66,14 @@ def read_detections(table: Table) -> DetectionTable:
     """
     stamps = read_stamps(table)
     stamps.check_increasing(strictly=False)
-    labels = table.labels((*LABEL_NAMES, "name"))
+    labels = table.labels()
     is_empty, positions = _positions(table, labels)
     has_tracks, has_truth = table.find(("track_id",)), table.find(("object_id",))
     detections = ObjectDetections(
         0,
         BODY_FRAME,
         positions,
-        tuple(label or ONLY_LABEL for label in labels),
+        tuple(label or UNLABELLED for label in labels),
         _scores(table),
         _covariances(table),
         _sizes(table),
@@ -85,7 +82,7 @@ def read_detections(table: Table) -> DetectionTable:
     return DetectionTable(
         stamps=stamps,
         detections=detections,
-        frames=[frame or BODY_FRAME for frame in table.first_texts(("frame",))],
+        frames=[frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))],
         true_ids=["" if name == "-1" else name for name in table.columns[has_truth.name]] if has_truth else None,
         is_empty=is_empty,
         left_out=tuple(name for name in table.columns if name and name not in table.used),
@@ -110,7 +107,7 @@ def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], 
         if median_m > MAX_RANGE_M:
             raise DatasetError(
                 f"{table.name}, column {column.name}: the median is {median_m:.4g} m, which is no range in the body "
-                f"frame; if these are millimetres, call the column {column.name.removesuffix('_m')}_mm"
+                f"frame; if these are millimetres, name the column {column.name.removesuffix('_m')}_mm"
             )
     return is_empty, positions
 

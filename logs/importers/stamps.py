@@ -19,8 +19,8 @@ STAMP_NAMES = ("stamp", "timestamp", "time", "t")
 TIME_UNITS: Mapping[str, float] = {"": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 """Suffix of a column -> nanoseconds; without a suffix, seconds."""
 
-UNIT_REMEDY = "call the column by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns"
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+UNIT_REMEDY = "name the column by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns"
+_DATE = re.compile(r"\d{4}(-?)\d\d\1\d\d[T ]\d\d:?\d\d")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

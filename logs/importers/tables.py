@@ -19,11 +19,25 @@ LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
-LABEL_NAMES = ("label", "class", "class_name", "category", "kind", "species", "type", "class_id", "category_id")
+LABEL_NAMES = (
+    "label",
+    "class",
+    "class_name",
+    "category",
+    "kind",
+    "species",
+    "type",
+    "class_id",
+    "category_id",
+    "name",
+)
 """Names of the column with the class of an object, likeliest first."""
 
+UNLABELLED = "object"
+"""Class of objects that have none."""
+
 _DELIMITERS = ",;\t"
-_LIKE_LABELS = re.compile("label|class|cls|categor|kind|type", re.IGNORECASE)
+_LIKE_LABELS = re.compile("label|class|cls|categor|kind|type|^object$|^tag", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,25 +86,25 @@ class Table:
         column = self.find(fields, units)
         if column is None:
             there = ", ".join(self.columns)
-            raise DatasetError(f"{self.name}: no column for {what} among {there}; call the one that holds it {example}")
+            raise DatasetError(f"{self.name}: no column for {what} among {there}; name the one that holds it {example}")
         return column
 
     def first_texts(self, names: Iterable[str]) -> Sequence[str]:
-        """The cells (R,) of the column that bears the first of the names that any does, else empty ones."""
-        column = next(filter(None, (self.find((name,)) for name in names)), None)
-        return [""] * len(self.lines) if column is None else self.columns[column.name]
+        """The cells (R,) of the column that bears the first of the names whose cells are not all empty."""
+        named = filter(None, (self.find((name,)) for name in names))
+        return next(filter(any, (self.columns[column.name] for column in named)), [""] * len(self.lines))
 
-    def labels(self, names: Iterable[str] = LABEL_NAMES) -> Sequence[str]:
+    def labels(self) -> Sequence[str]:
         """The classes (R,) of the rows, empty where a cell is, or where there is no such column.
 
         Raises:
             DatasetError: only a column of another name may hold the classes.
         """
-        labels = self.first_texts(names)
+        labels = self.first_texts(LABEL_NAMES)
         alike = [name for name in self.columns if name not in self.used and _LIKE_LABELS.search(name)]
         if alike and not any(labels):
             raise DatasetError(
-                f"{self.name}: no column label, but {', '.join(alike)}; call the column with the classes label, or "
+                f"{self.name}: no column label, but {', '.join(alike)}; name the column with the classes label, or "
                 "remove it"
             )
         return labels

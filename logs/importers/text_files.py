@@ -50,9 +50,11 @@ def source_text(name: str, content: bytes) -> SourceText:
     """
     plain = _unpacked(name, content) if content.startswith(_GZIP) else content
     try:
+        if b"\0" in plain:
+            raise UnicodeDecodeError("utf-8", plain, plain.index(b"\0"), len(plain), "not text")
         return SourceText(name, plain.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
     except UnicodeDecodeError as error:
-        remedy = "save it as UTF-8, or give a table or poses"
+        remedy = "save it as text in UTF-8, for example as CSV"
         if plain.startswith(_PARQUET):
             remedy = f"make CSV of this Parquet file: pandas.read_parquet({Path(name).name!r}).to_csv('table.csv')"
         raise DatasetError(f"{name}: not a text file in UTF-8 (byte {error.start}); {remedy}") from error

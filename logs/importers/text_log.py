@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
+from logs.importers.detection_tables import BODY_FRAME, DetectionTable, read_detections
 from logs.importers.imported_log import ImportedRecord
 from logs.importers.stamps import match_clock
-from logs.importers.tables import read_table
+from logs.importers.tables import UNLABELLED, read_table
 from logs.importers.text_files import describe_sources, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
 from logs.messages import GroundTruthPose, Odometry
@@ -97,7 +97,7 @@ def _notes(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
         )
     if table.unlabelled_count:
         counts = f"{table.unlabelled_count} of {len(inside)} detections"
-        notes.append(f"{counts} have no label and are of the class {ONLY_LABEL}")
+        notes.append(f"{counts} have no label and are of the class {UNLABELLED}")
     frames = sorted(set(table.frames) - {BODY_FRAME})
     if frames:
         notes.append(

@@ -119,14 +119,23 @@ def _poses(table: Table) -> FloatArray:
 
 
 def _rotations(table: Table) -> FloatArray:
-    yaw = table.find(("yaw",), _ANGLE_UNITS)
+    yaw = table.find(("yaw", "theta"), _ANGLE_UNITS)
     if yaw is not None:
         yaw_rad = table.numbers(yaw)
         # Headings that are wrapped lie within one turn, and others change by less from pose to pose.
         jumps = np.abs(np.diff(yaw_rad, prepend=yaw_rad[:1])) > 2.0 * np.pi
-        table.refuse(jumps, yaw, "CELL is more than a whole turn from before; if these are degrees, call it yaw_deg")
+        table.refuse(
+            jumps,
+            yaw,
+            "CELL differs from the heading before by more than a turn; if these are degrees, name the column yaw_deg",
+        )
         return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
-    columns = [table.need(f"the quaternion's {q}", q, (q,)) for q in ("qx", "qy", "qz", "qw")]
+    columns = [column for column in (table.find((name,)) for name in _TUM[4:]) if column is not None]
+    if len(columns) < 4:
+        raise DatasetError(
+            f"{table.name}: no rotation among {', '.join(table.columns)}; give yaw (radians from x to y), yaw_deg, or "
+            "qx, qy, qz and qw"
+        )
     q_xyzw = np.stack([table.numbers(column) for column in columns], axis=1)
     norms = np.linalg.norm(q_xyzw, axis=1)
     wrong = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
@@ -164,7 +173,7 @@ def _check_plausible(name: str, trajectory: Trajectory) -> None:
     if len(speeds_mps) and np.median(speeds_mps) > MAX_SPEED_MPS:
         raise DatasetError(
             f"{name}: the body moves at {np.median(speeds_mps):.4g} m/s (median); positions are metres: divide them by "
-            "1000 if these are millimetres, and see that the stamps are right"
+            "1000 if these are millimetres, and check the stamps"
         )
 
 

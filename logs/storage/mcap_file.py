@@ -200,7 +200,7 @@ class McapFile:
         if limit not in self._reported:
             self._reported.add(limit)
             value = getattr(self._limits, limit)
-            text = "%s: %s goes beyond limits.%s = %g and is left out; more is only counted"
+            text = "%s: %s exceeds limits.%s = %g and is left out; further ones are only counted"
             _log.warning(text, self._name, what, limit, value)
 
     def _check_held(self, held_bytes: int) -> None:

@@ -48,9 +48,11 @@ class OdometryCalibration(Branch):
     )
     time_offset_s: float = Field(default=0.0, description="added to the stamps of the odometry [s]")
     length_scale: float = Field(default=1.0, gt=0, description="factor on the lengths of the odometry's steps")
-    turn_scale: float = Field(default=1.0, gt=0, description="factor on the turns of the odometry about the vertical")
+    turn_scale: float = Field(
+        default=1.0, gt=0, description="factor on the rotations of the odometry about the vertical axis"
+    )
     climb: float = Field(
-        default=0.0, ge=-1, le=1, description="height missing from each step of the odometry, per length [m / m]"
+        default=0.0, ge=-1, le=1, description="height that the odometry lacks per metre of travel [m / m]"
     )
     sources: int = Field(
         default=1,
@@ -110,10 +112,14 @@ class DetectionCalibration(Branch):
         default=0.0,
         ge=-180,
         le=180,
-        description="rotation about the z axis of the body, applied last; beyond the transform of the sensor [deg]",
+        description="rotation about the z axis of the body, applied last, besides the transform of the sensor [deg]",
     )
-    x_m: float = Field(default=0.0, description="farther along the x axis of the body, beyond that transform [m]")
-    y_m: float = Field(default=0.0, description="farther along the y axis of the body, beyond that transform [m]")
+    x_m: float = Field(
+        default=0.0, description="offset along the x axis of the body, besides the transform of the sensor [m]"
+    )
+    y_m: float = Field(
+        default=0.0, description="offset along the y axis of the body, besides the transform of the sensor [m]"
+    )
     assume_body_frame: bool = Field(
         default=False, description="interpret detections in the body frame instead of that of the message"
     )

@@ -82,7 +82,7 @@ def load_tree(
         ) from error
     for each in settings_of(tree):
         if isinstance(each.value, int | float) and each.value and not _SMALLEST <= abs(each.value) <= _LARGEST:
-            limits = f"numbers other than 0 are from {_SMALLEST:g} to {_LARGEST}"
+            limits = f"numbers other than 0 must be from {_SMALLEST:g} to {_LARGEST}"
             raise ConfigurationError(
                 f"{_origin(each.key, flagged, path)}: {each.key}={each.value} is out of range; {limits}"
             )

@@ -34,7 +34,7 @@ class MapPicture:
     landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
     closures that are undecided, true, false; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
     landmarks of a map that was given, drawn in grey; appeared, gone (J, 3) and moved (J, 2, 3), from and to, of
-    landmarks that changed; errors of estimate and odometry where they are known.
+    landmarks that changed; length of the path, and errors of estimate and odometry, where they are known.
     """
 
     estimate: FloatArray
@@ -52,6 +52,7 @@ class MapPicture:
     gone: FloatArray = field(default_factory=_no_points)
     moved: FloatArray = field(default_factory=_no_lines)
     title: str = "Object map"
+    length_m: float | None = None
     ate_m: float | None = None
     odometry_ate_m: float | None = None
 

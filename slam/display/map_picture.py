@@ -88,7 +88,9 @@ def to_png(figure: Figure) -> bytes:
     with warnings.catch_warnings(record=True) as missing:
         figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
     if any("Glyph" in str(each.message) for each in missing):
-        logger.warning("letters that no font here has are drawn as boxes; install one of: %s", ", ".join(_FONTS[1:]))
+        logger.warning(
+            "some letters are in no installed font and are drawn as boxes; install one of: %s", ", ".join(_FONTS[1:])
+        )
     return png.getvalue()
 
 
@@ -133,10 +135,8 @@ def _cut(name: str, most: int) -> str:
 
 def _subtitle(picture: MapPicture) -> str:
     parts = []
-    for positions, name in ((picture.estimate, "path"), (picture.odometry, "odometry")):
-        if len(positions):
-            parts.append(f"{name} {np.nansum(np.linalg.norm(np.diff(positions, axis=0), axis=1)):.0f} m")
-            break
+    if picture.length_m is not None:
+        parts.append(f"path {picture.length_m:.0f} m")
     if picture.labels:
         parts.append(f"landmarks {len(picture.labels)}, classes {len(set(picture.labels))}")
     if picture.ate_m is not None:

@@ -122,7 +122,8 @@ class _Evaluator:
     def _evaluate_trajectory(self, name: str, path: PoseSeries) -> TrajectoryErrors | None:
         def compute() -> TrajectoryErrors:
             _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(self._truth) > 0})
-            return evaluate_trajectory(path, self._truth, max_gap_s=self._protocol.max_truth_gap_s)
+            gap_s, kidnapping_m = self._protocol.max_truth_gap_s, self._protocol.revisit_m
+            return evaluate_trajectory(path, self._truth, max_gap_s=gap_s, kidnapping_m=kidnapping_m)
 
         return self._measure("trajectory" if name == "estimate" else name, compute)
 

@@ -91,9 +91,7 @@ def map_sessions(
             outcome = Session(log.sha256, "the process that mapped it died each time, perhaps for lack of memory"), 0.0
         session, seconds = outcome
         sessions[log.sha256] = session
-        result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings"
-        if not session.is_mapped:
-            result = f"not mapped: {session.reason}"
+        result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings" if session.is_mapped else "not mapped"
         progress(finished / len(waiting), f"{finished}/{len(waiting)} {log.path.name}: {result}")
     return sessions
 

@@ -51,7 +51,9 @@ def why_not_recognised(
     """
     far_m = _distance_of_fixes(known, fixes)
     if far_m > FAR_M:
-        return f"the fixes of the log are {far_m / 1000.0:.0f} km from the nearest object: a map of another place"
+        return (
+            f"the fixes of the log are {far_m / 1000.0:.0f} km from the nearest object, so the map is of another place"
+        )
     seen, labels = _landmarks_of_drive(objects, trajectory)
     theirs = tuple(known.vocabulary if isinstance(known, ImportedMap) else sorted(_confirmed_labels(known.objects)))
     shared = np.isin(labels, theirs)

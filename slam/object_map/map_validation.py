@@ -26,7 +26,7 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
         graph: its keyframes, and what ties them and the landmarks together.
     """
     if not objects.ids or not len(graph.keyframe_ids):
-        return "it is a map without landmarks or keyframes; nothing can be found in it"
+        return "it has no landmarks or no keyframes, so no robot can be localized in it"
     faults = chain(_faults_of_names(objects, graph), _faults_of_objects(objects), _faults_of_graph(graph))
     return next(faults, "")
 
@@ -51,7 +51,7 @@ def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iter
     for what, unknown in used.items():
         yield from (f"{what} {name}, which it does not have" for name in sorted(unknown))
     kinds = sorted(set(graph.edge_kinds) - set(EdgeKind))
-    yield from (f"its graph has edges of a kind {kind!r} that is not known" for kind in kinds)
+    yield from (f"its graph has edges of an unknown kind {kind!r}" for kind in kinds)
 
 
 def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
@@ -79,12 +79,12 @@ def _faults_of_graph(graph: FactorGraphRecord) -> Iterator[str]:
         )
     inflations = graph.observation_redundancies
     if len(inflations) and (len(inflations) != len(graph.observation_covariances) or (inflations <= 0.0).any()):
-        yield "the covariance inflations (redundancies) of the observations in its graph are not positive for each"
+        yield "its graph has an observation without a positive covariance inflation"
     for keyframe, _ in ends[np.asarray(ends[:, 0] == ends[:, 1])]:
         yield f"an edge of its graph leads from keyframe {keyframe} to itself"
     part = parts(graph, np.ones(len(graph.edge_kinds), dtype=np.bool_))
     for keyframe in graph.keyframe_ids[part != part[0]]:
-        yield f"no edge ties keyframe {keyframe} to the first one"
+        yield f"no edge connects keyframe {keyframe} to the first one"
 
 
 def _are_covariances(P: FloatArray) -> NDArray[np.bool_]:

@@ -284,6 +284,7 @@ def _checked_spacing(positions: FloatArray) -> float:
         raise SavedMapError(f"the objects extend over {extent_m / 1000.0:.0f} km, too much for a plane; crop the map")
     if spacing_m < MIN_SPACING_M and np.abs(plane).max() <= 180.0:
         raise SavedMapError(
-            f"the objects are {spacing_m:.2g} m apart, so these are degrees, not metres; call the columns lat and lon"
+            f"the objects are {spacing_m:.2g} m apart; name the columns lat and lon if these are degrees, else remove "
+            "repeated objects"
         )
     return max(spacing_m, MIN_SPACING_M)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import FloatArray
+from slam.common.errors import InputDataError
 from slam.common.geometry import yaw_rad
 
 GATE_SIGMAS = 3.5
@@ -25,6 +26,16 @@ class InitialPose:
     sigma_m: float
     yaw_rad: float | None = None
     at_travel_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        """See that it is a place.
+
+        Raises:
+            InputDataError: another shape, or numbers that are not finite or positive.
+        """
+        numbers = np.array([*np.ravel(self.position), self.sigma_m, self.yaw_rad or 0.0], dtype=np.float64)
+        if np.shape(self.position) != (2,) or not (np.isfinite(numbers).all() and self.sigma_m > 0.0):
+            raise InputDataError(f"{self}: give x and y in metres, and a positive standard deviation")
 
     def radius_m(self, travel_m: float) -> float:
         """How far from ``position`` the robot can be after ``travel_m`` of the drive."""

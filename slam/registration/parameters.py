@@ -36,9 +36,11 @@ class RegistrationConfig(Branch):
     )
     max_iterations: int = Field(default=8, ge=1, description="rounds of association and least squares")
     distinct_m: float = Field(
-        default=2.0, gt=0, description="poses nearer than this to a better one, at the centre of the objects [m] ..."
+        default=2.0,
+        gt=0,
+        description="poses are the same if they are closer at the centre of the objects than this [m] ...",
     )
-    distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading are the same pose [deg]")
+    distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading than this [deg]")
     estimate_scale: bool = Field(
         default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
     )

@@ -66,16 +66,16 @@ MAX_SCALE = 1e30
 _MEANINGS = {
     "odometry.time_offset_s": "odometry messages are {:+.3f} s off their stamps",
     "detection.time_offset_s": "detections are {:+.3f} s off their stamps",
-    "odometry.length_scale": "the lengths of the odometry are to be multiplied by {:.3f}, if ranges of detections are "
+    "odometry.length_scale": "the lengths of the odometry need a factor of {:.3f}, if the ranges of detections are "
     "right (else give calibration.detection.range_scale)",
-    "odometry.turn_scale": "the turns of the odometry are to be multiplied by {:.3f}",
-    "odometry.climb": "the odometry is to climb by {:+.3f} of its way",
+    "odometry.turn_scale": "the rotations of the odometry need a factor of {:.3f}",
+    "odometry.climb": "the odometry lacks a climb of {:+.3f} of its path",
     "odometry.sources": "{:.0f} sources publish on the topic of the odometry: that of the first message is used",
-    "detection.roll_deg": "detections are to be turned by a roll of {:.1f} deg: check the frames",
-    "detection.pitch_deg": "detections are to be turned by a pitch of {:.1f} deg: check the frames",
-    "detection.yaw_deg": "detections are to be turned by a yaw of {:.1f} deg: check the frames",
-    "detection.x_m": "detections are of a sensor that sits {:.2f} m farther ahead: check the frames",
-    "detection.y_m": "detections are of a sensor that sits {:.2f} m farther to the left: check the frames",
+    "detection.roll_deg": "the sensor has a roll of {:.1f} deg relative to its transform: check the frames",
+    "detection.pitch_deg": "the sensor has a pitch of {:.1f} deg relative to its transform: check the frames",
+    "detection.yaw_deg": "the sensor has a yaw of {:.1f} deg relative to its transform: check the frames",
+    "detection.x_m": "the sensor is {:.2f} m farther ahead than its transform says: check the frames",
+    "detection.y_m": "the sensor is {:.2f} m farther to the left than its transform says: check the frames",
     "detection.assume_body_frame": "detections are in the frame of the body, not in the one that they name",
     "detection.assume_odometry_frame": "detections are in the frame of the odometry, not in the one that they name",
     "detection.claimed_sigma_factor": "detections scatter {:.2g} times as much as their covariances say",
@@ -102,7 +102,7 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
     """
     if survey is None:
         return CalibratedLog(
-            config, notes=("no detection is within the time of the odometry: nothing was estimated from the log",)
+            config, notes=("no detection could be placed on the odometry: nothing was estimated from the log",)
         )
     corrections = _corrections(survey, delays)
     lengths, noise = _lengths(config, survey), _noise(config, survey)

@@ -43,11 +43,11 @@ class TrajectoryCheck:
 
     def __str__(self) -> str:
         if not self.gains:
-            return "cannot tell which trajectory is the best: no place was recognisably seen on two visits"
+            return "cannot tell which trajectory is best: no place was recognised on a second visit"
         gains = ", ".join(f"{name} {gain:.2f}" for name, gain in self.gains.items())
         return (
-            f"{f'the {self.better}' if self.better else 'none'} is significantly better than the final one; by the "
-            f"prediction of detections on other visits, in nats per detection against chance: {gains}"
+            f"{f'the {self.better}' if self.better else 'none'} is significantly better than the final one; gain over "
+            f"chance in predicting detections on other visits, in nats per detection: {gains}"
         )
 
 

@@ -36,8 +36,8 @@ def explain(
     else:
         reason = "no closure corrects it; check the stamps, the frames and the calibration of the detections"
     return (
-        f"the {name} is better than the final trajectory, it predicts detections on other visits by {gained:.1f} nats "
-        f"better: {reason}",
+        f"the {name} is better than the final trajectory: it predicts detections on other visits better by "
+        f"{gained:.1f} nats; {reason}",
     )
 
 

@@ -85,7 +85,7 @@ def test_vectors_whose_length_changes_are_refused(mine: Path) -> None:
         constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=20.0)
         if count == 5:
             index.add(constellations)
-    with pytest.raises(DescriptorError, match=r"mine:Bad: .* 6 numbers after some of 5"):
+    with pytest.raises(DescriptorError, match=r"mine:Bad: .* length 6, before of length 5"):
         index.add(constellations)
 
 

@@ -25,8 +25,9 @@ def make_commands(folder: Path) -> list[Command]:
     from descriptors.training import trainer
 
     trainer.STEPS_PER_EPOCH = 2
-    log, mapped = folder / "drive.mcap", folder / "mapped.mcap"
+    log, other, mapped = folder / "drive.mcap", folder / "other.mcap", folder / "mapped.mcap"
     write_log(log, keep_until(drive(), 4.0))
+    write_log(other, keep_until(drive(), 5.0))
     replay(log, mapped)
     text = TextDrive.make(folder)
     tables = [part for role, path in text.files().items() for part in (f"--{role.replace('_', '-')}", str(path))]
@@ -38,6 +39,7 @@ def make_commands(folder: Path) -> list[Command]:
         Command("import", ("import", "csv", "imported.mcap", *tables)),
         Command("sweep", ("sweep", str(log), "-o", "sweep", "--degrade", "dropout=0.3", "--seeds", "2", "--jobs", "1"),
                 is_repeatable=False),
+        Command("fleet", ("fleet", "add", "city", str(log), str(other), "--workers", "1")),
         Command("train", ("train", "net", *network), is_repeatable=False),
     ]  # fmt: skip
 

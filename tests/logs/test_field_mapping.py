@@ -73,6 +73,12 @@ def test_fields_are_suggested_from_the_messages(log: Path) -> None:
         ({"x": 1.0, "y": 2.0, "z": 0.0, "class": "tree", "conf": 0.5}, " x=x y=y z=z label=class score=conf"),
         ({"linear": {"x": 1.0, "y": 0.0}}, ""),
         ({"seen": [{"at": [1, 2, 3]}], "header": {"stamp": 1}}, ""),
+        ({"seen": [{"pos": [1, 2], "size": {"x": 1, "y": 1}}]}, "seen[] position=pos"),
+        (
+            {"a": [{"class": {"name": "tree"}, "pose": {"position": {"x": 1, "y": 2}}}]},
+            "a[] position=pose.position label=class.name",
+        ),
+        ([{"x": 1, "y": 2, "type": "tree"}], " x=x y=y label=type"),
         ({"seen": []}, ""),
         ({"my plants": [{"x": 1, "y": 2}]}, ""),  # no mapping can name it
         ([1], ""),

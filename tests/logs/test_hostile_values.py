@@ -120,8 +120,8 @@ def poses_message(seconds: str, frame: str) -> RawMessage:
 def test_definitions_that_say_other_types_than_usual() -> None:
     (record,) = decode(poses_message("int32", "string"), RecordKind.DETECTIONS)
     assert record.stamp_ns == 10**9
-    with pytest.raises(InvalidRecordError, match="give a text"):
+    with pytest.raises(InvalidRecordError, match="give a string"):
         decode(poses_message("int32", "int32"), RecordKind.DETECTIONS)
     for seconds in ("float64", "string"):
-        with pytest.raises(InvalidRecordError, match="fields of other types"):
+        with pytest.raises(InvalidRecordError, match="a field has an unexpected type"):
             decode(poses_message(seconds, "string"), RecordKind.DETECTIONS)

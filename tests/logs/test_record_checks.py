@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from logs import messages as m
+from logs.encoders import encode
 from logs.errors import InvalidRecordError
 
 SEEN: dict[str, Any] = {
@@ -61,12 +62,18 @@ def test_stamps(stamp_ns: Any) -> None:
         ({"track_ids": ("1",)}, "track_ids is not a tuple of 2 strings; give one for each label"),
         ({"sizes": np.zeros(2)}, r"sizes .* of shape \(2, 3\)"),
         ({"covariances": np.zeros((2, 3))}, r"covariances .* of shape \(2, 3, 3\)"),
-        ({"frame_id": None}, "frame_id is None; give a text"),
+        ({"frame_id": None}, "frame_id is None; give a string"),
     ],
 )
 def test_detections(changed: dict[str, Any], fault: str) -> None:
     with pytest.raises(InvalidRecordError, match=fault):
         m.ObjectDetections(**{**SEEN, **changed})
+
+
+@pytest.mark.parametrize("record", [None, m.ObjectDetections(**{**SEEN, "labels": ("a", "\ud800")})])
+def test_what_cannot_be_written(record: Any) -> None:
+    with pytest.raises(InvalidRecordError, match=r"no record|no Unicode text"):
+        encode(record)
 
 
 def test_arrays_of_other_numbers_and_those_that_cannot_be_written_are_taken() -> None:

@@ -101,7 +101,7 @@ def test_definitions_in_idl() -> None:
     [
         ("ros2msg", "no ][ definition", "definition of geometry_msgs/msg/PoseStamped cannot be read"),
         ("ros2idl", "no ][ definition", "definition of geometry_msgs/msg/PoseStamped cannot be read"),
-        ("ros2msg", "float64 x", "fields of other types"),
+        ("ros2msg", "float64 x", "a field has an unexpected type"),
     ],
 )
 def test_unusable_definition_is_refused(encoding: str, text: str, fault: str) -> None:

@@ -46,7 +46,7 @@ def test_too_many_fields_are_refused_before_code_is_generated_for_them(text):
     "p/A[] a" + part("A", "p/B b") + part("B", "p/A a"),
 ])  # fmt: skip
 def test_definitions_that_contain_themselves_are_refused(text):
-    assert "parts of parts more than 32 times" in refusal(text)
+    assert "nested more than 32 levels deep" in refusal(text)
 
 
 def test_long_definitions_are_refused_unread():

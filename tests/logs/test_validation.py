@@ -161,7 +161,7 @@ def test_the_reader_counts_invalid_messages_and_tells_each_reason_once(tmp_path,
             found = [entry.record.stamp_ns for entry in reader.records(Selection.of({"/odom": "odometry"}))]
             assert found == [1, 3, 5, 7, 9]
             assert reader.counters == {"invalid_messages": 5}
-    assert len(caplog.records) == 2
+    assert len(caplog.records) == 1
     assert "/odom at 2 ns: position is not finite" in caplog.text
 
 

@@ -39,7 +39,11 @@ def test_a_drive_is_simulated_mapped_evaluated_and_exported(dslam: Run, tmp_path
     assert "VERTEX_TRACKXYZ" in g2o.read_text()
     assert not list(tmp_path.glob("*.part"))
     told = dslam("info", output, "--closures").out
-    for text in ("defaults, but calibrate=false, keyframe.distance_m=3", "landmarks_confirmed", "map of another log"):
+    for text in (
+        "changed_settings calibrate=false, keyframe.distance_m=3",
+        "landmarks_confirmed",
+        "map of another log",
+    ):
         assert text in " ".join(told.split())
 
 

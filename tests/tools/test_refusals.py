@@ -50,7 +50,8 @@ def test_settings(dslam: Run, tmp_path: Path) -> None:
 def test_outputs_that_cannot_be(dslam: Run, tmp_path: Path) -> None:
     nowhere = tmp_path / "none" / "out.mcap"
     assert_refused(dslam("replay", SAMPLE, "-o", nowhere), "no folder")
-    assert_refused(dslam("replay", SAMPLE, "-o", tmp_path / "a.mcap", "--picture", nowhere), "no folder")
+    assert_refused(dslam("replay", SAMPLE, "-o", tmp_path / "a.mcap", "--save-map", nowhere), "no folder")
+    assert_refused(dslam("replay", SAMPLE, "-o", tmp_path / "a.mcap", "--picture", tmp_path / "a.svg"), "end with .png")
     for folder in ("", "..", tmp_path):
         assert_refused(dslam("replay", SAMPLE, "-o", folder), "is a folder")
     assert not list(tmp_path.iterdir())
@@ -64,7 +65,6 @@ def test_output_that_is_the_input(dslam: Run, tmp_path: Path) -> None:
     for output in (log, tmp_path / "link.mcap", tmp_path / "log.mcap"):
         assert_refused(dslam("replay", log, "-o", output), "is the input")
         assert_refused(dslam("export", log, "--tum", output), "is the input")
-        assert_refused(dslam("evaluate", log, "--picture", output), "is the input")
     assert log.read_bytes() == before
 
 
@@ -73,7 +73,7 @@ def test_two_outputs_that_are_one_file(dslam: Run, tmp_path: Path, second: str) 
     (tmp_path / "link.txt").symlink_to(tmp_path / "a.txt")
     names = (tmp_path / "a.txt", f"{tmp_path}/{second}")
     for first, other in (names, names[::-1]):
-        assert_refused(dslam("replay", SAMPLE, "-o", first, "--picture", other), "two outputs")
+        assert_refused(dslam("replay", SAMPLE, "-o", first, "--save-map", other), "two outputs")
     assert not (tmp_path / "a.txt").exists()
 
 
@@ -113,7 +113,7 @@ def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> No
     [
         (ZeroDivisionError("one\nof ours"), 70, "ZeroDivisionError: one of ours"),
         (ModuleNotFoundError("No module", name="torch.nn"), 2, "pip install 'descriptellation-slam[learn]'"),
-        (MemoryError(), 2, "the memory does not suffice"),
+        (MemoryError(), 2, "out of memory"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
     ids=lambda value: type(value).__name__,

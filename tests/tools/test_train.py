@@ -104,7 +104,9 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, t
 
 
 @pytest.mark.usefixtures("tiny")
-@pytest.mark.parametrize(("rows", "told"), [("", "holds no object"), ("0,0\n500,3\n900,5\n", "no place with objects")])
+@pytest.mark.parametrize(
+    ("rows", "told"), [("", "holds no object"), ("0,0\n500,3\n900,5\n", "no place in the maps has enough objects")]
+)
 def test_train_refuses_a_map_with_too_few_objects(dslam: Run, tmp_path: Path, rows: str, told: str) -> None:
     (tmp_path / "town.csv").write_text(f"x_m,y_m\n{rows}", encoding="utf-8")
     assert_refused(dslam("train", tmp_path / "net", "--maps", tmp_path / "town.csv", "--epochs", 1), told)

@@ -116,7 +116,7 @@ def drive(
 PLANTS = json.dumps({"plants": [{"kind": "tree", "sure": 0.5, "at": {"x": 5, "y": 2}}]})
 CASES = {
     "a column that looks like a label": table(
-        "no column label, but object_class; call the column with the classes label",
+        "no column label, but object_class; name the column with the classes label",
         TABLE.replace("label", "object_class"),
         code=2,
     ),
@@ -127,7 +127,7 @@ CASES = {
         "0.5 comes after a later stamp; sort the lines by this column", TABLE + "0.5,1,1,tree\n", code=2
     ),
     "stamps in milliseconds": table(
-        "give the stamps in seconds, or call the column by its unit",
+        "give the stamps in seconds, or name the column by its unit",
         in_milliseconds(TABLE, ","),
         in_milliseconds(POSES, " "),
         code=2,
@@ -137,7 +137,7 @@ CASES = {
     ),
     "a map in metres": places("origin unknown: give --origin", MAP),
     "a map in degrees": places("origin at latitude 60.1", PLACES),
-    "degrees called metres": places("call the columns lat and lon", PLACES.replace("lat,lon", "x_m,y_m"), code=2),
+    "degrees called metres": places("name the columns lat and lon", PLACES.replace("lat,lon", "x_m,y_m"), code=2),
     "a national grid": places("national grid", GRID, "--origin", "60,24", code=2),
     "three objects": places("needs at least four", MAP.rpartition("6,8")[0], code=2),
     "a frame that nothing connects": drive(

@@ -60,7 +60,8 @@ def compare(
         console.show_json(comparison.to_json_dict())
     else:
         members = [f"{label}: {', '.join(run.name for run in group)}" for label, group in comparison.groups.items()]
-        console.show(console.frame(comparison.to_table()), "", *members, comparison.note)
+        rows = comparison.to_table().rename_axis("").reset_index().to_dict("records")
+        console.show(console.table(rows), "", *members, comparison.note)
         if rules:
             console.show(console.pairs(runs[0].results["protocol"]["rules"], title="\nrules"))
     finish({run.name: run.results for run in runs}, require, quiet=as_json)

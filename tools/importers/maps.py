@@ -67,8 +67,8 @@ def map_of_objects(
 ) -> None:
     """A map of objects from open data, in which 'relocalize' and 'replay --map' find a robot.
 
-    Columns of a table: x_m and y_m, or lat and lon in degrees; where known z_m, class and id. --origin says where on
-    earth metres are counted from, east and north of it. OpenStreetMap needs pyosmium: pip install
+    Columns of a table: x_m and y_m, or lat and lon in degrees; optionally z_m, class and id. --origin is the place on
+    earth where x and y are 0; x points east, y north. OpenStreetMap needs pyosmium: pip install
     'descriptellation-slam[osm]'.
 
     Example: dslam import map town_map.mcap --file objects.csv --origin 60.17,24.94
@@ -118,6 +118,7 @@ def _make_map(
     json: bool,
 ) -> None:
     """Write the map of ``objects`` and print what is in it."""
+    from logs.importers.tables import UNLABELLED
     from slam.localization.map_import import import_map
     from slam.place_recognition.imported_map import save_imported_map
     from tools import console
@@ -127,6 +128,10 @@ def _make_map(
     imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
     counts = Counter(objects.labels).most_common()
+    notes = list(objects.notes)
+    if label is None and UNLABELLED in objects.labels:
+        unlabelled = f"{objects.labels.count(UNLABELLED)} of {len(objects)} objects"
+        notes.append(f"{unlabelled} have no class and are of the class {UNLABELLED}; --class NAME sets one for all")
     georeference = imported.georeference
     if json:
         console.show_json(
@@ -135,7 +140,7 @@ def _make_map(
                 "object_count": len(imported),
                 "class_counts": dict(counts),
                 "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
-                "notes": list(objects.notes),
+                "notes": notes,
             }
         )
         return
@@ -151,5 +156,5 @@ def _make_map(
         f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
         f"  {classes}{others}",
         f"  origin at {where}" if georeference is not None else f"  origin {where}",
-        *(f"  note: {note}" for note in objects.notes),
+        *(f"  note: {note}" for note in notes),
     )

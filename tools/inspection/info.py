@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +20,7 @@ REPLAYED = "dslam"
 MAX_LISTED = 40
 """Entries of a list; of a longer one the others are counted."""
 _MAX_VALUE_LENGTH = 300
+"""Longer values of the metadata, such as a whole configuration, are in the JSON only."""
 
 
 def info(
@@ -107,7 +107,7 @@ def _rows(summary: LogSummary) -> dict[str, str]:
         listed["counters"] = ", ".join(f"{name} {count}" for name, count in summary.status.counters.items())
     for name, values in summary.metadata.items():
         if name != "rosbag2":  # a copy of metadata.yaml, which says what stands above
-            listed |= {f"{name}: {key}": text for key, text in _about(values).items()}
+            listed |= {f"{name}: {key}": text for key, text in values.items() if len(text) <= _MAX_VALUE_LENGTH}
     return {name: text for name, text in listed.items() if text}
 
 
@@ -143,19 +143,6 @@ def _obstacle(summary: LogSummary) -> str:
     if REPLAYED in summary.metadata:
         return "this is the map of another log; replay that log"
     return summary.obstacle.partition(" Topics of the log:")[0]  # they stand above
-
-
-def _about(values: Mapping[str, str]) -> dict[str, str]:
-    """Metadata for people: of a configuration only what is not the default."""
-    about = {
-        key: value if len(value) <= _MAX_VALUE_LENGTH else f"{value[:_MAX_VALUE_LENGTH]} ... (--json shows all)"
-        for key, value in values.items()
-        if key not in ("changed_settings", "configuration")
-    }
-    if "configuration" not in values:
-        return about
-    changed = values.get("changed_settings")
-    return {"configuration": "defaults" + (f", but {changed}" if changed else ""), **about}
 
 
 def _topics(summary: LogSummary) -> list[dict[str, str]]:

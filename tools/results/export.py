@@ -45,6 +45,7 @@ def export(
     g2o: Annotated[Path | None, _file("Keyframes, landmarks and all factors; no robust kernels.")] = None,
     csv: Annotated[Path | None, _file("Landmarks: a table.")] = None,
     geojson: Annotated[Path | None, _file("Landmarks: places on earth (WGS 84).")] = None,
+    gpkg: Annotated[Path | None, _file("The same as a GeoPackage; needs geopandas.")] = None,
     ros2_bag: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="ROS 2 bag: Odometry, Path, detections, frames.")
     ] = None,
@@ -60,10 +61,10 @@ def export(
 
     Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv --ros2-bag bag
     """
-    outputs = [tum, kitti, geodetic, g2o, csv, geojson]
+    outputs = [tum, kitti, geodetic, g2o, csv, geojson, gpkg]
     if not any([*outputs, ros2_bag]):
         raise typer.BadParameter(
-            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson or --ros2-bag."
+            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson, --gpkg or --ros2-bag."
         )
     check_outputs(outputs, [log])
     from slam.evaluation.inputs.records import read_records
@@ -74,13 +75,13 @@ def export(
     from slam.library import read_map
     from tools import console
 
-    georeference = _georeference(log, origin) if geodetic or geojson else None
+    georeference = _georeference(log, origin) if geodetic or geojson or gpkg else None
     if tum or kitti or geodetic or g2o or ros2_bag:
         records = read_records(log)
     if tum or kitti or geodetic or ros2_bag:
         track = _track(log, records, of)
         poses = f"{len(track.stamps_ns)} poses"
-    if csv or geojson or ros2_bag:
+    if csv or geojson or gpkg or ros2_bag:
         objects = read_map(log)
         landmarks = f"{len(objects.ids)} landmarks"
     if tum:
@@ -98,6 +99,9 @@ def export(
     if geojson and georeference:
         tables.write_geojson(geojson, objects, georeference)
         console.show(f"{geojson}: {landmarks}")
+    if gpkg and georeference:
+        tables.write_geopackage(gpkg, objects, georeference)
+        console.show(f"{gpkg}: {landmarks}")
     if ros2_bag:
         body_frame = records.odometry[0].child_frame_id if records.odometry else "base_link"
         write_ros2_bag(ros2_bag, track, objects, body_frame=body_frame)

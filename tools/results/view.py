@@ -32,6 +32,8 @@ def view(
     Example: dslam view map.mcap
     """
     check_outputs([save], [log])
+    if save is not None and save.suffix not in (".rrd", ".png", ".json"):
+        raise typer.BadParameter(f"{save} does not end with .rrd, .png or .json.", param_hint="--save")
     from logs.reader import LogReader
     from logs.storage.placement import replacing, write_text
     from slam.display import rerun_view
@@ -65,7 +67,7 @@ def view(
             recording.save(part, default_blueprint=blueprint)
             rerun_view.send_log(log, recording)
             recording.disconnect()
-        console.show(f"{save}: open it by 'rerun {save}'")
+        console.show(f"{save}: open it with 'rerun {save}'")
         return
     from slam.display.rerun_viewer import start_viewer
 

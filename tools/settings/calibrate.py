@@ -29,8 +29,7 @@ def calibrate(
 ) -> None:
     """Estimate noise, scales and faults of a robot's sensors from its logs, for 'dslam replay --calibration'.
 
-    A correction is made only if it predicts parts of the logs that it was not fitted to better than everything else
-    that could explain them.
+    A correction is made only if it predicts held-out parts of the logs, and better than any other explanation does.
 
     Example: dslam calibrate monday.mcap tuesday.mcap -o robot.toml
     """

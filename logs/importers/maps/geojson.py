@@ -11,8 +11,8 @@ from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
-from logs.importers.maps.object_table import UNKNOWN
-from logs.importers.tables import LABEL_NAMES
+from logs.importers.maps.object_table import find_labels
+from logs.importers.tables import Table
 from logs.importers.text_files import read_source_text
 
 
@@ -60,12 +60,14 @@ def read_geojson(path: Path) -> MapObjects:
         raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
     geodetic = np.array([(p.coordinates[1], p.coordinates[0], *p.coordinates[2:], 0.0)[:3] for _, _, p in points])
     check_degrees(str(path), geodetic.reshape(-1, 3))
-    labels = tuple(_label(each.properties or {}) for _, each, _ in points)
+    labels = find_labels(_table(str(path), [each.properties or {} for _, each, _ in points]))
     ids = distinct(str(each.id or (each.properties or {}).get("id") or i) for i, each, _ in points)
     notes = (f"{others.total()} features that are not points were ignored ({kinds})",) if others else ()
     return MapObjects(str(path), geodetic, labels, ids, True, source.sha256, notes)
 
 
-def _label(properties: dict[str, Any]) -> str:
-    values = {key.lower(): value for key, value in properties.items()}
-    return next((str(values[name]) for name in LABEL_NAMES if values.get(name)), UNKNOWN)
+def _table(name: str, rows: list[dict[str, Any]]) -> Table:
+    """The properties of features as columns of text."""
+    keys = {key for row in rows for key in row}
+    cells = {key: ["" if row.get(key) is None else str(row[key]) for row in rows] for key in sorted(keys)}
+    return Table(name, range(1, len(rows) + 1), cells)

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
-from logs.importers.tables import LENGTH_UNITS, Table, read_table
+from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table, read_table
 from logs.importers.text_files import read_source_text
 
 ID_NAMES = ("id", "object_id", "name")
 """Names of the column with the id of an object, likeliest first."""
 DEGREES = {"": 1.0, "deg": 1.0}
-UNKNOWN = "object"
 
 
 def read_object_table(path: Path) -> MapObjects:
@@ -42,8 +41,8 @@ def read_object_table(path: Path) -> MapObjects:
 
 
 def find_labels(table: Table) -> tuple[str, ...]:
-    """The class (R,) of each row, ``UNKNOWN`` where the table has none."""
-    return tuple(cell or UNKNOWN for cell in table.labels())
+    """The class (R,) of each row, ``UNLABELLED`` where the table has none."""
+    return tuple(cell or UNLABELLED for cell in table.labels())
 
 
 def find_ids(table: Table) -> tuple[str, ...]:

@@ -82,6 +82,6 @@ class TextReference:
             is_camera = truth.format == TrajectoryFormat.KITTI and self.calib is None
             remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
             raise EvaluationError(
-                f"{self.path}: the robot moves {turned_deg:.0f} deg (median) away from where it moves by its odometry, "
-                f"so the axes of these poses are not those of its body; {remedy}"
+                f"{self.path}: the direction of travel differs from that of the odometry by {turned_deg:.0f} deg "
+                f"(median), so the axes of these poses are not those of the body; {remedy}"
             )

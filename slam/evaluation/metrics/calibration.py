@@ -21,10 +21,10 @@ from slam.evaluation.metrics.landmarks import LandmarkMatches
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
 NEEDS = {
-    "pose": "keyframes: covariances (/slam/graph) are needed, and truth, also at the first one, which fixes the map",
-    "landmark": "landmarks: confirmed ones are needed with a true object by their detections, and the truth at the "
-    "first keyframe",
-    "closure": "closures: an accepted true one with a covariance is needed",
+    "pose": "keyframes: needs covariances (/slam/graph) and truth, also at the first keyframe, which fixes the map",
+    "landmark": "landmarks: needs confirmed landmarks whose true object is known from their detections, and truth at "
+    "the first keyframe",
+    "closure": "closures: needs an accepted true closure with a covariance",
 }
 """Requirements of each kind of error."""
 

@@ -18,7 +18,8 @@ KITTI_START_STEP = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryErrors:
-    """Errors of one trajectory; ``length_m``, ``duration_s`` and ``pose_count`` are of the part that has a truth.
+    """Errors of one trajectory; ``length_m``, ``duration_s`` and ``pose_count`` are of the part that has a truth, the
+    length without gaps of the truth and without kidnappings.
 
     ``ate_m`` is the RMSE of the aligned positions. The relative errors (``rpe_...``) are None where the drive is
     shorter than the stretches.
@@ -36,8 +37,10 @@ class TrajectoryErrors:
     pose_count: int
 
 
-def evaluate_trajectory(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> TrajectoryErrors:
-    """All errors of one trajectory of the body against its truth.
+def evaluate_trajectory(
+    estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float, kidnapping_m: float = np.inf
+) -> TrajectoryErrors:
+    """All errors of one trajectory of the body against its truth, in which longer steps are kidnappings.
 
     The absolute error is that of Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq.
     (3), translation part.
@@ -48,6 +51,8 @@ def evaluate_trajectory(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: f
     poses = synchronize(estimate, truth, max_gap_s=max_gap_s)
     alignment = align_path(poses.positions_est, poses.positions_gt)
     errors_m = position_errors_m(poses, alignment)
+    steps_m = np.linalg.norm(np.diff(poses.positions_gt, axis=0), axis=1)
+    is_driven = (np.diff(poses.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
     translation_percent, rotation_deg_per_100m = compute_relative_error(poses.T_map_body_est, poses.T_world_body_gt)
     return TrajectoryErrors(
         ate_m=float(np.sqrt(np.mean(errors_m**2))),
@@ -57,7 +62,7 @@ def evaluate_trajectory(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: f
         rpe_translation_percent=translation_percent,
         rpe_rotation_deg_per_100m=rotation_deg_per_100m,
         alignment=alignment,
-        length_m=float(travelled_m(poses.T_world_body_gt)[-1]),
+        length_m=float(steps_m[is_driven].sum()),
         duration_s=int(poses.stamps_ns[-1] - poses.stamps_ns[0]) * 1e-9,
         pose_count=len(poses.stamps_ns),
     )

@@ -37,8 +37,10 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
     noticed_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
     lost_ns = [max((first for first in spans_ns[:, 0].tolist() if first < at), default=at) for at in noticed_ns]
     found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]
+    path = _broken(estimate.stamps_ns, estimate.positions, spans_ns)
+    driven_m = float(np.nansum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     return MapPicture(
-        estimate=_broken(estimate.stamps_ns, estimate.positions, spans_ns),
+        estimate=path,
         odometry=_broken(odometry.stamps_ns, _in_map(odometry, estimate), spans_ns),
         truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns)
         if errors
@@ -48,6 +50,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
         landmarks=objects.positions[rows] if objects else np.zeros((0, 3)),
         labels=tuple(objects.labels[row] for row in rows) if objects else (),
         title=title,
+        length_m=errors.length_m if errors else driven_m or None,
         ate_m=errors.ate_m if errors else None,
         odometry_ate_m=evaluation.odometry.ate_m if evaluation.odometry else None,
         **_closures(evaluation, estimate),

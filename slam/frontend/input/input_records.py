@@ -20,8 +20,8 @@ _REMEDIES = {
     "--topic camera_info=/topic",
     "objects_without_tag_size": "their size is not known: --set calibration.detection.tag_size_m, or record the /tf of "
     "their poses",
-    "objects_without_depth": "no depth image has their frame (--topic depth=/topic), and their feet are not on the "
-    "ground in view (/tf from the body to the camera, calibration.detection.ground_z_m)",
+    "objects_without_depth": "no depth image has their frame (--topic depth=/topic), and their lower edges do not "
+    "meet the ground in view (/tf from the body to the camera, calibration.detection.ground_z_m)",
 }
 
 

@@ -94,7 +94,7 @@ class ClockDrift:
     def __str__(self) -> str:
         return (
             f"the clock of detections is {'slow' if self.rate > 0 else 'fast'} by {1e6 * abs(self.rate):.0f} parts in "
-            "a million against that of the odometry, by the times at which messages were logged: corrected"
+            "a million relative to that of the odometry, by the log times: corrected"
         )
 
 

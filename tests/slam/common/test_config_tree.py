@@ -98,7 +98,7 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
         ("seed=", "expected key=value"),
         ("=3", "expected key=value"),
         ("keyframe..distance_m=3", "there is no"),
-        ("loop_closure.top_k=4294967296", "numbers other than 0 are from"),
+        ("loop_closure.top_k=4294967296", "numbers other than 0 must be from"),
         ("calibration.odometry.tilt_sigma=1e9", "less than or equal to 1000"),
     ],
 )

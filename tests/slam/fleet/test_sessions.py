@@ -63,6 +63,6 @@ def test_log_is_mapped_again_after_its_process_died(
     lines = []
     sessions = map_sessions(logs, tmp_path, Config(), workers=2, progress=lambda done, doing: lines.append(doing))
     assert set(sessions) == {"a", "b"}
-    result = f"not mapped: .*{reason}" if reason else r"mapped in \d+ s, 0 warnings"
+    result = "not mapped" if reason else r"mapped in \d+ s, 0 warnings"
     assert all(re.fullmatch(rf"{number}/2 a\.mcap: {result}.*", line) for number, line in enumerate(lines, start=1))
     assert all(reason in session.reason and session.is_mapped == (not reason) for session in sessions.values())

@@ -40,7 +40,7 @@ def test_metres_without_an_origin_have_no_place_on_earth() -> None:
 
 
 def test_degrees_as_metres_are_refused() -> None:
-    with pytest.raises(SavedMapError, match=r"town\.csv: the objects are .* these are degrees, .* lat and lon"):
+    with pytest.raises(SavedMapError, match=r"town\.csv: the objects are .* apart; name the columns lat and lon"):
         import_map(objects(degrees()), sigma_m=0.3)
 
 

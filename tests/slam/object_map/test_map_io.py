@@ -162,7 +162,7 @@ def test_a_map_that_stays_as_it_is_cannot_be_saved_again(
     with pytest.raises(SavedMapError, match="does not change"):
         replay(log, tmp_path / "out.mcap", Config(), prior_map=known, extend=False, map_path=target)
     final = kept[1]
-    with pytest.raises(SavedMapError, match="no edge ties keyframe 1 to the first one"):
+    with pytest.raises(SavedMapError, match="no edge connects keyframe 1 to the first one"):
         save_map(target, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
     assert not target.exists()
 

@@ -51,17 +51,17 @@ GRAPH_FAULTS = {
     "observes landmark 4000, which it does not have": lambda g: replace(
         g, observation_landmark_ids=set_first(g.observation_landmark_ids, "4000")
     ),
-    "of a kind 'magic'": lambda g: replace(g, edge_kinds=set_first(g.edge_kinds, "magic")),
+    "of an unknown kind 'magic'": lambda g: replace(g, edge_kinds=set_first(g.edge_kinds, "magic")),
     "edge 0 -> 1 of its graph has a covariance that is not positive definite": lambda g: replace(
         g, edge_covariances=set_first(g.edge_covariances, np.zeros((6, 6)))
     ),
     "with a covariance that is not positive definite": lambda g: replace(
         g, observation_covariances=set_first(g.observation_covariances, -np.eye(3))
     ),
-    "redundancies) of the observations in its graph are not positive for each": lambda g: replace(
+    "an observation without a positive covariance inflation": lambda g: replace(
         g, observation_redundancies=set_first(np.ones(len(g.observation_positions)), 0.0)
     ),
-    "no edge ties keyframe 1 to the first one": lambda g: replace(
+    "no edge connects keyframe 1 to the first one": lambda g: replace(
         g,
         edge_keyframe_ids=g.edge_keyframe_ids[:0],
         edge_transforms=g.edge_transforms[:0],

@@ -64,7 +64,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("positions", "fault"),
     [
-        (scattered() * 1e-6 + [24.9, 60.1, 0.0], "degrees, not metres"),
+        (scattered() * 1e-6 + [24.9, 60.1, 0.0], "name the columns lat and lon"),
         (scattered(3), "3 objects"),
         (scattered() * 1e5, "too much for a plane"),
         (np.where(np.arange(1500).reshape(500, 3) == 7, np.nan, 1.0) * scattered(), "object 2 has no finite"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slam.common.arrays import FloatArray
+from slam.common.errors import InputDataError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.place_recognition.initial_pose import InitialPose
 
@@ -26,6 +28,14 @@ def test_places_and_headings(x_m: float, travel_m: float, yaw_deg: float, turned
     T_map_query = transform_from_xyz_yaw(np.array([x_m, 50.0, 0.0]), np.deg2rad(yaw_deg))
     T_first_query = transform_from_xyz_yaw(np.zeros(3), np.deg2rad(turned_deg))
     assert prior.allows(T_map_query, T_first_query, travel_m) is is_allowed
+
+
+@pytest.mark.parametrize(
+    ("position", "sigma_m"), [(np.zeros(3), 1.0), (np.array([np.nan, 0.0]), 1.0), (np.zeros(2), 0.0)]
+)
+def test_what_is_no_place_is_refused(position: FloatArray, sigma_m: float) -> None:
+    with pytest.raises(InputDataError, match="give x and y in metres"):
+        InitialPose(position, sigma_m)
 
 
 def test_without_a_heading_any_is_allowed() -> None:

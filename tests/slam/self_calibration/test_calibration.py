@@ -269,7 +269,7 @@ def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
 def test_what_was_corrected_is_told_and_what_was_given_stays(surveyed):
     wrong = replace(surveyed, corrected={"odometry.turn_scale": 1.25, "detection.roll_deg": 180.0})
     calibration = calibrate(Config(), wrong)
-    for told in ("turns of the odometry are to be multiplied by 1.250: corrected", "turned by a roll of 180.0 deg"):
+    for told in ("rotations of the odometry need a factor of 1.250: corrected", "has a roll of 180.0 deg"):
         assert told in " ".join(calibration.notes)
     assert calibration.config.calibration.odometry.turn_scale == 1.25
     by_hand = calibrate(Config(calibration=Calibration(odometry=OdometryCalibration(turn_scale=1.0))), wrong)

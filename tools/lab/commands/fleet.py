@@ -22,7 +22,7 @@ def fleet(
     months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Logs mapped at a time. \\[default: one per core]", show_default=False),
+        typer.Option(min=1, help="Number of logs mapped in parallel. \\[default: one per core]", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
     json: Json = False,
@@ -58,7 +58,7 @@ def fleet(
                 f"single drives RMSE {score.single_rmse_m:.3f} m, median {score.single_median_m:.3f} m",
                 "duplicates": f"{100 * score.duplicates:.2f} %",
                 "changes": f"{score.changes_reported} reported, precision {score.change_precision:.3f}; "
-                f"{score.changes_true} that two drives before and after could show, recall {score.change_recall:.3f}",
+                f"{score.changes_true} passed by two drives both before and after, recall {score.change_recall:.3f}",
                 "cost": f"{cost.wall_s:.0f} s, {cost.processor_s:.0f} s of the processor; "
                 f"{cost.session_mb:.2f} MB a session",
             }

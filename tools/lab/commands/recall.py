@@ -58,7 +58,9 @@ def recall(
     ] = None,
     seen: Annotated[
         list[int] | None,
-        typer.Option(min=3, metavar="N", help="Objects of a query; by default all on 5/3 ranges. Repeatable."),
+        typer.Option(
+            min=3, metavar="N", help="Objects of a query; by default all in range on a path of 5/3 ranges. Repeatable."
+        ),
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
@@ -80,7 +82,7 @@ def recall(
     missing, a tenth of the query is clutter, and positions have 0.2 m of noise. If several values of these options are
     given, one option is varied at a time, with the first value of all others. Places: queries with a right pose (4 m,
     10 deg) among the first 1, 5 and 25 proposals; right: after verification; wrong: accepted and wrong. Random vectors
-    are always measured. Times are processor times.
+    are always measured, with the first values. Times are processor times.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
@@ -108,7 +110,7 @@ def recall(
         draw_contest(output / PICTURE, add_results(output / RESULTS, cells))
     found = cells.to_dict("records")
     report(
-        [_row(each) for each in found],
+        [_row(each, contest.scenarios[0]) for each in found],
         texts=("map", "query"),
         markdown=markdown,
         json={"figures": found} if json else None,
@@ -133,13 +135,13 @@ def _scenarios(
     return (first, *(replace(first, **{name: each}) for name, values in varied.items() for each in values[1:]))
 
 
-def _row(cell: dict[str, Any]) -> dict[str, str]:
+def _row(cell: dict[str, Any], first: Scenario) -> dict[str, str]:
     from tools.lab.retrieval.contest import scenario_of
 
     return {
         "descriptor": cell["proposer"],
         "map": f"{cell['map_objects']} of {cell['map_classes']}",
-        "query": scenario_of(cell).describe(),
+        "query": scenario_of(cell).describe(first),
         "@1 %": percent(cell["at_1"]),
         "@5 %": percent(cell["at_5"]),
         "@25 %": percent(cell["at_25"]),

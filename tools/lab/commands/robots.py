@@ -47,7 +47,7 @@ def robots(
     """Map whole drives of several robots and compare each with its truth.
 
     A drive is a folder with odometry.tum, detections.csv and, for the errors, groundtruth.tum, as 'dslam import csv'
-    reads them, packed by gzip or not. Each is imported, mapped in a fresh process and evaluated.
+    reads them, optionally compressed with gzip. Each is imported, mapped in a fresh process and evaluated.
 
     ATE: aligned by SE(3). Right: precision of associations. Precise: that of
     closures. Indep.: independent closures, and the share of them that may be false with 95 % confidence. Recall:

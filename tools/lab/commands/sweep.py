@@ -40,7 +40,7 @@ def sweep(
         typer.Option(
             metavar="NAME",
             help="Compare with the method without this part, by default over copies of the drive with a little noise, "
-            "which tell effects from chance; 'every part': each alone. Repeatable.",
+            "which separate effects from chance; 'every part': each alone. Repeatable.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of each degradation.")] = 3,
@@ -52,7 +52,7 @@ def sweep(
     as_json: Json = False,
     require: Require = None,
 ) -> None:
-    """Degrade, map and evaluate a drive again and again, for each --degrade, --variant or --part, and seed.
+    """Degrade, map and evaluate a drive for each --degrade, --variant or --part, and for each seed.
 
     After an interruption, the same command continues.
 

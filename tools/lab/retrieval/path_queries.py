@@ -38,11 +38,17 @@ class Scenario:
     noise_m: float = 0.2
     range_m: float = 30.0
 
-    def describe(self) -> str:
-        """The scenario in a few words."""
-        seen = f"{self.objects} objects" if self.objects else f"objects of {SUBMAP_RANGES * self.range_m:g} m"
-        unlike = f"{self.missing:.0%} missing, {self.clutter:.0%} clutter, {self.noise_m:g} m"
-        return f"{seen}, range {self.range_m:g} m, {unlike}"
+    def describe(self, first: Scenario | None = None) -> str:
+        """The scenario in a few words; if it is not the ``first``, only by what differs from that."""
+        texts = {
+            "objects": f"{self.objects} objects" if self.objects else f"objects of {SUBMAP_RANGES * self.range_m:g} m",
+            "range_m": f"range {self.range_m:g} m",
+            "missing": f"{self.missing:.0%} missing",
+            "clutter": f"{self.clutter:.0%} clutter",
+            "noise_m": f"{self.noise_m:g} m noise",
+        }
+        whole = first is None or first == self
+        return ", ".join(text for name, text in texts.items() if whole or getattr(self, name) != getattr(first, name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,7 +51,7 @@ class TestTable:
         path.write_text("easting,northing,name\n1,2,bench\n3,4,bench\n5,6,\n")
         objects = read_object_table(path)
         np.testing.assert_array_equal(objects.positions[:, :2], [[1, 2], [3, 4], [5, 6]])
-        assert objects.ids == ("bench", "bench#1", "line 4")
+        assert (objects.labels, objects.ids) == (("bench", "bench", "object"), ("bench", "bench#1", "line 4"))
         path.write_text("x,y,id\n1,2,\n3,4,\n")
         assert read_object_table(path).ids == ("line 2", "line 3")
 
@@ -72,6 +72,7 @@ class TestTable:
             ("lat,lon\n24,160\n-30,170\n100,60\n", "not degrees"),
             ("lat,lon\n160.1,24.9\n", "they are swapped"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
+            ("PK\0\0", "not a text file"),
         ],
     )
     def test_faults(self, tmp_path: Path, text: str, fault: str) -> None:
@@ -100,6 +101,8 @@ class TestGeoJson:
             read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
         with pytest.raises(DatasetError, match="they are swapped"):
             read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
+        with pytest.raises(DatasetError, match="no column label, but object_class"):
+            read_geojson(geojson(tmp_path / "a.json", feature(24.9, 60.1, object_class="tree")))
         with pytest.raises(DatasetError, match="holds no objects"):
             read_geojson(geojson(tmp_path / "a.json"))
         with pytest.raises(DatasetError, match=r"features\.0\.geometry: "):

@@ -75,8 +75,11 @@ def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
         ("descriptellation_lr", 50, 3),
         ("random", 50, 3),
     ]
-    again = dslam(*asked, "--descriptor", "random", "--missing", 0.1, "--missing", 0.2, "--markdown", "-o", tmp_path)
-    assert "20% missing, 10% clutter, 0.2 m" in again.out
+    missing = ("--missing", 0.1, "--missing", 0.2)
+    again = dslam(*asked, "--descriptor", "descriptellation_lr", *missing, "--markdown", "-o", tmp_path)
+    rows = [line.split(" | ")[:3] for line in again.out.splitlines() if line.startswith("| descriptellation_lr")]
+    assert [row[2] for row in rows if row[1] == "50 of 1"][1] == "20% missing"
+    assert again.out.count("| random |") == 2  # random vectors in each map, with the first values
     assert (tmp_path / "contest.csv").is_file()
     assert (tmp_path / "contest.png").is_file()
     assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")
