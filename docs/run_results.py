@@ -206,7 +206,11 @@ def figure_rows(outputs: Mapping[str, Block]) -> Iterator[str]:
 
 def table_cells(output: str) -> dict[tuple[str, str], str]:
     """The cells of a table in Markdown by row and column; those of the ATE with its extremes."""
-    rows = [[cell.strip() for cell in line.strip("| ").split("|")] for line in output.splitlines() if line[:1] == "|"]
+    rows = [
+        [cell.strip().partition(" * ")[0] for cell in line.strip("| ").split("|")]
+        for line in output.splitlines()
+        if line[:1] == "|"
+    ]
     cells = {(row[0], heading): cell for row in rows[2:] for heading, cell in zip(rows[0], row, strict=True)}
     extremes = {key[0]: cell for key, cell in cells.items() if key[1] == "least to greatest"}
     return {key: f"{cell} ({extremes[key[0]]})" if key[1] == "ATE m" else cell for key, cell in cells.items()}
