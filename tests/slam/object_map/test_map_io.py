@@ -127,11 +127,11 @@ def test_the_same_drive_in_the_same_map_gives_the_same_bytes(path: Path, tmp_pat
 
 def test_an_empty_map_is_refused(first: FinalMap, tmp_path: Path) -> None:
     nothing = replace(first.object_map, states=("retired",) * len(first.object_map.ids))
-    with pytest.raises(SavedMapError, match="without landmarks"):
+    with pytest.raises(SavedMapError, match="no landmarks or no keyframes"):
         save_map(tmp_path / "empty.mcap", nothing, first.graph, PROVENANCE)
     assert not (tmp_path / "empty.mcap").exists()
     path = write_map(tmp_path / "empty.mcap", confirmed(nothing), first.graph)
-    with pytest.raises(SavedMapError, match="without landmarks"):
+    with pytest.raises(SavedMapError, match="no landmarks or no keyframes"):
         load_map(path)
 
 
