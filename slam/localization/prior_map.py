@@ -13,6 +13,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.common.errors import InputDataError
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import METADATA, SavedMap, load_map
 from slam.odometry.keyframe import Keyframe
@@ -40,7 +41,13 @@ def load_prior_map(path: str | os.PathLike[str]) -> PriorMap:
 
 
 def with_heights_of(config: Config, prior_map: PriorMap | None) -> Config:
-    """The configuration by which a drive is registered with a map: one without heights tells nothing of these."""
+    """The configuration by which a drive is registered with a map: one without heights tells nothing of these.
+
+    Raises:
+        InputDataError: it is no map.
+    """
+    if not isinstance(prior_map, PriorMap | None):
+        raise InputDataError(f"not a map: {prior_map!r}; load_map reads one from a file")
     if not isinstance(prior_map, ImportedMap) or not is_flat(prior_map):
         return config
     return config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M})

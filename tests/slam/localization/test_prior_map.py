@@ -11,8 +11,10 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Factor, Observation, observation_factors
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
+from slam.common.config import Config
+from slam.common.errors import InputDataError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.localization.prior_map import restore
+from slam.localization.prior_map import restore, with_heights_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
 
@@ -74,6 +76,11 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
         graph.landmark_covariances(np.arange(4)), saved.objects.covariances, rtol=1e-3, atol=1e-9
     )
     assert object_map.in_state(LandmarkState.CONFIRMED).tolist() == [0, 1, 2, 3]
+
+
+def test_a_path_is_no_map() -> None:
+    with pytest.raises(InputDataError, match=r"not a map: 'town\.mcap'; load_map"):
+        with_heights_of(Config(), "town.mcap")
 
 
 def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
