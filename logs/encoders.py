@@ -32,7 +32,7 @@ def encode(record: m.Record) -> Message:
     """The protobuf message of ``record``.
 
     Raises:
-        InvalidRecordError: no record of ``logs.messages``, or a text that is no Unicode.
+        InvalidRecordError: no record of ``logs.messages``, or a string that is not valid Unicode.
     """
     codec = CODECS.get(type(record))
     encoder = codec.encode if codec is not None else _ENCODERS.get(type(record))
@@ -41,7 +41,7 @@ def encode(record: m.Record) -> Message:
     try:
         return encoder(record)
     except UnicodeEncodeError as error:
-        raise InvalidRecordError(f"{type(record).__name__}: {error.object!r:.40} is no Unicode text") from error
+        raise InvalidRecordError(f"{type(record).__name__}: {error.object!r:.40} is not valid Unicode") from error
 
 
 def encode_path(trajectory: m.TrajectoryRecord) -> Message:

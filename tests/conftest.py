@@ -55,7 +55,7 @@ def noisy_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory
 
 @dataclass(frozen=True)
 class Replayed:
-    """What a replay left, and what it told on its way."""
+    """The files of a replay and what it printed."""
 
     output: Path
     summary: ReplaySummary

@@ -24,8 +24,8 @@ class RecordDecoder:
     """Decodes messages, and counts those that are unfit.
 
     ``counters``: ``invalid_messages``, ``undecodable`` (messages whose schema does not fit), ``dropped_objects``,
-    ``ignored_covariances``, ``ignored_sizes``. Invalid messages are reported once for each topic and reason, of
-    which ``reported`` keeps those of earlier passes.
+    ``ignored_covariances``, ``ignored_sizes``. Invalid messages are reported once for each topic and reason;
+    ``reported``: the topics and reasons that earlier passes reported.
     """
 
     def __init__(

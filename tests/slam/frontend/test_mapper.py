@@ -7,7 +7,7 @@ import pytest
 
 from logs.messages import DetectionAssociations, Odometry
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Observation
+from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
@@ -315,6 +315,9 @@ def test_a_break_at_a_keyframe_begins_a_segment_without_landmarks(young):
     bench.mapper.break_at(keyframes[1])
     kept, ended = LandmarkState.CONFIRMED, LandmarkState.RETIRED
     assert bench.states() == [kept, kept, ended, ended]
+    edges = [each for each in bench.graph.factors.values() if isinstance(each, Edge)]
+    assert [each.to_keyframe for each in edges if each.kind == EdgeKind.DISCONTINUITY] == [1]
+    assert all(each.keyframe == 0 for each in bench.observations())
     assert [each.odometry.segment for each in keyframes] == [0] + [1] * (len(keyframes) - 1)
     bench.see(1.5, OBJECTS)
     assert bench.map.rows["segment"][4:].tolist() == [1] * 4
