@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from descriptors.arrays import BoolArray, Float32Array, IntArray
 from descriptors.constellation import Constellations
 from descriptors.descriptor import Descriptor
 
@@ -15,9 +15,9 @@ from descriptors.descriptor import Descriptor
 class Matches:
     """Pairs (query, entry) with their distance, all (C,), query by query, the nearest first."""
 
-    queries: NDArray[np.int64]
-    entries: NDArray[np.int64]
-    distances: NDArray[np.float32]
+    queries: IntArray
+    entries: IntArray
+    distances: Float32Array
 
 
 class VectorIndex:
@@ -45,7 +45,7 @@ class VectorIndex:
         """Memory of the vectors and the classes."""
         return self._vectors.nbytes + self._labels.nbytes
 
-    def add(self, constellations: Constellations) -> NDArray[np.int64]:
+    def add(self, constellations: Constellations) -> IntArray:
         """Add entries; returns their numbers (B,)."""
         vectors = self._descriptor.describe(constellations)
         first = len(self)
@@ -53,7 +53,7 @@ class VectorIndex:
         self._labels = np.concatenate([self._labels, constellations.centre_labels])
         return np.arange(first, len(self))
 
-    def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
+    def search(self, constellations: Constellations, k: int, allowed: BoolArray) -> Matches:
         """Up to ``k`` nearest entries for each query among the ``allowed`` (size,) ones.
 
         Ties go to the lower number.
@@ -78,7 +78,7 @@ class VectorIndex:
         return Matches(queries, nearest[queries, places], distances)
 
 
-def _smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
+def _smallest(values: Float32Array, k: int) -> IntArray:
     """Columns (Q, k), ascending, of the k smallest values of each row; of equal ones the first."""
     bound = np.partition(values, k - 1, axis=1)[:, k - 1 : k]
     below, equal = values < bound, values == bound

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
+from descriptors.arrays import IntArray
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
@@ -58,7 +58,7 @@ class Sample:
 
     constellations: Constellations
     queries: tuple[Constellations, ...]
-    objects: NDArray[np.int64]
+    objects: IntArray
 
 
 def draw_sample(

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from descriptors.arrays import BoolArray, FloatArray, IntArray
 from descriptors.descriptellation_lr.network import DescriptellationLR, query_scores
 from descriptors.descriptellation_lr.pairs import (
     QUERY_PARTNERS,
@@ -50,9 +50,9 @@ class PairSample:
 
     known: Pairs
     queries: tuple[Pairs, ...]
-    sigmas: NDArray[np.float64]
-    objects: NDArray[np.int64]
-    is_compared: NDArray[np.bool_]
+    sigmas: FloatArray
+    objects: IntArray
+    is_compared: BoolArray
 
 
 def draw_pair_sample(
@@ -71,7 +71,7 @@ def draw_pair_sample(
     ends = find_ends(positions, drawn.labels, tree, architecture.partners)
     if not len(ends):
         return None
-    queries, sigmas, objects = list[Pairs](), list[NDArray[np.float64]](), list[NDArray[np.int64]]()
+    queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
         sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
         view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m, is_exact=is_exact)
@@ -118,7 +118,7 @@ def add_rivals(scores: Tensor, sample: PairSample) -> Tensor:
     return raised.scatter(1, right, scores.gather(1, right))
 
 
-def _numbers_of(ends: NDArray[np.int64], asked: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _numbers_of(ends: IntArray, asked: IntArray, count: int) -> IntArray:
     """Rows (Q,) of ``asked`` (Q, 2) among ``ends`` (P, 2) of ``count`` objects, in this direction; -1 if not there."""
     keys, wanted = ends @ [count, 1], asked @ [count, 1]
     order = np.argsort(keys)
