@@ -143,7 +143,7 @@ def _false_joins(part: Part, members: Sequence[TrueDrive], T_world_map: FloatArr
     wrong = 0
     for number, drive in zip(part.sessions, members, strict=True):
         places = apply(T_world_map, part.visits[number].steps.reshape(-1, 3))
-        away_m = np.asarray(cKDTree(drive.path).query(places[:, :2])[0])
+        away_m = cKDTree(drive.path).query(places[:, :2])[0]
         wrong += drive.city != members[0].city or bool(np.median(away_m) > FALSE_JOIN_M)
     return wrong
 
