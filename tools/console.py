@@ -94,17 +94,17 @@ def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), tit
 
 
 @contextmanager
-def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None] | None]:
-    """A callback for the fraction done that moves a bar on a terminal; None where there is none."""
+def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None]]:
+    """A callback for the fraction done that moves a bar on a terminal."""
     with progress_line(doing) as move:
-        yield None if move is None else lambda fraction: move(fraction, finishing if fraction >= 1.0 else "")
+        yield lambda fraction: move(fraction, finishing if fraction >= 1.0 else "")
 
 
 @contextmanager
-def progress_line(doing: str) -> Iterator[Callable[[float, str], None] | None]:
-    """A callback for the fraction done and a word about it, which go to the terminal; None where there is none."""
+def progress_line(doing: str) -> Iterator[Callable[[float, str], None]]:
+    """A callback for the fraction done and a word about it, which go to the terminal."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda fraction, word: None
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import InputLog, Json, Topics, check_outputs, parse_topics
+from tools.arguments import InputLog, Json, Output, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
     from slam.simulation.faults.faulty_log import FaultSummary
@@ -25,7 +25,7 @@ def _list_faults(wanted: bool) -> None:
 
 def degrade(
     source: InputLog,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    output: Output,
     fault: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME[=VALUE]", help="Apply this fault; its values are joined by colons. Repeatable."),

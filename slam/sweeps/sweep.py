@@ -115,7 +115,7 @@ def run_sweep(
     folder: Path,
     *,
     jobs: int,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
     compute: Callable[..., MappedDrive] = map_drive,
 ) -> Sweep:
     """Degrade, map and evaluate one log again and again.
@@ -144,8 +144,7 @@ def run_sweep(
                 kept.keep(task, result)
                 results[task] = result
                 _log.info("%s: %s", task.name, result.error or "done")
-                if on_progress is not None:
-                    on_progress(len(results) / len(tasks))
+                on_progress(len(results) / len(tasks))
     return Sweep({task: results[task] for task in tasks}, len(new))
 
 

@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    logs: Annotated[
-        list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.", show_default=False)
-    ],
+    logs: Annotated[list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.")],
     reference: Reference = None,
     times: Times = None,
     calib: Calib = None,

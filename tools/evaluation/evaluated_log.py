@@ -20,7 +20,6 @@ Reference = Annotated[
     typer.Option(
         metavar="LOG|POSES",
         help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz).",
-        show_default=False,
     ),
 ]
 Times = Annotated[
@@ -28,7 +27,6 @@ Times = Annotated[
     typer.Option(
         metavar="FILE",
         help="Seconds of each pose in KITTI's format; not needed with one pose per odometry message.",
-        show_default=False,
     ),
 ]
 Calib = Annotated[
@@ -36,12 +34,11 @@ Calib = Annotated[
     typer.Option(
         metavar="FILE",
         help="KITTI's calib.txt, if references in its format are of the left camera.",
-        show_default=False,
     ),
 ]
 MapRun = Annotated[
     Path | None,
-    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.", show_default=False),
+    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization."),
 ]
 Protocols = Annotated[
     list[str] | None,
@@ -49,7 +46,6 @@ Protocols = Annotated[
         "--protocol",
         metavar="NAME=NUMBER",
         help="A threshold of the evaluation (--rules lists them), e.g. closure_translation_m=4. Repeatable.",
-        show_default=False,
     ),
 ]
 Rules = Annotated[bool, typer.Option("--rules", help="Also print the rules of the evaluation.")]

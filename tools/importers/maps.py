@@ -14,7 +14,7 @@ from tools.arguments import Json, check_outputs, parse_origin
 if TYPE_CHECKING:
     from logs.importers.maps.map_objects import MapObjects
 
-NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.", show_default=False)]
+NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.")]
 Origin = Annotated[
     str | None,
     typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median position of objects in degrees."),
@@ -38,7 +38,6 @@ def map_of_objects(
     tag: Annotated[
         list[str] | None,
         typer.Option(
-            "--tag",
             metavar="KEY[=VALUE]",
             help="Tag of the objects in OpenStreetMap, instead of those of street furniture. Repeatable.",
         ),
@@ -46,7 +45,6 @@ def map_of_objects(
     name: Annotated[
         list[str] | None,
         typer.Option(
-            "--name",
             metavar="NUMBER=CLASS",
             help="Number and name of a class of a point cloud; by default all classes but 0. Repeatable.",
         ),
@@ -56,7 +54,6 @@ def map_of_objects(
     sigma: Annotated[
         float | None,
         typer.Option(
-            "--sigma",
             metavar="METRES",
             min=0.01,
             help=f"Standard deviation of a coordinate of an object; by default {SURVEYED_SIGMA_M:g}, and "

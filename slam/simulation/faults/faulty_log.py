@@ -77,7 +77,7 @@ def write_faulty(
     *,
     seed: int,
     topics: Mapping[str, str] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> FaultSummary:
     """Write the log ``source`` with faults as the log ``output``, with the metadata "faults".
 
@@ -117,8 +117,7 @@ def write_faulty(
                 else:
                     writer.write(message.topic, message.record, message.log_time_ns)
                 written[message.topic] += 1
-                if progress is not None:
-                    progress(min(written.total() / total, 1.0))
+                progress(min(written.total() / total, 1.0))
     return FaultSummary(dict(sorted(written.items())), detections_before, _detection_count(log), left_out)
 
 

@@ -48,7 +48,7 @@ def benchmark_relocalization(
     max_travel_m: float = 60.0,
     protocol: Protocol | None = None,
     topics: Mapping[str, str] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Relocalize at places of a drive with truth, evenly spread over it.
 
@@ -99,8 +99,7 @@ def benchmark_relocalization(
             last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + max_travel_m)
             first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()
             outcomes.append(put_down(known, _between(records, first_ns, last_ns), config, protocol))
-            if on_progress is not None:
-                on_progress(len(outcomes) / (len(inside) + len(outside)))
+            on_progress(len(outcomes) / (len(inside) + len(outside)))
     found = pd.DataFrame(outcomes[: len(inside)], dtype=object)
     names = [f"{number}+ objects" for number in OBJECTS]
     numbers = pd.cut(found["objects"], [*OBJECTS, np.inf], right=False, labels=names)
