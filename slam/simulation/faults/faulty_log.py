@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.errors import LogError, UnwritableLogError
+from logs.errors import LogError
 from logs.messages import Record
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
-from logs.writer import LogWriter, partial_path
+from logs.writer import LogWriter
 from slam.common.errors import SimulationError, SlamError
 from slam.simulation.faults.recording import Message, Recording, make_recording
 from slam.simulation.faults.registry import Fault
@@ -96,9 +96,6 @@ def write_faulty(
         SimulationError: the log has not what a fault needs, or the seed is negative.
     """
     with LogReader(source) as reader:
-        for path in (output, partial_path(output)):
-            if path.exists() and path.samefile(source):
-                raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         selection = select_topics(reader.topics(), topics, needed=_NEEDED)
         log = make_recording(_read(reader, selection))
         left_out = dict(sorted((+Counter(reader.counters)).items()))
