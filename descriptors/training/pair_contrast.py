@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
 
 from descriptors.arrays import BoolArray, FloatArray, IntArray
 from descriptors.descriptellation_lr.network import DescriptellationLR, query_scores
@@ -53,6 +54,26 @@ class PairSample:
     sigmas: FloatArray
     objects: IntArray
     is_compared: BoolArray
+
+    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
+        """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
+        assert isinstance(network, DescriptellationLR)
+        bits = network.bits(network(self.known, device))
+        scores, first = list[Tensor](), 0
+        for query in self.queries:
+            sigmas = self.sigmas[first : first + len(query)]
+            hits, misses = network.worths(query_features(query, sigmas), device)
+            scores.append(query_scores(bits, query, hits, misses, network.architecture))
+            first += len(query)
+        compared = torch.as_tensor(self.is_compared, device=device)
+        return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
+
+    def loss(self, scores: Tensor) -> Tensor:
+        """The mean loss of the scores (Q, P), those of the negatives raised as if there were :data:`RIVALS` of them."""
+        compared = torch.as_tensor(self.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
+        raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
+        right = torch.as_tensor(self.objects, device=scores.device)
+        return cross_entropy(raised.scatter(1, right[:, None], scores.gather(1, right[:, None])), right)
 
 
 def draw_pair_sample(
@@ -95,27 +116,6 @@ def draw_pair_sample(
     is_compared = np.abs(lengths[:, None] - known.lengths) <= length_tolerances(noise)[:, None]
     is_compared[np.arange(len(right)), right] = True
     return PairSample(known, tuple(queries), noise, right, is_compared)
-
-
-def pair_scores(network: DescriptellationLR, sample: PairSample, device: torch.device) -> Tensor:
-    """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
-    bits = network.bits(network(sample.known, device))
-    scores, first = list[Tensor](), 0
-    for query in sample.queries:
-        sigmas = sample.sigmas[first : first + len(query)]
-        hits, misses = network.worths(query_features(query, sigmas), device)
-        scores.append(query_scores(bits, query, hits, misses, network.architecture))
-        first += len(query)
-    compared = torch.as_tensor(sample.is_compared, device=device)
-    return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
-
-
-def add_rivals(scores: Tensor, sample: PairSample) -> Tensor:
-    """The scores (Q, P) with those of the negatives raised as if there were :data:`RIVALS` of them."""
-    compared = torch.as_tensor(sample.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
-    raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
-    right = torch.as_tensor(sample.objects, device=scores.device)[:, None]
-    return raised.scatter(1, right, scores.gather(1, right))
 
 
 def _numbers_of(ends: IntArray, asked: IntArray, count: int) -> IntArray:

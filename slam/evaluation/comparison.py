@@ -31,18 +31,11 @@ _ROUNDING = 1e-9  # relative; what two ways of adding up the same numbers may di
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """The evaluation of one log: its JSON in ``results``.
-
-    ``configuration``: the effective one, JSON as the log recorded it; "" where it did not. ``given_map``: the map that
-    the drive was given, and whether the drive extended it; "" without one.
-    """
+    """The evaluation of one log: its JSON in ``results``, and what the log recorded of how it was ``made``."""
 
     name: str
     results: Mapping[str, Any]
-    configuration: str = ""
-    version: str = ""
-    input_sha256: str = ""
-    given_map: str = ""
+    made: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +74,8 @@ class Comparison:
                 {
                     "log": run.name,
                     "group": label,
-                    "version": run.version,
-                    "input_sha256": run.input_sha256,
+                    "version": run.made.get("version", ""),
+                    "input_sha256": run.made.get("input_sha256", ""),
                     "evaluation": dict(run.results),
                 }
                 for label, runs in self.groups.items()
@@ -144,7 +137,9 @@ def _labels(runs: Sequence[Run]) -> list[str]:
 
 def _changes(run: Run) -> list[str]:
     """The version, and the settings that differ from the defaults, "key=value" each."""
-    if not run.configuration:
-        return [f"version={run.version}", f"unknown configuration of {run.name}"]
-    given = [f"given map {sha256(run.given_map.encode()).hexdigest()[:8]}"] if run.given_map else []
-    return [f"version={run.version}", *(each.replace('"', "") for each in changes(Config(), run.configuration)), *given]
+    configuration, version = run.made.get("configuration", ""), f"version={run.made.get('version', '')}"
+    if not configuration:
+        return [version, f"unknown configuration of {run.name}"]
+    given_map = run.made.get("map_drives", "") + run.made.get("map_extended", "")
+    given = [f"given map {sha256(given_map.encode()).hexdigest()[:8]}"] if given_map else []
+    return [version, *(each.replace('"', "") for each in changes(Config(), configuration)), *given]

@@ -51,15 +51,9 @@ class Sweep:
 
     def compare(self) -> Comparison:
         """The drives with the same faults and settings are one group, its seeds repetitions."""
+        made = {task: json.dumps({"faults": task.faults or "none", "variant": task.variant}) for task in self.results}
         return compare_runs(
-            [
-                Run(
-                    task.name,
-                    result.evaluation,
-                    json.dumps({"faults": task.faults or "none", "variant": task.variant}),
-                )
-                for task, result in self.results.items()
-            ]
+            [Run(task.name, each.evaluation, {"configuration": made[task]}) for task, each in self.results.items()]
         )
 
     def to_json_dict(self) -> dict[str, Any]:

@@ -69,15 +69,7 @@ def _evaluate(log: Path, truth: Truth) -> Run:
     from slam.evaluation.comparison import Run
 
     records, evaluation = evaluate_log(log, truth)
-    made = records.provenance
-    return Run(
-        name=str(log),
-        results=evaluation.to_json_dict(),
-        configuration=made.get("configuration", ""),
-        version=made.get("version", ""),
-        input_sha256=made.get("input_sha256", ""),
-        given_map=made.get("map_drives", "") + made.get("map_extended", ""),
-    )
+    return Run(str(log), evaluation.to_json_dict(), records.provenance)
 
 
 def _refuse_copies(logs: Sequence[Path]) -> None:

@@ -38,7 +38,7 @@ def descriptors(
             "--output",
             "-o",
             metavar="FOLDER",
-            help="Folder for a CSV file, a LaTeX table (the best in bold) and a figure.",
+            help="Folder for the figures as a CSV file.",
         ),
     ] = None,
     markdown: Markdown = False,
@@ -57,9 +57,10 @@ def descriptors(
     """
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
+    from logs.storage.placement import write_text
     from tools import console
     from tools.lab.retrieval.labelled_map import labelled_map
-    from tools.lab.retrieval.paper import benchmark_descriptors, write_comparison
+    from tools.lab.retrieval.paper import benchmark_descriptors
     from tools.simulate import load_or_generate
 
     world = load_or_generate(objects, trajectory, seed=0)
@@ -77,7 +78,8 @@ def descriptors(
     count, classes = len(objects_of_map), len(objects_of_map.vocabulary)
     conditions = f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds"
     if output is not None:
-        write_comparison(output, world.name, cells, conditions)
+        output.mkdir(parents=True, exist_ok=True)
+        write_text(output / "descriptors.csv", cells.to_csv(index=False, lineterminator="\n"))
     rows = cells.to_dict("records")
     about = {"map": world.name, "objects": count, "classes": classes, "queries": queries, "seeds": seeds}
     report(
