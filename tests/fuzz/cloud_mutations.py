@@ -30,4 +30,6 @@ def mutate_ply(rng: np.random.Generator) -> bytes:
     numbers = np.repeat(np.arange(len(posts)), [len(points) for points in posts])
     rows["at"], rows["class"], rows["label"] = np.concatenate(posts), 80 + numbers % 2, numbers + 1
     header, body = _HEADER.format(storage, len(rows)).encode(), rows.tobytes()
-    return mutate_text(header, rng) + body if rng.random() < 0.5 else header + mutate_bytes(body, rng)
+    if rng.random() < 0.4:
+        return mutate_text(header, rng) + body
+    return header + mutate_bytes(body, rng).ljust(len(body), b"\0")[: len(body)]

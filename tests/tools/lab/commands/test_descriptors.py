@@ -44,8 +44,6 @@ def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     assert_refused(benchmark(dslam, "--descriptor", "rings"), "'rings'", "descriptellation_lr")
-    assert_refused(dslam("benchmark", "descriptors", "--queries", 0), "--queries")
-    assert_refused(dslam("benchmark", "descriptors", "--seeds", 0), "--seeds")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")
     assert_refused(benchmark(dslam, *files, "--descriptor", "descriptellation_lr"), "no object", "30 m")
     assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")
