@@ -13,11 +13,10 @@ from descriptors.descriptor import Descriptor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Pairs (query, entry) with their distance, all (C,), query by query, the nearest first."""
+    """Pairs (query, entry), both (C,), query by query, the nearest first."""
 
     queries: IntArray
     entries: IntArray
-    distances: Float32Array
 
 
 class VectorIndex:
@@ -45,13 +44,11 @@ class VectorIndex:
         """Memory of the vectors and the classes."""
         return self._vectors.nbytes + self._labels.nbytes
 
-    def add(self, constellations: Constellations) -> IntArray:
-        """Add entries; returns their numbers (B,)."""
+    def add(self, constellations: Constellations) -> None:
+        """Add entries, which are numbered in their order."""
         vectors = self._descriptor.describe(constellations)
-        first = len(self)
-        self._vectors = np.concatenate([self._vectors, vectors]) if first else vectors
+        self._vectors = np.concatenate([self._vectors, vectors]) if len(self) else vectors
         self._labels = np.concatenate([self._labels, constellations.centre_labels])
-        return np.arange(first, len(self))
 
     def search(self, constellations: Constellations, k: int, allowed: BoolArray) -> Matches:
         """Up to ``k`` nearest entries for each query among the ``allowed`` (size,) ones.
@@ -60,7 +57,7 @@ class VectorIndex:
         """
         if not np.any(allowed) or len(constellations) == 0:
             empty = np.zeros(0, dtype=np.int64)
-            return Matches(empty, empty, np.zeros(0, dtype=np.float32))
+            return Matches(empty, empty)
         vectors, labels = self._descriptor.describe(constellations), constellations.centre_labels
         squares = vectors @ self._vectors.T
         squares *= -2.0
@@ -73,9 +70,7 @@ class VectorIndex:
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
         queries, places = np.nonzero(np.isfinite(found))
-        own = np.einsum("ij,ij->i", vectors, vectors)
-        distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
-        return Matches(queries, nearest[queries, places], distances)
+        return Matches(queries, nearest[queries, places])
 
 
 def _smallest(values: Float32Array, k: int) -> IntArray:

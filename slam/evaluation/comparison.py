@@ -95,7 +95,7 @@ def spread_of(figure: Figure, runs: Sequence[Run]) -> Spread:
     return Spread.over(figure.of(run.results) for run in runs)
 
 
-def compare_runs(runs: Sequence[Run], figures: Sequence[Figure] = HEADLINE_FIGURES) -> Comparison:
+def compare_runs(runs: Sequence[Run]) -> Comparison:
     """Group the runs by their configurations and mark what differs from the first group by more than ``RULE`` says.
 
     Raises:
@@ -107,7 +107,7 @@ def compare_runs(runs: Sequence[Run], figures: Sequence[Figure] = HEADLINE_FIGUR
     for run, label in zip(runs, _labels(runs), strict=True):
         groups.setdefault(label, []).append(run)
     marks = {}
-    for figure in figures:
+    for figure in HEADLINE_FIGURES:
         for label in _find_different(groups, figure):
             first, own = (spread_of(figure, each).mean or 0.0 for each in (next(iter(groups.values())), groups[label]))
             marks[label, figure.key] = "* better" if (own < first) == figure.is_error else "* worse"

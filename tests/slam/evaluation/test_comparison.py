@@ -87,7 +87,7 @@ class TestGroups:
 
 def marks(first: list[float], second: list[float | None]) -> dict[tuple[str, str], str]:
     others = [run(f"b{i}", value, "keyframe.distance_m=3.0") for i, value in enumerate(second)]
-    return dict(compare_runs([*runs("a", first), *others], [ATE]).marks)
+    return dict(compare_runs([*runs("a", first), *others]).marks)
 
 
 @pytest.mark.parametrize(
