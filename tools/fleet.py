@@ -64,7 +64,14 @@ def add(
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)
     jobs = workers or os.cpu_count() or 1
-    result = map_fleet(members, city, config, workers=jobs, georeference=georeference, progress=_print_progress)
+    result = map_fleet(
+        members,
+        city,
+        config,
+        workers=jobs,
+        georeference=georeference,
+        progress=lambda _done, doing: typer.echo(doing, err=True),
+    )
     write_report(city, result)
     _finish(city, fleet_report(result), require, json=json)
 
@@ -108,10 +115,6 @@ def _finish(
     finish({"": results}, require, quiet=json)
     if any(log["status"] == "not mapped" for log in results["logs"]):
         raise typer.Exit(1)
-
-
-def _print_progress(_done: float, doing: str) -> None:
-    typer.echo(doing, err=True)
 
 
 def _compose(city: Path, report: dict[str, Any], picture: Path | None) -> list[RenderableType]:

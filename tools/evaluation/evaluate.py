@@ -58,9 +58,10 @@ def evaluate(
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
     if page is not None:
-        from slam.evaluation.page.page import write_page
+        from logs.storage.placement import write_text
+        from slam.evaluation.page.page import compose_page
 
-        write_page(page, records, evaluation, title=log.stem)
+        write_text(page, compose_page(records, evaluation, title=log.stem))
     results = evaluation.to_json_dict()
     if as_json:
         console.show_json(results)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -82,11 +83,13 @@ def map_of_objects(
 
         objects = read_geojson(file)
     elif suffix == ".ply":
-        from logs.clouds.cloud_files import read_cloud
+        from logs.clouds.cloud_files import labelled_cloud, read_points
         from logs.clouds.map_of_cloud import map_of_cloud
         from logs.digest import file_sha256
 
-        objects = map_of_cloud(read_cloud(file), str(file), file_sha256(file), _parsed_names(name))
+        objects = map_of_cloud(
+            labelled_cloud(read_points(file), str(file)), str(file), file_sha256(file), _parsed_names(name)
+        )
     else:
         from logs.importers.maps.object_table import read_object_table
 
@@ -121,7 +124,7 @@ def _make_map(
     from tools import console
 
     if label is not None:
-        objects = objects.relabelled(label)
+        objects = replace(objects, labels=(label,) * len(objects))
     imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
     counts = Counter(objects.labels).most_common()

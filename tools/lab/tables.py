@@ -79,8 +79,5 @@ def to_markdown(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (
     headings = list(rows[0]) if rows else []
     alignment = ["---" if heading in (*headings[:1], *texts) else "---:" for heading in headings]
     lines = [headings, alignment, *(list(row.values()) for row in rows)]
-    return "\n".join(f"| {' | '.join(map(_escaped, cells))} |" for cells in lines)
-
-
-def _escaped(cell: str) -> str:
-    return cell.replace("|", "\\|").replace("\n", " ")
+    plain = [[cell.replace("|", "\\|").replace("\n", " ") for cell in cells] for cells in lines]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in plain)
