@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,17 +62,8 @@ def degrade(
     with console.progress_bar("degrading", "finishing") as progress:
         summary = write_faulty(source, output, faults, seed=seed, topics=chosen, progress=progress)
     if json:
-        console.show_json(
-            {
-                "output": str(output),
-                "seed": seed,
-                "faults": [each.name for each in faults],
-                "detections_before": summary.detections_before,
-                "detections": summary.detections,
-                "message_counts": summary.message_counts,
-                "left_out": summary.left_out,
-            }
-        )
+        applied = [each.name for each in faults]
+        console.show_json({"output": str(output), "seed": seed, "faults": applied, **asdict(summary)})
     else:
         _show(output, seed, faults, summary)
 

@@ -37,11 +37,11 @@ _InOrder = Iterator[tuple[int, int, Message[Record] | RawMessage]]
 
 @dataclass(frozen=True, slots=True)
 class FaultSummary:
-    """Messages of the output by topic, detections in the input and in the output, and what was left out, by reason."""
+    """Detections in the input and in the output, messages of the output by topic, and what was left out, by reason."""
 
-    message_counts: dict[str, int]
     detections_before: int
     detections: int
+    message_counts: dict[str, int]
     left_out: dict[str, int]
 
 
@@ -115,7 +115,7 @@ def write_faulty(
                     writer.write(message.topic, message.record, message.log_time_ns)
                 written[message.topic] += 1
                 progress(min(written.total() / total, 1.0))
-    return FaultSummary(dict(sorted(written.items())), detections_before, _detection_count(log), left_out)
+    return FaultSummary(detections_before, _detection_count(log), dict(sorted(written.items())), left_out)
 
 
 def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:
