@@ -15,7 +15,6 @@ from tools.evaluation.evaluated_log import (
     Reference,
     Rules,
     Times,
-    Truth,
     evaluate_log,
     parse_thresholds,
 )
@@ -46,12 +45,12 @@ def evaluate(
 
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
-    truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
+    truth = (reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     check_outputs([picture, page], [log, reference, times, calib, map_run])
     from slam.evaluation.report.figures import list_figures, summarize
     from tools import console
 
-    records, evaluation = evaluate_log(log, truth)
+    records, evaluation = evaluate_log(log, *truth)
     if picture is not None:
         from slam.display.map_picture import draw_map
         from slam.evaluation.report.picture import compose_picture
