@@ -78,8 +78,8 @@ def channels_1e6() -> bytes:
 
 
 def channels_65e3_with_index() -> bytes:
-    channels = {i: (0, f"/topic_{i}", "json") for i in range(65_536)}
-    return write_file(McapFile({}, channels, [Message(i, i, b"{}") for i in range(65_536)]), Layout())
+    channels = {i: (0, f"/topic_{i}", "json") for i in range(65_535)}
+    return write_file(McapFile({}, channels, [Message(i, i, b"{}") for i in range(65_535)]), Layout())
 
 
 def empty_messages_1e7(topic: str = "/topic", encoding: str = "json") -> bytes:
