@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+
+from descriptors.arrays import Float32Array
 
 
-def class_vectors(names: Sequence[str], length: int) -> NDArray[np.float32]:
+def class_vectors(names: Sequence[str], length: int) -> Float32Array:
     """Unit vectors (C, length) at random directions that depend on the name alone.
 
     Almost orthogonal, so a sum of them stands for the counts of the classes (random indexing); a class keeps its vector
@@ -20,7 +21,7 @@ def class_vectors(names: Sequence[str], length: int) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=4096)
-def _class_vector(name: str, length: int) -> NDArray[np.float32]:
+def _class_vector(name: str, length: int) -> Float32Array:
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     vector = np.random.default_rng(seed).normal(size=length)
     return np.asarray(vector / np.linalg.norm(vector), dtype=np.float32)

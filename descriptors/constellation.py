@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from descriptors.arrays import FloatArray, IntArray
 from descriptors.errors import DescriptorError
 
 
@@ -21,17 +21,17 @@ class Constellations:
     ``centres`` (B, 3) m: where the objects themselves are.
     """
 
-    positions: NDArray[np.float64]
-    labels: NDArray[np.int64]
-    centre_labels: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    positions: FloatArray
+    labels: IntArray
+    centre_labels: IntArray
+    offsets: IntArray
     vocabulary: tuple[str, ...]
-    centres: NDArray[np.float64]
+    centres: FloatArray
 
     def __len__(self) -> int:
         return len(self.centre_labels)
 
-    def __getitem__(self, rows: NDArray[np.int64]) -> Constellations:
+    def __getitem__(self, rows: IntArray) -> Constellations:
         """Those of the given numbers (K,), in that order."""
         counts = np.diff(self.offsets)[rows]
         offsets = np.concatenate([[0], np.cumsum(counts)])
@@ -46,18 +46,18 @@ class Constellations:
         )
 
     @property
-    def owners(self) -> NDArray[np.int64]:
+    def owners(self) -> IntArray:
         """Which constellation (P,) each neighbour belongs to."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
 
 def gather_constellations(
-    positions: NDArray[np.float64],
-    labels: NDArray[np.int64],
+    positions: FloatArray,
+    labels: IntArray,
     vocabulary: Sequence[str],
     *,
     radius_m: float,
-    centres: NDArray[np.int64] | None = None,
+    centres: IntArray | None = None,
 ) -> Constellations:
     """The constellation around each object: all others within ``radius_m`` of horizontal distance.
 

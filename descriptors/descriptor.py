@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 
 
@@ -26,6 +24,6 @@ class Descriptor(Protocol):
         """How far neighbours count."""
         ...
 
-    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+    def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, D) of B constellations; D may depend on the size of the vocabulary alone."""
         ...

@@ -5,19 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from descriptors.arrays import BoolArray, Float32Array, IntArray
 from descriptors.constellation import Constellations
 from descriptors.descriptor import Descriptor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Pairs (query, entry) with their distance, all (C,), query by query, the nearest first."""
+    """Pairs (query, entry), both (C,), query by query, the nearest first."""
 
-    queries: NDArray[np.int64]
-    entries: NDArray[np.int64]
-    distances: NDArray[np.float32]
+    queries: IntArray
+    entries: IntArray
 
 
 class VectorIndex:
@@ -45,22 +44,20 @@ class VectorIndex:
         """Memory of the vectors and the classes."""
         return self._vectors.nbytes + self._labels.nbytes
 
-    def add(self, constellations: Constellations) -> NDArray[np.int64]:
-        """Add entries; returns their numbers (B,)."""
+    def add(self, constellations: Constellations) -> None:
+        """Add entries, which are numbered in their order."""
         vectors = self._descriptor.describe(constellations)
-        first = len(self)
-        self._vectors = np.concatenate([self._vectors, vectors]) if first else vectors
+        self._vectors = np.concatenate([self._vectors, vectors]) if len(self) else vectors
         self._labels = np.concatenate([self._labels, constellations.centre_labels])
-        return np.arange(first, len(self))
 
-    def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
+    def search(self, constellations: Constellations, k: int, allowed: BoolArray) -> Matches:
         """Up to ``k`` nearest entries for each query among the ``allowed`` (size,) ones.
 
         Ties go to the lower number.
         """
         if not np.any(allowed) or len(constellations) == 0:
             empty = np.zeros(0, dtype=np.int64)
-            return Matches(empty, empty, np.zeros(0, dtype=np.float32))
+            return Matches(empty, empty)
         vectors, labels = self._descriptor.describe(constellations), constellations.centre_labels
         squares = vectors @ self._vectors.T
         squares *= -2.0
@@ -73,12 +70,10 @@ class VectorIndex:
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
         queries, places = np.nonzero(np.isfinite(found))
-        own = np.einsum("ij,ij->i", vectors, vectors)
-        distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
-        return Matches(queries, nearest[queries, places], distances)
+        return Matches(queries, nearest[queries, places])
 
 
-def _smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
+def _smallest(values: Float32Array, k: int) -> IntArray:
     """Columns (Q, k), ascending, of the k smallest values of each row; of equal ones the first."""
     bound = np.partition(values, k - 1, axis=1)[:, k - 1 : k]
     below, equal = values < bound, values == bound

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 from descriptors.errors import DescriptorError
 
@@ -60,7 +60,7 @@ class OwnDescriptor:
             raise DescriptorError(f"{name}: radius_m is {self.radius_m}; give metres above 0")
         self._length: int | None = None
 
-    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+    def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, D).
 
         Raises:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 
 
@@ -18,6 +18,6 @@ class RandomVector:
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
 
-    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+    def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, length) that do not depend on the constellations."""
         return self._rng.normal(size=(len(constellations), self.length)).astype(np.float32)

@@ -42,7 +42,7 @@ CLASS_COLORS = (
 def class_colors(classes: IntArray) -> FloatArray:
     """Red, green, blue, alpha (N, 4) in [0, 1] of classes (N,), rows of the vocabulary of a map."""
     palette = np.array([[*bytes.fromhex(color[1:]), 255] for color in CLASS_COLORS]) / 255.0
-    return np.asarray(palette[classes % len(palette)])
+    return palette[classes % len(palette)]
 
 
 def encode_markers(markers: SceneMarkers) -> Message:

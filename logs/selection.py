@@ -100,7 +100,7 @@ def select_topics(
             that does not exist, or a topic that is not there or does not decode to it.
     """
     there = sorted(topics, key=lambda info: info.topic)
-    inputs = [info for info in there if _is_input(info.topic)]
+    inputs = [info for info in there if not info.topic.startswith((GROUND_TRUTH_TOPIC, OUTPUT_PREFIX))]
     chosen: dict[RecordKind, list[str]] = {}
     mappings: dict[str, FieldMapping] = {}
     for name, topic in (overrides or {}).items():
@@ -138,19 +138,11 @@ def select_all(topics: Iterable[TopicInfo]) -> Selection:
 
 def _likely_kind(info: TopicInfo) -> RecordKind:
     likely: tuple[RecordKind, ...] = ()
-    if _is_truth(info.topic):
+    if info.topic.startswith(GROUND_TRUTH_TOPIC):
         likely = (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH)
     elif info.topic.startswith(OUTPUT_PREFIX):
         likely = (RecordKind.SLAM_POSE,)
     return next((kind for kind in likely if kind in info.kinds), info.kinds[0])
-
-
-def _is_truth(topic: str) -> bool:
-    return topic.startswith(GROUND_TRUTH_TOPIC)
-
-
-def _is_input(topic: str) -> bool:
-    return not _is_truth(topic) and not topic.startswith(OUTPUT_PREFIX)
 
 
 def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:

@@ -113,7 +113,9 @@ class LogWriter:
 
         Bytes of file names that are no UTF-8 are written out, as ``\\udcff``.
         """
-        self._writer.add_metadata(name, {key: _encodable(text) for key, text in sorted(values.items())})
+        self._writer.add_metadata(
+            name, {key: text.encode("utf-8", "backslashreplace").decode() for key, text in sorted(values.items())}
+        )
 
     def add_array(self, name: str, array: NDArray[Any]) -> None:
         """Attach ``array`` in NumPy's file format, for :func:`logs.storage.arrays.read_arrays`.
@@ -236,7 +238,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _encodable(text: str) -> str:
-    return text.encode("utf-8", "backslashreplace").decode()

@@ -13,17 +13,12 @@ import typer
 if TYPE_CHECKING:
     from slam.common.georeference import Georeference
 
-InputLog = Annotated[
-    Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 2 bag (folder or file) or ROS 1 bag.", show_default=False)
-]
-NewLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The log to write.", show_default=False)]
-SlamLog = Annotated[
-    Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote.", show_default=False)
-]
+InputLog = Annotated[Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 2 bag (folder or file) or ROS 1 bag.")]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")]
+NewLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The log to write.")]
+SlamLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
-ConfigFile = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE.toml", help="Read settings from a file.", show_default=False)
-]
+ConfigFile = Annotated[Path | None, typer.Option("--config", metavar="FILE.toml", help="Read settings from a file.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; overrides the file. Repeatable."),
@@ -34,10 +29,9 @@ CalibrationFile = Annotated[
         "--calibration",
         metavar="ROBOT.toml",
         help="The robot's calibration, as 'dslam calibrate' writes it; else it is estimated from the log.",
-        show_default=False,
     ),
 ]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes. \\[default: one per core]")]
 Topics = Annotated[
     list[str] | None,
     typer.Option(
@@ -61,7 +55,7 @@ def can_draw(param: typer.CallbackParam, path: Path | None) -> Path | None:
 
 Picture = Annotated[
     Path | None,
-    typer.Option("--picture", metavar="PNG", help="Draw the map from above.", show_default=False, callback=can_draw),
+    typer.Option("--picture", metavar="PNG", help="Draw the map from above.", callback=can_draw),
 ]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from logs.container.json_text import plain
 from logs.container.names import visible
 
 PIPE_WIDTH = 120
@@ -58,16 +58,8 @@ def _print(out: Console, parts: Sequence[RenderableType]) -> None:
 
 
 def show_json(value: Mapping[str, Any]) -> None:
-    """Print exactly one JSON object; numbers that JSON cannot hold are null."""
-    sys.stdout.write(json.dumps(_plain(value), indent=2, allow_nan=False) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+    """Print exactly one JSON object, dataclasses and arrays included; numbers that JSON cannot hold are null."""
+    sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False) + "\n")
 
 
 def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
@@ -94,17 +86,17 @@ def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), tit
 
 
 @contextmanager
-def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None] | None]:
-    """A callback for the fraction done that moves a bar on a terminal; None where there is none."""
+def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None]]:
+    """A callback for the fraction done that moves a bar on a terminal."""
     with progress_line(doing) as move:
-        yield None if move is None else lambda fraction: move(fraction, finishing if fraction >= 1.0 else "")
+        yield lambda fraction: move(fraction, finishing if fraction >= 1.0 else "")
 
 
 @contextmanager
-def progress_line(doing: str) -> Iterator[Callable[[float, str], None] | None]:
-    """A callback for the fraction done and a word about it, which go to the terminal; None where there is none."""
+def progress_line(doing: str) -> Iterator[Callable[[float, str], None]]:
+    """A callback for the fraction done and a word about it, which go to the terminal."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda fraction, word: None
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import InputLog, Json, Topics, check_outputs, parse_topics
+from tools.arguments import InputLog, Json, Output, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
     from slam.simulation.faults.faulty_log import FaultSummary
@@ -25,7 +26,7 @@ def _list_faults(wanted: bool) -> None:
 
 def degrade(
     source: InputLog,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    output: Output,
     fault: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME[=VALUE]", help="Apply this fault; its values are joined by colons. Repeatable."),
@@ -61,17 +62,8 @@ def degrade(
     with console.progress_bar("degrading", "finishing") as progress:
         summary = write_faulty(source, output, faults, seed=seed, topics=chosen, progress=progress)
     if json:
-        console.show_json(
-            {
-                "output": str(output),
-                "seed": seed,
-                "faults": [each.name for each in faults],
-                "detections_before": summary.detections_before,
-                "detections": summary.detections,
-                "message_counts": summary.message_counts,
-                "left_out": summary.left_out,
-            }
-        )
+        applied = [each.name for each in faults]
+        console.show_json({"output": str(output), "seed": seed, "faults": applied, **asdict(summary)})
     else:
         _show(output, seed, faults, summary)
 

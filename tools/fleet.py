@@ -19,19 +19,17 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Build one map of a city from many logs.", no_args_is_help=True)
 
-Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.", show_default=False)]
+Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.")]
 Day = Annotated[
     datetime | None,
-    typer.Option(formats=["%Y-%m-%d"], metavar="YYYY-MM-DD", help="For --picture.", show_default=False),
+    typer.Option(formats=["%Y-%m-%d"], metavar="YYYY-MM-DD", help="For --picture."),
 ]
 
 
 @app.command()
 def add(
     city: Folder,
-    logs: Annotated[
-        list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs to add.", show_default=False)
-    ] = None,
+    logs: Annotated[list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs to add.")] = None,
     workers: Jobs = None,
     only: Annotated[bool, typer.Option("--only", help="Remove the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
@@ -39,7 +37,6 @@ def add(
         typer.Option(
             metavar="LAT,LON",
             help="Start of the earliest log, in latitude and longitude; kept for later runs.",
-            show_default=False,
         ),
     ] = None,
     config_file: ConfigFile = None,
@@ -67,7 +64,14 @@ def add(
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)
     jobs = workers or os.cpu_count() or 1
-    result = map_fleet(members, city, config, workers=jobs, georeference=georeference, progress=_print_progress)
+    result = map_fleet(
+        members,
+        city,
+        config,
+        workers=jobs,
+        georeference=georeference,
+        progress=lambda _done, doing: typer.echo(doing, err=True),
+    )
     write_report(city, result)
     _finish(city, fleet_report(result), require, json=json)
 
@@ -111,10 +115,6 @@ def _finish(
     finish({"": results}, require, quiet=json)
     if any(log["status"] == "not mapped" for log in results["logs"]):
         raise typer.Exit(1)
-
-
-def _print_progress(_done: float, doing: str) -> None:
-    typer.echo(doing, err=True)
 
 
 def _compose(city: Path, report: dict[str, Any], picture: Path | None) -> list[RenderableType]:

@@ -9,7 +9,7 @@ import typer
 
 from tools.arguments import Json, NewLog, check_outputs
 from tools.importers import maps
-from tools.importers.drives import write_drive
+from tools.importers.drives import show_written
 
 app = typer.Typer(
     help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
@@ -38,6 +38,7 @@ def kitti_objects(
     --times times.txt --ground-truth poses/00.txt
     """
     check_outputs([output], [detections, odometry, calib, times, ground_truth])
+    from logs.importers.imported_log import write_drive
     from logs.importers.kitti_objects import read_kitti_objects
 
     drive = read_kitti_objects(
@@ -47,7 +48,7 @@ def kitti_objects(
         times=times,
         ground_truth=ground_truth,
     )
-    write_drive(output, drive.records(), drive.source, json=json)
+    show_written(output, write_drive(output, drive.records(), drive.source), json=json)
 
 
 @app.command("csv")
@@ -76,13 +77,26 @@ def csv(
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
     """
     check_outputs([output], [odometry, detections, ground_truth, times, calib])
+    from logs.importers.imported_log import write_drive
     from logs.importers.text_log import read_text_log
 
     drive = read_text_log(odometry=odometry, detections=detections, ground_truth=ground_truth, times=times, calib=calib)
-    about = {
-        "odometry_format": drive.odometry.format.value,
-        "odometry_length_m": drive.odometry.length_m,
-        "columns_left_out": list(drive.detections.left_out),
-        "notes": list(drive.notes),
-    }
-    write_drive(output, drive.records(), drive.source, json=json, about=about)
+    summary = write_drive(output, drive.records(), drive.source)
+    format, length_m, columns = drive.odometry.format.value, drive.odometry.length_m, drive.detections.left_out
+    speed = f" ({length_m / summary.duration_s:.2f} m/s)" if summary.duration_s > 0.0 else ""
+    show_written(
+        output,
+        summary,
+        json=json,
+        figures={
+            "odometry_format": format,
+            "odometry_length_m": length_m,
+            "columns_left_out": list(columns),
+            "notes": list(drive.notes),
+        },
+        notes=[
+            f"  odometry in {format} format, {length_m:.0f} m{speed}",
+            *([f"  columns left out: {', '.join(columns)}"] if columns else []),
+            *(f"  note: {note}" for note in drive.notes),
+        ],
+    )

@@ -21,14 +21,10 @@ STANDARD_INPUT = Path("-")
 
 
 def live(
-    source: Annotated[
-        Path, typer.Argument(metavar="LOG|-", help="A log, or '-' for a stream on standard input.", show_default=False)
-    ],
+    source: Annotated[Path, typer.Argument(metavar="LOG|-", help="A log, or '-' for a stream on standard input.")],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", metavar="OUT.mcap", help="Also write the estimates to a log.", show_default=False
-        ),
+        typer.Option("-o", "--output", metavar="OUT.mcap", help="Also write the estimates to a log."),
     ] = None,
     speed: Annotated[
         float,
@@ -40,7 +36,7 @@ def live(
     ] = 8765,
     map_log: Annotated[
         Path | None,
-        typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map.", show_default=False),
+        typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map."),
     ] = None,
     config_file: ConfigFile = None,
     calibration: CalibrationFile = None,

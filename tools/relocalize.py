@@ -14,6 +14,7 @@ from tools.arguments import (
     ConfigFile,
     InputLog,
     Json,
+    Output,
     Picture,
     Settings,
     Topics,
@@ -32,13 +33,12 @@ def relocalize(
     map_log: Annotated[
         Path, typer.Option("--map", metavar="MAP.mcap", help="The map in which the robot is localized.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    output: Output,
     near: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y[,YAW],SIGMA",
             help="Where the robot starts: metres in the map, degrees from its x axis, metres.",
-            show_default=False,
         ),
     ] = None,
     config_file: ConfigFile = None,

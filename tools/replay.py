@@ -15,6 +15,7 @@ from tools.arguments import (
     ConfigFile,
     InputLog,
     Json,
+    Output,
     Picture,
     Settings,
     Topics,
@@ -43,20 +44,18 @@ _LANDMARK_STATES = ("confirmed", "tentative", "retired")
 
 def replay(
     source: InputLog,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    output: Output,
     config_file: ConfigFile = None,
     calibration: CalibrationFile = None,
     settings: Settings = None,
     topics: Topics = None,
     map_log: Annotated[
         Path | None,
-        typer.Option(
-            "--map", metavar="MAP.mcap", help="Localize the robot in this map, and extend the map.", show_default=False
-        ),
+        typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map, and extend the map."),
     ] = None,
     save_map: Annotated[
         Path | None,
-        typer.Option("--save-map", metavar="MAP.mcap", help="Save the map for later drives.", show_default=False),
+        typer.Option(metavar="MAP.mcap", help="Save the map for later drives."),
     ] = None,
     online: Annotated[
         bool,
@@ -64,7 +63,7 @@ def replay(
     ] = False,
     copy: Annotated[
         list[str] | None,
-        typer.Option("--copy", metavar="/TOPIC", help="Also copy this topic, for example of a camera. Repeatable."),
+        typer.Option(metavar="/TOPIC", help="Also copy this topic, for example of a camera. Repeatable."),
     ] = None,
     json: Json = False,
     picture: Picture = None,

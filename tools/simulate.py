@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, NewLog, Settings, check_outputs
 from tools.importers.drives import show_written
+
+if TYPE_CHECKING:
+    from slam.simulation.world import World
 
 
 def simulate(
@@ -32,21 +35,12 @@ def simulate(
 
     Example: dslam simulate drive.mcap --seed 3 --set sensor.dropout=0.3
     """
-    if (objects is None) != (trajectory is None):
-        raise typer.BadParameter("--objects and --trajectory belong together; give both or neither.")
     check_outputs([output], [objects, trajectory, config_file])
-    import numpy as np
-
     from slam.simulation.config import load_simulation_config
     from slam.simulation.simulation import write_simulation
-    from slam.simulation.street_grid import generate_street_grid
-    from slam.simulation.world import load_world
 
     config = load_simulation_config(config_file, settings or ())
-    if objects is not None and trajectory is not None:
-        world = load_world(objects, trajectory)
-    else:
-        world = generate_street_grid(rng=np.random.default_rng(seed if world_seed is None else world_seed))
+    world = load_or_generate(objects, trajectory, seed=seed if world_seed is None else world_seed)
     if length is not None:
         world = world.shortened(length)
     summary = write_simulation(output, world, config, seed=seed)
@@ -59,3 +53,21 @@ def simulate(
         title=f" through {world.name} (seed {seed}), {len(world.object_ids)} objects of "
         f"{len(world.vocabulary)} classes",
     )
+
+
+def load_or_generate(objects: Path | None, trajectory: Path | None, *, seed: int) -> World:
+    """The world in two CSV files, or the generated town with a seed.
+
+    Raises:
+        BadParameter: only one of the files is given.
+    """
+    import numpy as np
+
+    from slam.simulation.street_grid import generate_street_grid
+    from slam.simulation.world import load_world
+
+    if objects is not None and trajectory is not None:
+        return load_world(objects, trajectory)
+    if objects is not trajectory:
+        raise typer.BadParameter("--objects and --trajectory belong together; give both or neither.")
+    return generate_street_grid(rng=np.random.default_rng(seed))

@@ -19,9 +19,7 @@ LIKELIHOOD = "descriptellation_lr"
 def train(
     folder: Annotated[
         Path,
-        typer.Argument(
-            metavar="FOLDER", help="Folder of the checkpoint, the curves and the weights.", show_default=False
-        ),
+        typer.Argument(metavar="FOLDER", help="Folder of the checkpoint, the curves and the weights."),
     ],
     network: Annotated[
         str,
@@ -33,7 +31,6 @@ def train(
     maps: Annotated[
         list[Path] | None,
         typer.Option(
-            "--maps",
             metavar="FILE",
             help="A map of your own: CSV with x_m,y_m,z_m,class, a saved map, or a log that 'dslam replay' wrote. "
             "Repeatable.",
@@ -80,9 +77,8 @@ def train(
     with console.progress_line(f"training {network}") as tell:
 
         def report(step: Step) -> None:
-            if tell is not None:
-                minutes, seconds = divmod(round(step.remaining_s), 60)
-                tell(step.done, f"loss {step.loss:.3f}, {minutes} min {seconds:02d} s left")
+            minutes, seconds = divmod(round(step.remaining_s), 60)
+            tell(step.done, f"loss {step.loss:.3f}, {minutes} min {seconds:02d} s left")
 
         history = train_recipe(recipe, folder, threads=threads, on_step=report)
     best = best_of(history)

@@ -8,8 +8,8 @@ Descriptellation paper (Section IV-C) the constellation of each object takes the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from descriptors.arrays import Float32Array
 from descriptors.class_vectors import class_vectors
 from descriptors.constellation import Constellations
 
@@ -24,7 +24,7 @@ class GosmatchVertex:
     name = "gosmatch_vertex"
     radius_m = 30.0
 
-    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+    def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, 61 * 64): the sums of the class vectors, from the shortest edges on."""
         classes = len(constellations.vocabulary)
         lengths_m = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])

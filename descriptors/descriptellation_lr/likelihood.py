@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from descriptors.arrays import BoolArray, Float32Array, FloatArray
 from descriptors.descriptellation_lr.pairs import (
     DENSITY,
     FEATURES,
@@ -53,7 +54,7 @@ class LearnedLikelihood:
         area = np.diff(edges**2) * (np.pi / sizes.sectors)
         self._least = (np.expm1(self._weights["threshold"]) * DENSITY * area).astype(np.float32)
 
-    def bits(self, pairs: Pairs) -> NDArray[np.bool_]:
+    def bits(self, pairs: Pairs) -> BoolArray:
         """Which cells (P, cells) around pairs of a map are likely to hold an object."""
         sizes = self.architecture
         owners = pairs.owners
@@ -75,7 +76,7 @@ class LearnedLikelihood:
         mass = rings.transpose(0, 2, 1) @ sectors  # (P, R, S)
         return np.asarray((mass > self._least[:, None]).reshape(len(pairs), -1))
 
-    def worths(self, pairs: Pairs, sigmas: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def worths(self, pairs: Pairs, sigmas: FloatArray) -> tuple[Float32Array, Float32Array]:
         """Nats (K,) that an observed neighbour gives where the bit of its cell is set, and takes where it is not.
 
         ``sigmas`` (P,) spacings, as :func:`query_features` has them.
@@ -83,12 +84,12 @@ class LearnedLikelihood:
         hits, misses = np.logaddexp(0.0, self._perceive("worth", query_features(pairs, sigmas))).T
         return hits, misses
 
-    def _perceive(self, name: str, features: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _perceive(self, name: str, features: Float32Array) -> Float32Array:
         hidden = np.tanh(features @ self._weights[f"{name}.0.weight"].T + self._weights[f"{name}.0.bias"])
         return np.asarray(hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"])
 
 
-def _sector_shares(sigmas: NDArray[np.float64], sectors: int) -> NDArray[np.float32]:
+def _sector_shares(sigmas: FloatArray, sectors: int) -> Float32Array:
     """Share of a neighbour in each sector (S,), for widths and directions within the first sector, flat."""
     step = 2.0 * np.pi / sectors
     angles = (np.arange(TURN_STEPS) + 0.5) / TURN_STEPS * step

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from descriptors.arrays import Float32Array
 from descriptors.descriptellation_lr.pairs import (
     DENSITY,
     FEATURES,
@@ -62,7 +62,7 @@ class DescriptellationLR(nn.Module):
         soft = (logits / SOFTNESS).sigmoid()
         return soft + ((logits > 0.0).float() - soft).detach()
 
-    def worths(self, features: NDArray[np.float32], device: torch.device) -> tuple[Tensor, Tensor]:
+    def worths(self, features: Float32Array, device: torch.device) -> tuple[Tensor, Tensor]:
         """Nats (K,) that a neighbour gives where its bit is set, and that it takes where it is not."""
         nats = nn.functional.softplus(self.worth(torch.as_tensor(features, device=device)))
         return nats[:, 0], nats[:, 1]

@@ -16,6 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from descriptors.arrays import BoolArray, Float32Array, FloatArray, IntArray, UintArray
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.pairs import (
     QUERY_PARTNERS,
@@ -55,8 +56,8 @@ class PairMatches:
     ``entries`` (C, 2) numbers of objects of the map, ``nats`` (C,) their log-likelihood ratios.
     """
 
-    queries: NDArray[np.int64]
-    entries: NDArray[np.int64]
+    queries: IntArray
+    entries: IntArray
     nats: NDArray[np.floating]
 
 
@@ -81,9 +82,9 @@ class PairIndex:
         likelihood: LearnedLikelihood,
         unit_m: float,
         words: Words,
-        ends: NDArray[np.uint32],
-        lengths: NDArray[np.float32],
-        classes: NDArray[np.uint32],
+        ends: UintArray,
+        lengths: Float32Array,
+        classes: UintArray,
     ) -> PairIndex:
         """The index with the arrays of one that was made at once.
 
@@ -117,11 +118,11 @@ class PairIndex:
 
     def add(
         self,
-        positions: NDArray[np.float64],
-        labels: NDArray[np.int64],
+        positions: FloatArray,
+        labels: IntArray,
         *,
-        numbers: NDArray[np.int64] | None = None,
-        centres: NDArray[np.int64] | None = None,
+        numbers: IntArray | None = None,
+        centres: IntArray | None = None,
     ) -> None:
         """Add the pairs of objects.
 
@@ -161,11 +162,11 @@ class PairIndex:
 
     def search(
         self,
-        positions: NDArray[np.float64],
-        labels: NDArray[np.int64],
+        positions: FloatArray,
+        labels: IntArray,
         *,
-        sigmas_m: NDArray[np.float64],
-        allowed: NDArray[np.bool_] | None = None,
+        sigmas_m: FloatArray,
+        allowed: BoolArray | None = None,
     ) -> PairMatches:
         """The likeliest pairs of the map for the pairs of a query.
 
@@ -192,7 +193,7 @@ class PairIndex:
         queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
         return PairMatches(queries[best], entries[best], nats[best])
 
-    def _ask(self, pairs: Pairs, labels: NDArray[np.int64], noise: NDArray[np.float64]) -> _Asked:
+    def _ask(self, pairs: Pairs, labels: IntArray, noise: FloatArray) -> _Asked:
         """What the pairs of a query ask of the index, with a noise (N,) of each object in spacings."""
         sigmas = np.sqrt(np.mean(noise[pairs.ends] ** 2, axis=1))
         hits, misses = self._likelihood.worths(pairs, sigmas)
@@ -215,7 +216,7 @@ class PairIndex:
             (pairs.lengths + tolerances).astype(np.float32),
         )
 
-    def _asked(self, plane: NDArray[np.float64], labels: NDArray[np.int64]) -> Pairs:
+    def _asked(self, plane: FloatArray, labels: IntArray) -> Pairs:
         """The pairs of a query, those with most around them if there are too many."""
         tree = cKDTree(plane[:, :2])
         ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
@@ -225,7 +226,7 @@ class PairIndex:
         most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:MAX_ASKED]
         return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
 
-    def _windows(self, asked: _Asked) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Words]]:
+    def _windows(self, asked: _Asked) -> Iterator[tuple[IntArray, IntArray, Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
 
         Rows (B,) of the query, the first word (B,) of each, and a mask (B, W) of the pairs from there on: of rows with
@@ -250,9 +251,7 @@ class PairIndex:
             is_like &= (asked.low[:, None] <= self.lengths[of_tail]) & (self.lengths[of_tail] <= asked.high[:, None])
             yield np.arange(len(asked.classes)), np.full(len(asked.classes), tail), _packed(is_like)
 
-    def _columns(
-        self, asked: _Asked, rows: NDArray[np.int64], firsts: NDArray[np.int64], width: int
-    ) -> list[list[Words]]:
+    def _columns(self, asked: _Asked, rows: IntArray, firsts: IntArray, width: int) -> list[list[Words]]:
         """Words (B, W) of the cells that rows of the query ask for, by the bits of their steps."""
         windows = sliding_window_view(self.words, width, axis=1)
         levels = list[list[Words]]()
@@ -272,20 +271,20 @@ class _Asked:
     ``high`` (P,) of what they may be.
     """
 
-    cells: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    misses: NDArray[np.float64]
-    classes: NDArray[np.uint32]
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
+    cells: IntArray
+    steps: IntArray
+    misses: FloatArray
+    classes: UintArray
+    low: Float32Array
+    high: Float32Array
 
 
-def _class_codes(labels: NDArray[np.int64]) -> NDArray[np.uint32]:
+def _class_codes(labels: IntArray) -> UintArray:
     """Both classes (P, 2) of pairs in one number (P,)."""
     return ((labels[:, 0] << 16) + (labels[:, 1] & 0xFFFF)).astype(np.uint32)
 
 
-def _mask(bounds: NDArray[np.int64], width: int) -> Words:
+def _mask(bounds: IntArray, width: int) -> Words:
     """Words (B, W) in which the bits from the first of ``bounds`` (B, 2) to the second are set."""
     mask = np.zeros((len(bounds), width), dtype=np.uint64)
     for words, (begin, end) in zip(mask, bounds.tolist(), strict=True):
@@ -296,7 +295,7 @@ def _mask(bounds: NDArray[np.int64], width: int) -> Words:
     return mask
 
 
-def _packed(bits: NDArray[np.bool_]) -> Words:
+def _packed(bits: BoolArray) -> Words:
     """Bits (B, P) as words (B, ceil(P / 64))."""
     filled = np.zeros((len(bits), -(-bits.shape[1] // WORD) * WORD), dtype=np.bool_)
     filled[:, : bits.shape[1]] = bits
@@ -329,9 +328,7 @@ def _sum(levels: list[list[Words]], empty: Words) -> list[Words]:
     return counters
 
 
-def _largest(
-    counters: list[Words], eligible: Words, count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _largest(counters: list[Words], eligible: Words, count: int) -> tuple[IntArray, IntArray, IntArray]:
     """Row, place and value (C,) each of the ``count`` largest counters (B, W) of each row among those that are
     ``eligible`` (B, W), and of ties at the end as long as they are not too many.
     """
@@ -360,7 +357,7 @@ def _largest(
     return row, word * WORD + bit, values
 
 
-def _ones(words: Words) -> NDArray[np.int64]:
+def _ones(words: Words) -> IntArray:
     """How many bits of each row (B, W) are set."""
     return np.asarray(np.bitwise_count(words).sum(axis=1, dtype=np.int64))
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 from scipy.spatial import cKDTree
+
+from descriptors.arrays import ComplexArray, Float32Array, FloatArray, IntArray
 
 FEATURES = 5
 """Numbers that :attr:`Pairs.features` gives for each neighbour."""
@@ -63,7 +64,7 @@ class DescriptellationLRArchitecture:
         return self.rings * self.sectors
 
     @property
-    def edges(self) -> NDArray[np.float64]:
+    def edges(self) -> FloatArray:
         """Radii (R + 1,) of the rings."""
         return np.linspace(self.inner, self.outer, self.rings + 1)
 
@@ -77,23 +78,23 @@ class Pairs:
     rad of the neighbours in the frame of their pair, turned by their class; ``features`` (K, FEATURES).
     """
 
-    ends: NDArray[np.int64]
-    lengths: NDArray[np.float64]
-    offsets: NDArray[np.int64]
-    radii: NDArray[np.float64]
-    angles: NDArray[np.float64]
-    features: NDArray[np.float32]
+    ends: IntArray
+    lengths: FloatArray
+    offsets: IntArray
+    radii: FloatArray
+    angles: FloatArray
+    features: Float32Array
 
     def __len__(self) -> int:
         return len(self.lengths)
 
     @property
-    def owners(self) -> NDArray[np.int64]:
+    def owners(self) -> IntArray:
         """Which pair (K,) each neighbour belongs to."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
 
-def spacing_m(positions: NDArray[np.float64]) -> float:
+def spacing_m(positions: FloatArray) -> float:
     """Median distance [m] of an object (N, 2+) to its nearest neighbour elsewhere; 1 if there are fewer than two."""
     plane = np.unique(positions[:, :2], axis=0)
     if len(plane) < 2:
@@ -102,14 +103,14 @@ def spacing_m(positions: NDArray[np.float64]) -> float:
 
 
 def find_ends(
-    positions: NDArray[np.float64],
-    labels: NDArray[np.int64],
+    positions: FloatArray,
+    labels: IntArray,
     tree: cKDTree,
     partners: int,
     *,
-    centres: NDArray[np.int64] | None = None,
+    centres: IntArray | None = None,
     both_ways: bool = False,
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Each object with its nearest neighbours, each pair once: rows (P, 2), the lower class first.
 
     Args:
@@ -136,9 +137,9 @@ def find_ends(
 
 
 def gather_pairs(
-    positions: NDArray[np.float64],
-    labels: NDArray[np.int64],
-    ends: NDArray[np.int64],
+    positions: FloatArray,
+    labels: IntArray,
+    ends: IntArray,
     tree: cKDTree,
     architecture: DescriptellationLRArchitecture,
 ) -> Pairs:
@@ -172,7 +173,7 @@ def gather_pairs(
     )
 
 
-def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> NDArray[np.int64]:
+def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> IntArray:
     """The cell (K,) of each neighbour; -1 inside the inner ring and outside the outer one."""
     rings = np.searchsorted(architecture.edges, pairs.radii, side="right") - 1
     turns = pairs.angles / (2.0 * np.pi)
@@ -182,12 +183,12 @@ def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> NDAr
 
 
 def _features(
-    local: NDArray[np.complex128],
-    lengths: NDArray[np.float64],
-    owners: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    labels: NDArray[np.int64],
-) -> NDArray[np.float32]:
+    local: ComplexArray,
+    lengths: FloatArray,
+    owners: IntArray,
+    counts: IntArray,
+    labels: IntArray,
+) -> Float32Array:
     """Of each neighbour: its distance, the length of the pair, how many neighbours there are, how many of its class,
     and how many of those are about as far away.
     """
@@ -206,7 +207,7 @@ def _features(
     ).astype(np.float32)
 
 
-def query_features(pairs: Pairs, sigmas: NDArray[np.float64]) -> NDArray[np.float32]:
+def query_features(pairs: Pairs, sigmas: FloatArray) -> Float32Array:
     """Of each observed neighbour (K, 4): its distance, the length of the pair, the noise, and how many there are.
 
     Args:
@@ -221,6 +222,6 @@ def query_features(pairs: Pairs, sigmas: NDArray[np.float64]) -> NDArray[np.floa
     ).astype(np.float32)  # fmt: skip
 
 
-def length_tolerances(sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+def length_tolerances(sigmas: FloatArray) -> FloatArray:
     """By how much (P,) the lengths of two pairs that are the same may differ; a length has two noisy ends."""
     return np.asarray(LENGTH_SIGMAS * np.sqrt(2.0) * sigmas)

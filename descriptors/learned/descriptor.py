@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 from descriptors.errors import DescriptorError
 from descriptors.learned.networks import architecture_of, describe_by_network, load_network
@@ -31,7 +31,7 @@ class LearnedDescriptor:
         self.name, self.length, self.radius_m = architecture.name, architecture.length, architecture.radius_m
         self.vocabulary_size = architecture.vocabulary_size
 
-    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+    def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, length).
 
         Raises:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
+from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
 from descriptors.errors import DescriptorError, WeightsError
@@ -104,7 +104,7 @@ def vectors_of(network: nn.Module, constellations: Constellations, device: torch
     return vectors
 
 
-def describe_by_network(network: nn.Module, constellations: Constellations) -> NDArray[np.float32]:
+def describe_by_network(network: nn.Module, constellations: Constellations) -> Float32Array:
     """Vectors (B, length) of a network in evaluation mode, on the CPU."""
     described = np.zeros((len(constellations), architecture_of(network).length), dtype=np.float32)
     # Batches of about equal size need little padding.

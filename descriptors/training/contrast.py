@@ -11,17 +11,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
+from descriptors.arrays import IntArray
 from descriptors.constellation import Constellations, gather_constellations
-from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError
 from descriptors.learned.networks import Architecture, vectors_of
 from descriptors.training.maps import TrainingMap, draw_map, with_classes_of
-from descriptors.training.pair_contrast import PairSample, add_rivals, draw_pair_sample, pair_scores
+from descriptors.training.pair_contrast import PairSample, draw_pair_sample
 from descriptors.training.views import draw_view
 
 MAX_DRAWS = 1000
@@ -58,7 +57,22 @@ class Sample:
 
     constellations: Constellations
     queries: tuple[Constellations, ...]
-    objects: NDArray[np.int64]
+    objects: IntArray
+
+    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
+        """Squared distances (Q, B) of the vectors of queries from those in the map, negative.
+
+        Raises:
+            DescriptorError: the network of a user gives no vectors.
+        """
+        known = vectors_of(network, self.constellations, device)
+        asked = torch.cat([vectors_of(network, query, device) for query in self.queries])
+        squares = asked.square().sum(dim=1)[:, None] + known.square().sum(dim=1) - 2.0 * asked @ known.T
+        return -squares / TEMPERATURE
+
+    def loss(self, scores: Tensor) -> Tensor:
+        """The mean loss of the scores (Q, B)."""
+        return cross_entropy(scores, torch.as_tensor(self.objects, device=scores.device))
 
 
 def draw_sample(
@@ -79,60 +93,45 @@ def draw_sample(
     """
     for _ in range(MAX_DRAWS):
         drawn = draw_map(given, own_share, rng=rng)
+        sample: Sample | PairSample | None
         if isinstance(config.architecture, DescriptellationLRArchitecture):
-            pairs = draw_pair_sample(drawn, config.architecture, views=config.views, rng=rng, is_exact=is_exact)
-            if pairs is None:
-                continue
-            return pairs
-        drawn = with_classes_of(drawn, config.architecture.vocabulary_size, rng=rng)
-        vocabulary = tuple(map(str, range(drawn.classes)))
-        noise_m = rng.normal(0.0, 0.0 if is_exact else rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
-        radius_m = config.architecture.radius_m
-        queries, objects = [], []
-        for _ in range(config.views):
-            view = draw_view(drawn, rng=rng, is_exact=is_exact)
-            if len(view.labels) < MIN_SEEN:
-                continue
-            seen = np.flatnonzero(view.objects >= 0)
-            seen = seen[drawn.labels[view.objects[seen]] == view.labels[seen]]
-            if not len(seen):
-                continue
-            centres = rng.permutation(seen)[: config.objects_per_view]
-            queries.append(
-                gather_constellations(view.positions, view.labels, vocabulary, radius_m=radius_m, centres=centres)
-            )
-            objects.append(view.objects[centres])
-        if queries:
-            asked = np.unique(np.concatenate(objects))
-            others = np.setdiff1d(np.flatnonzero(np.isin(drawn.labels, drawn.labels[asked])), asked)
-            others = rng.permutation(others)[: config.objects_per_map - len(asked)]
-            compared = np.concatenate([asked, others])
-            constellations = gather_constellations(
-                drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
-            )
-            return Sample(constellations, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
+            sample = draw_pair_sample(drawn, config.architecture, views=config.views, rng=rng, is_exact=is_exact)
+        else:
+            sample = _draw_constellations(config, config.architecture, drawn, rng=rng, is_exact=is_exact)
+        if sample is not None:
+            return sample
     raise DescriptorError("no place in the maps has enough objects to train on")
 
 
-def scores_of(network: nn.Module, sample: Sample | PairSample, device: torch.device) -> Tensor:
-    """Scores (Q, B) of what is in the map for each query.
-
-    Of the likelihood ratio in nats; of the vectors of other networks the squared distances, negative.
-
-    Raises:
-        DescriptorError: the network of a user gives no vectors.
-    """
-    if isinstance(sample, PairSample):
-        assert isinstance(network, DescriptellationLR)
-        return pair_scores(network, sample, device)
-    known = vectors_of(network, sample.constellations, device)
-    asked = torch.cat([vectors_of(network, query, device) for query in sample.queries])
-    squares = asked.square().sum(dim=1)[:, None] + known.square().sum(dim=1) - 2.0 * asked @ known.T
-    return -squares / TEMPERATURE
-
-
-def loss_of(scores: Tensor, sample: Sample | PairSample, device: torch.device) -> Tensor:
-    """The mean loss of the scores (Q, B)."""
-    if isinstance(sample, PairSample):
-        scores = add_rivals(scores, sample)
-    return cross_entropy(scores, torch.as_tensor(sample.objects, device=device))
+def _draw_constellations(
+    config: ContrastTraining,
+    architecture: Architecture,
+    drawn: TrainingMap,
+    *,
+    rng: np.random.Generator,
+    is_exact: bool,
+) -> Sample | None:
+    """Views of a map; None if none shows an object as what it is."""
+    drawn = with_classes_of(drawn, architecture.vocabulary_size, rng=rng)
+    vocabulary, radius_m = tuple(map(str, range(drawn.classes))), architecture.radius_m
+    noise_m = rng.normal(0.0, 0.0 if is_exact else rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
+    queries, objects = [], []
+    for _ in range(config.views):
+        view = draw_view(drawn, rng=rng, is_exact=is_exact)
+        seen = np.flatnonzero((view.objects >= 0) & (drawn.labels[view.objects] == view.labels))
+        if len(view.labels) < MIN_SEEN or not len(seen):
+            continue
+        centres = rng.permutation(seen)[: config.objects_per_view]
+        queries.append(
+            gather_constellations(view.positions, view.labels, vocabulary, radius_m=radius_m, centres=centres)
+        )
+        objects.append(view.objects[centres])
+    if not queries:
+        return None
+    asked = np.unique(np.concatenate(objects))
+    others = np.setdiff1d(np.flatnonzero(np.isin(drawn.labels, drawn.labels[asked])), asked)
+    compared = np.concatenate([asked, rng.permutation(others)[: config.objects_per_map - len(asked)]])
+    constellations = gather_constellations(
+        drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
+    )
+    return Sample(constellations, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))

@@ -7,11 +7,11 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
@@ -40,16 +40,6 @@ class Epoch:
         return {"epoch": self.epoch, "train_loss": self.train_loss, **self.metrics, "seconds": self.seconds}
 
 
-class Stateful(Protocol):
-    """A network, an optimizer, or anything else that changes during a training."""
-
-    def state_dict(self) -> Any:
-        """Its state: tensors, numbers and texts, nested."""
-
-    def load_state_dict(self, state_dict: Any, /) -> Any:
-        """Put it into that state."""
-
-
 @dataclass(frozen=True, slots=True)
 class TrainingFolder:
     """A folder, made if it does not exist; ``identity``: what is trained on what, as JSON holds it."""
@@ -62,24 +52,20 @@ class TrainingFolder:
         """Where the weights of the best epoch are."""
         return self.path / WEIGHTS
 
-    def save(self, epochs: Sequence[Epoch], parts: Mapping[str, Stateful]) -> None:
+    def save(self, epochs: Sequence[Epoch], state: Mapping[str, Any]) -> None:
         """Write the curves and the checkpoint after an epoch: ``epochs`` so far, the last one included."""
         with _replaced(self.path / CURVES) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, fieldnames=list(epochs[-1].as_row()))
             writer.writeheader()
             writer.writerows(each.as_row() for each in epochs)
         content = io.BytesIO()
-        state = {
-            "identity": json.dumps(self.identity, sort_keys=True),
-            "epochs": json.dumps([[each.epoch, each.train_loss, each.metrics, each.seconds] for each in epochs]),
-            **{name: part.state_dict() for name, part in parts.items()},
-        }
-        torch.save(state, content)
+        done = json.dumps([[each.epoch, each.train_loss, each.metrics, each.seconds] for each in epochs])
+        torch.save({"identity": json.dumps(self.identity, sort_keys=True), "epochs": done, **state}, content)
         with _replaced(self.path / CHECKPOINT) as part:
             part.write_bytes(_digest(content.getvalue()) + content.getvalue())
 
-    def resume(self, parts: Mapping[str, Stateful], device: torch.device) -> list[Epoch]:
-        """Put the parts into the state of the checkpoint; returns the epochs before it, none without a checkpoint.
+    def resume(self, restore: Callable[[Mapping[str, Any]], None], device: torch.device) -> list[Epoch]:
+        """Restore the state of the checkpoint; returns the epochs before it, none without a checkpoint.
 
         Raises:
             DescriptorError: it is of another training, or cannot be read.
@@ -104,8 +90,7 @@ class TrainingFolder:
                 f"{path}: from a run with another configuration ({', '.join(others)}); choose another folder or "
                 "delete it to start again"
             )
-        for name, part in parts.items():
-            part.load_state_dict(state[name])
+        restore(state)
         return epochs
 
 

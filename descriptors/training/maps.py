@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from descriptors.arrays import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingMap:
     """Objects at ``positions`` (N, 3) m, gravity along z, with ``labels`` (N,) below ``classes``."""
 
-    positions: NDArray[np.float64]
-    labels: NDArray[np.int64]
+    positions: FloatArray
+    labels: IntArray
     classes: int
 
     def __len__(self) -> int:
@@ -82,7 +83,7 @@ def draw_patterns(*, rng: np.random.Generator) -> TrainingMap:
     return TrainingMap(np.column_stack([plan.real, plan.imag, heights]), numbers, len(found))
 
 
-def draw_pattern(kind: str, size: int, *, rng: np.random.Generator) -> NDArray[np.complex128]:
+def draw_pattern(kind: str, size: int, *, rng: np.random.Generator) -> ComplexArray:
     """Horizontal places (size,), x + iy in metres about the middle, of one pattern."""
     numbers = np.arange(size)
     match kind:
@@ -117,9 +118,9 @@ def draw_street(*, rng: np.random.Generator) -> TrainingMap:
     shares = 1.0 / np.arange(1, classes + 1) ** rng.uniform(0.3, 1.5)
     gathered, labels = [], []
     for street in range(streets):
-        along = list[NDArray[np.float64]]()
-        aside = list[NDArray[np.float64]]()
-        kinds = list[NDArray[np.int64]]()
+        along = list[FloatArray]()
+        aside = list[FloatArray]()
+        kinds = list[IntArray]()
         while sum(len(each) for each in along) < PIECE_OBJECTS * rng.uniform(0.3, 0.6) / streets:
             step_m = rng.uniform(3.0, 30.0)
             start_m = rng.uniform(0.0, length_m)
@@ -141,9 +142,7 @@ def draw_street(*, rng: np.random.Generator) -> TrainingMap:
     return TrainingMap(np.column_stack([positions, heights]), numbers, len(found))
 
 
-def _bent(
-    along_m: NDArray[np.float64], aside_m: NDArray[np.float64], street: int, *, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _bent(along_m: FloatArray, aside_m: FloatArray, street: int, *, rng: np.random.Generator) -> FloatArray:
     """Places (N, 2) beside a street that begins at an offset of its own and bends now and then."""
     steps = np.arange(0.0, 310.0)
     headings = np.interp(steps / 60.0, np.arange(7), np.cumsum(rng.normal(0.0, 0.3, 7)) + rng.uniform(-np.pi, np.pi))

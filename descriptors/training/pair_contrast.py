@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
 
+from descriptors.arrays import BoolArray, FloatArray, IntArray
 from descriptors.descriptellation_lr.network import DescriptellationLR, query_scores
 from descriptors.descriptellation_lr.pairs import (
     QUERY_PARTNERS,
@@ -50,9 +51,29 @@ class PairSample:
 
     known: Pairs
     queries: tuple[Pairs, ...]
-    sigmas: NDArray[np.float64]
-    objects: NDArray[np.int64]
-    is_compared: NDArray[np.bool_]
+    sigmas: FloatArray
+    objects: IntArray
+    is_compared: BoolArray
+
+    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
+        """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
+        assert isinstance(network, DescriptellationLR)
+        bits = network.bits(network(self.known, device))
+        scores, first = list[Tensor](), 0
+        for query in self.queries:
+            sigmas = self.sigmas[first : first + len(query)]
+            hits, misses = network.worths(query_features(query, sigmas), device)
+            scores.append(query_scores(bits, query, hits, misses, network.architecture))
+            first += len(query)
+        compared = torch.as_tensor(self.is_compared, device=device)
+        return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
+
+    def loss(self, scores: Tensor) -> Tensor:
+        """The mean loss of the scores (Q, P), those of the negatives raised as if there were :data:`RIVALS` of them."""
+        compared = torch.as_tensor(self.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
+        raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
+        right = torch.as_tensor(self.objects, device=scores.device)
+        return cross_entropy(raised.scatter(1, right[:, None], scores.gather(1, right[:, None])), right)
 
 
 def draw_pair_sample(
@@ -71,7 +92,7 @@ def draw_pair_sample(
     ends = find_ends(positions, drawn.labels, tree, architecture.partners)
     if not len(ends):
         return None
-    queries, sigmas, objects = list[Pairs](), list[NDArray[np.float64]](), list[NDArray[np.int64]]()
+    queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
         sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
         view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m, is_exact=is_exact)
@@ -97,28 +118,7 @@ def draw_pair_sample(
     return PairSample(known, tuple(queries), noise, right, is_compared)
 
 
-def pair_scores(network: DescriptellationLR, sample: PairSample, device: torch.device) -> Tensor:
-    """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
-    bits = network.bits(network(sample.known, device))
-    scores, first = list[Tensor](), 0
-    for query in sample.queries:
-        sigmas = sample.sigmas[first : first + len(query)]
-        hits, misses = network.worths(query_features(query, sigmas), device)
-        scores.append(query_scores(bits, query, hits, misses, network.architecture))
-        first += len(query)
-    compared = torch.as_tensor(sample.is_compared, device=device)
-    return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
-
-
-def add_rivals(scores: Tensor, sample: PairSample) -> Tensor:
-    """The scores (Q, P) with those of the negatives raised as if there were :data:`RIVALS` of them."""
-    compared = torch.as_tensor(sample.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
-    raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
-    right = torch.as_tensor(sample.objects, device=scores.device)[:, None]
-    return raised.scatter(1, right, scores.gather(1, right))
-
-
-def _numbers_of(ends: NDArray[np.int64], asked: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _numbers_of(ends: IntArray, asked: IntArray, count: int) -> IntArray:
     """Rows (Q,) of ``asked`` (Q, 2) among ``ends`` (P, 2) of ``count`` objects, in this direction; -1 if not there."""
     keys, wanted = ends @ [count, 1], asked @ [count, 1]
     order = np.argsort(keys)

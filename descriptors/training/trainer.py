@@ -7,10 +7,11 @@ import importlib.metadata
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,8 +22,8 @@ from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.networks import make_network
 from descriptors.learned.weights import Weights, read_weights, save_weights
-from descriptors.training.contrast import ContrastTraining, Sample, draw_sample, loss_of, scores_of
-from descriptors.training.folder import Epoch, Stateful, TrainingFolder
+from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
+from descriptors.training.folder import Epoch, TrainingFolder
 from descriptors.training.maps import TrainingMap
 from descriptors.training.pair_contrast import PairSample
 
@@ -85,19 +86,27 @@ class Recipe:
             self.optimizer, lambda step: last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
         )
         self.rng = np.random.default_rng(config.seed)
-        self.parts: dict[str, Stateful] = {
+        self._parts: dict[str, Any] = {
             "network": self.network,
             "optimizer": self.optimizer,
             "schedule": self.schedule,
-            "draws": _Draws(self.rng),
         }
-        """What changes during the training."""
+
+    def state(self) -> dict[str, Any]:
+        """All that changes during the training; random integers are too long for a tensor, and so are text."""
+        parts = {name: part.state_dict() for name, part in self._parts.items()}
+        return {**parts, "draws": json.dumps(self.rng.bit_generator.state)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Put all that changes into a ``state``."""
+        for name, part in self._parts.items():
+            part.load_state_dict(state[name])
+        self.rng.bit_generator.state = json.loads(state["draws"])
 
     def step(self) -> float:
         """Draw a sample and change the weights by it; returns the loss."""
         sample = draw_sample(self.config, self.given, OWN_SHARE, rng=self.rng)
-        scores = scores_of(self.network, sample, self.device)
-        loss = loss_of(scores, sample, self.device)
+        loss = sample.loss(sample.scores(self.network, self.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
@@ -131,9 +140,9 @@ class Recipe:
         losses, shares = [], []
         with torch.no_grad():
             for sample in samples:
-                scores = scores_of(self.network, sample, self.device).cpu()
+                scores = sample.scores(self.network, self.device).cpu()
                 objects = torch.as_tensor(sample.objects)
-                losses.append(float(loss_of(scores, sample, scores.device)))
+                losses.append(float(sample.loss(scores)))
                 before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
                 shares.append([float((before < rank).float().mean()) for rank in RANKS])
         return float(np.mean(losses)), np.mean(shares, axis=0).tolist()
@@ -178,7 +187,7 @@ def train(
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
     kept = TrainingFolder(folder, recipe.identity)
-    epochs = kept.resume(recipe.parts, recipe.device)
+    epochs = kept.resume(recipe.restore, recipe.device)
     if recipe.is_trained_further and not epochs:
         started = time.perf_counter()
         epochs.append(Epoch(0, None, recipe.validate(), time.perf_counter() - started))
@@ -190,7 +199,7 @@ def train(
         epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
         if best_of(epochs) is epochs[-1]:
             _save_weights(kept.weights, recipe, epochs[-1])
-        kept.save(epochs, recipe.parts)
+        kept.save(epochs, recipe.state())
     return epochs
 
 
@@ -232,16 +241,3 @@ def _save_weights(path: Path, recipe: Recipe, epoch: Epoch) -> None:
         metrics={name: value for name, value in epoch.as_row().items() if name != "seconds"},
     )
     save_weights(path, weights)
-
-
-class _Draws:
-    """The state of a generator of random numbers; its integers are too long for a tensor."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-
-    def state_dict(self) -> str:
-        return json.dumps(self._rng.bit_generator.state)
-
-    def load_state_dict(self, state: str, /) -> None:
-        self._rng.bit_generator.state = json.loads(state)

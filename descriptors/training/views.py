@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from descriptors.arrays import FloatArray, IntArray
 from descriptors.training.maps import TrainingMap
 
 CLUTTER = -1
@@ -19,9 +19,9 @@ class View:
     ``sigma_m``: noise of a coordinate, as the sensor knows it.
     """
 
-    positions: NDArray[np.float64]
-    labels: NDArray[np.int64]
-    objects: NDArray[np.int64]
+    positions: FloatArray
+    labels: IntArray
+    objects: IntArray
     sigma_m: float
 
 
@@ -68,7 +68,7 @@ def draw_view(
     )
 
 
-def _draw_path(seen_map: TrainingMap, *, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _draw_path(seen_map: TrainingMap, *, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Places (K, 2) m and headings (K,) of a stretch."""
     start = seen_map.positions[rng.integers(len(seen_map)), :2] + rng.normal(0.0, 4.0, 2)
     length_m = rng.uniform(0.0, 40.0) if rng.random() < 0.7 else 0.0
@@ -77,7 +77,7 @@ def _draw_path(seen_map: TrainingMap, *, rng: np.random.Generator) -> tuple[NDAr
     return start + np.column_stack([steps_m * np.cos(headings), steps_m * np.sin(headings)]), headings
 
 
-def _measured(offsets: NDArray[np.float64], sigma_m: float, *, rng: np.random.Generator) -> NDArray[np.float64]:
+def _measured(offsets: FloatArray, sigma_m: float, *, rng: np.random.Generator) -> FloatArray:
     """Offsets (N, 2) m from the sensor, as it measures them."""
     ranges_m = np.linalg.norm(offsets, axis=1, keepdims=True)
     noisy = offsets + rng.normal(0.0, sigma_m, offsets.shape)
@@ -87,6 +87,6 @@ def _measured(offsets: NDArray[np.float64], sigma_m: float, *, rng: np.random.Ge
     return noisy
 
 
-def _directions(count: int, *, rng: np.random.Generator) -> NDArray[np.float64]:
+def _directions(count: int, *, rng: np.random.Generator) -> FloatArray:
     angles = rng.uniform(-np.pi, np.pi, count)
     return np.column_stack([np.cos(angles), np.sin(angles)])

@@ -33,15 +33,6 @@ field is that. So they are in Paris-Lille-3D ("class", "label"; Roynard et al., 
 TerraMobilita ("class", "id"; Vallet et al., Computers & Graphics 2015)."""
 
 
-def read_cloud(path: Path) -> LabelledCloud:
-    """The labelled cloud in a PLY file.
-
-    Raises:
-        DatasetError: the file cannot be read, or has no positions, or no classes; names the fields that it has.
-    """
-    return labelled_cloud(read_points(path), str(path))
-
-
 def labelled_cloud(columns: Mapping[str, NDArray[Any]], name: str) -> LabelledCloud:
     """The cloud of ``columns``, name -> values (N,). ``name`` is what messages call it.
 

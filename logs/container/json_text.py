@@ -1,9 +1,14 @@
-"""JSON that others wrote."""
+"""JSON that others wrote, and what ours may hold."""
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
+
+import numpy as np
 
 
 def parse_json(text: str, **options: Any) -> Any:
@@ -23,3 +28,16 @@ def parse_json(text: str, **options: Any) -> Any:
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
     return value
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses, arrays and mappings as JSON has them; a number that is not finite is None."""
+    if is_dataclass(value):
+        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): plain(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, tuple | list):
+        return [plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

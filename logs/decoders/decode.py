@@ -6,7 +6,7 @@ from collections import Counter
 
 from logs.container.limits import ReadingLimits
 from logs.decoders.parts import Context, Records
-from logs.decoders.registry import Decoder, decoder_of, kinds_of
+from logs.decoders.registry import Decoder, decoder_of
 from logs.errors import InvalidRecordError
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
@@ -49,10 +49,7 @@ def decode(
     Raises:
         InvalidRecordError: the bytes are no such message, or hold values that no record may have, or more than the
             limits allow; names topic and time.
-        KeyError: the schema is unknown or has no such kind.
     """
-    if decoder is None and kind not in kinds_of(raw.channel):
-        raise KeyError(f"{raw.topic}: {raw.channel.schema_name!r} does not decode to {kind}")
     limits = limits or ReadingLimits()
     try:
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD

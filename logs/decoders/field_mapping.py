@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,7 +93,10 @@ def guess_mapping(raw: RawMessage) -> str:
     for name, value in {"": message if isinstance(message, list) else [message], **_fields(message)}.items():
         item = _fields(value[0]) if isinstance(value, list | tuple) and value else {}
         item = item | {f"{field}.{part}": at for field, whole in item.items() for part, at in _fields(whole).items()}
-        usual = {part: _usually_called(names, item) for part, names in _USUAL_NAMES.items()}
+        usual = {
+            part: [field for name in names for field in item if field.rpartition(".")[2] == name]
+            for part, names in _USUAL_NAMES.items()
+        }
         places = [field for field in usual.pop("position") if isinstance(item[field], list) or _is_place(item[field])]
         places += [field for field, at in item.items() if _is_place(at)]
         place = f"position={places[0]}" if places else ""
@@ -106,11 +109,6 @@ def guess_mapping(raw: RawMessage) -> str:
         if is_object and _PLAIN.fullmatch(mapping):
             return mapping
     return ""
-
-
-def _usually_called(names: Sequence[str], item: Mapping[str, Any]) -> list[str]:
-    """The fields of ``item``, or of its fields, whose name is one of ``names``, in their order."""
-    return [field for name in names for field in item if field.rpartition(".")[2] == name]
 
 
 def _is_place(value: Any) -> bool:

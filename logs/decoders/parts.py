@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -40,6 +40,15 @@ class Context(NamedTuple):
     raw: RawMessage
     kind: RecordKind
     counters: Counter[str]
+
+
+class MessageDecoder(NamedTuple):
+    """The parts that a topic with messages of a schema may play, and what makes records of such a message."""
+
+    kinds: tuple[RecordKind, ...]
+    records: Callable[[Any, Context], Records]
+    message_class: Any = None
+    """Of protobuf."""
 
 
 class Detection(NamedTuple):

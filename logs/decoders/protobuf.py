@@ -14,8 +14,7 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -33,6 +32,7 @@ from logs.decoders.parts import (
     POSE,
     Context,
     Detection,
+    MessageDecoder,
     Place,
     Records,
     detection_records,
@@ -49,14 +49,6 @@ from logs.validation import Refusal, stamp_ns
 _TRAILING_NUMBER = re.compile(r"[/:_\-# ]*\d*$")
 _SECONDS, _NANOSECONDS = {"sec", "seconds"}, {"nsec", "nanosec", "nanos"}
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
-
-
-class MessageDecoder(NamedTuple):
-    """The class of the messages of a schema, what makes records of one, and the parts that a topic may play."""
-
-    message_class: Any
-    records: Callable[[Any, Context], Records]
-    kinds: tuple[RecordKind, ...]
 
 
 def decode(context: Context) -> Records:
@@ -142,10 +134,11 @@ def _class_and_score(entity: Any) -> tuple[str, float]:
 
 def _own(record: type, *kinds: RecordKind) -> dict[str, MessageDecoder]:
     codec = CODECS[record]
-    decoder = MessageDecoder(
-        codec.message_class, lambda message, context: (codec.decode(message, context.counters),), kinds
-    )
-    return {codec.message_class.DESCRIPTOR.full_name: decoder}
+    return {
+        codec.message_class.DESCRIPTOR.full_name: MessageDecoder(
+            kinds, lambda message, context: (codec.decode(message, context.counters),), codec.message_class
+        )
+    }
 
 
 def _detections(message: Any, context: Context) -> Records:
@@ -161,16 +154,15 @@ def _fix(message: Any, context: Context) -> Records:
     return fix_records(context, _place(message, context), message)
 
 
+_DETECTIONS = (RecordKind.DETECTIONS,)
 DECODERS: dict[str, MessageDecoder] = {
-    "foxglove.Odometry": MessageDecoder(Odometry, _odometry, POSE),
-    "foxglove.PoseInFrame": MessageDecoder(PoseInFrame, _pose, (*POSE, RecordKind.SLAM_POSE)),
-    "foxglove.FrameTransform": MessageDecoder(FrameTransform, _frame_transforms, FRAMES),
-    "foxglove.FrameTransforms": MessageDecoder(FrameTransforms, _frame_transforms, FRAMES),
-    "foxglove.LocationFix": MessageDecoder(LocationFix, _fix, (RecordKind.GNSS,)),
-    "foxglove.SceneUpdate": MessageDecoder(SceneUpdate, _scene_update, (RecordKind.DETECTIONS,)),
-    "dslam.ObjectDetections": MessageDecoder(
-        CODECS[m.ObjectDetections].message_class, _detections, (RecordKind.DETECTIONS,)
-    ),
+    "foxglove.Odometry": MessageDecoder(POSE, _odometry, Odometry),
+    "foxglove.PoseInFrame": MessageDecoder((*POSE, RecordKind.SLAM_POSE), _pose, PoseInFrame),
+    "foxglove.FrameTransform": MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
+    "foxglove.FrameTransforms": MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
+    "foxglove.LocationFix": MessageDecoder((RecordKind.GNSS,), _fix, LocationFix),
+    "foxglove.SceneUpdate": MessageDecoder(_DETECTIONS, _scene_update, SceneUpdate),
+    "dslam.ObjectDetections": MessageDecoder(_DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
     **_own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
     **_own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
     **_own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from logs.decoders import ros2_clouds as clouds
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
-from logs.decoders.cdr import parse
-from logs.decoders.parts import Context, Records, fix_records, frame_records, pose_records
-from logs.decoders.registry import ROS_DETECTIONS
+from logs.decoders.parts import FRAMES, POSE, Context, MessageDecoder, Records, fix_records, frame_records, pose_records
 from logs.decoders.ros2_detections import place_of
+from logs.topics import RecordKind
 from logs.validation import Refusal
 
 
@@ -21,14 +19,20 @@ def decode(context: Context) -> Records:
     Raises:
         Refusal: bytes that are no such message, a definition without the usual fields, or values no record may have.
     """
+    from logs.decoders.cdr import parse  # loads rosbags
+
     schema = context.raw.channel.schema
     if schema is None:
         raise Refusal("no definition of the message in the log")
-    return _DECODERS[schema.name](parse(schema, context.raw.data), context)
+    return DECODERS[schema.name].records(parse(schema, context.raw.data), context)
 
 
 def _odometry(message: Any, context: Context) -> Records:
     return pose_records(context, place_of(message.header, context), message.pose.pose, message.child_frame_id)
+
+
+def _pose(message: Any, context: Context) -> Records:
+    return pose_records(context, place_of(message.header, context), message.pose)
 
 
 def _pose_with_covariance(message: Any, context: Context) -> Records:
@@ -49,20 +53,27 @@ def _fix(message: Any, context: Context) -> Records:
     return fix_records(context, place_of(message.header, context), message)
 
 
-_DECODERS: dict[str, Callable[[Any, Context], Records]] = {
-    "nav_msgs/msg/Odometry": _odometry,
-    "geometry_msgs/msg/PoseStamped": lambda m, context: pose_records(context, place_of(m.header, context), m.pose),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance,
-    "tf2_msgs/msg/TFMessage": _tf,
-    "tf/msg/tfMessage": _tf,
-    "sensor_msgs/msg/NavSatFix": _fix,
-    "vision_msgs/msg/Detection3DArray": objects.detections_3d,
-    **{name: objects.autoware_objects for name in ROS_DETECTIONS if name.startswith("autoware")},
-    "visualization_msgs/msg/MarkerArray": objects.markers,
-    "geometry_msgs/msg/PoseArray": objects.poses,
-    "vision_msgs/msg/Detection2DArray": images.detections_2d,
-    "apriltag_msgs/msg/AprilTagDetectionArray": images.tags,
-    "sensor_msgs/msg/PointCloud2": clouds.labelled_scan,
-    "sensor_msgs/msg/CameraInfo": images.camera_info,
-    "sensor_msgs/msg/Image": images.depth_image,
+_AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
+_DETECTIONS = (RecordKind.DETECTIONS,)
+DECODERS = {
+    "nav_msgs/msg/Odometry": MessageDecoder(POSE, _odometry),
+    "geometry_msgs/msg/PoseStamped": MessageDecoder(POSE, _pose),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": MessageDecoder(POSE, _pose_with_covariance),
+    "tf2_msgs/msg/TFMessage": MessageDecoder(FRAMES, _tf),
+    "tf/msg/tfMessage": MessageDecoder(FRAMES, _tf),
+    "sensor_msgs/msg/NavSatFix": MessageDecoder((RecordKind.GNSS,), _fix),
+    "vision_msgs/msg/Detection3DArray": MessageDecoder(_DETECTIONS, objects.detections_3d),
+    **{
+        f"{package}/msg/{name}": MessageDecoder(_DETECTIONS, objects.autoware_objects)
+        for package in _AUTOWARE
+        for name in ("TrackedObjects", "DetectedObjects")
+    },
+    "visualization_msgs/msg/MarkerArray": MessageDecoder(_DETECTIONS, objects.markers),
+    "geometry_msgs/msg/PoseArray": MessageDecoder(_DETECTIONS, objects.poses),
+    "vision_msgs/msg/Detection2DArray": MessageDecoder(_DETECTIONS, images.detections_2d),
+    "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(_DETECTIONS, images.tags),
+    "sensor_msgs/msg/PointCloud2": MessageDecoder(_DETECTIONS, clouds.labelled_scan),
+    "sensor_msgs/msg/CameraInfo": MessageDecoder((RecordKind.CAMERA_INFO,), images.camera_info),
+    "sensor_msgs/msg/Image": MessageDecoder((RecordKind.DEPTH,), images.depth_image),
 }
+"""Schema -> what decodes its messages."""

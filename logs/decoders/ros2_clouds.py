@@ -26,7 +26,8 @@ def labelled_scan(message: Any, context: Context) -> Records:
     if point_step < 1:
         raise Refusal("lengths disagree", f"points of {point_step} bytes")
     order = ">" if message.is_bigendian else "<"
-    fields = {f.name: (order + _TYPES[f.datatype], f.offset) for f in message.fields if _is_number(f)}
+    numbers = [field for field in message.fields if field.count == 1 and field.datatype in _TYPES]
+    fields = {field.name: (order + _TYPES[field.datatype], field.offset) for field in numbers}
     try:
         formats, offsets = zip(*fields.values(), strict=True) if fields else ((), ())
         kind = np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": point_step})
@@ -38,7 +39,3 @@ def labelled_scan(message: Any, context: Context) -> Records:
     except DatasetError as error:
         raise Refusal("cloud without labels", str(error)) from error
     return (LabelledScan(*place, cloud.positions, cloud.classes, cloud.instances),)
-
-
-def _is_number(field: Any) -> bool:
-    return field.count == 1 and field.datatype in _TYPES

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from logs.decoders.cdr import constants_of
 from logs.decoders.parts import Context, Detection, Place, Records, detection_records, xyz
 from logs.topics import Schema
 from logs.validation import FloatArray, stamp_ns
@@ -80,6 +79,8 @@ def autoware_objects(message: Any, context: Context) -> Records:
 
 def _class_names(schema: Schema | None) -> dict[int, str]:
     """Number -> name in small letters, from the constants of ObjectClassification."""
+    from logs.decoders.cdr import constants_of  # loads rosbags
+
     if schema is None:
         return {}
     package = schema.name.partition("/")[0]

@@ -142,7 +142,7 @@ def _covariances(table: Table) -> FloatArray | None:
     variance_z = 0.5 * (x**2 + y**2) if z is None else z**2  # a planar detector
     variances = np.stack([x**2, y**2, variance_z], axis=1)
     variances[np.isnan(variances).any(axis=1)] = 0.0
-    return np.asarray(variances[:, :, None] * np.eye(3))
+    return variances[:, :, None] * np.eye(3)
 
 
 def _sizes(table: Table) -> FloatArray | None:

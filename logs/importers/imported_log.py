@@ -8,18 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry, Record
-from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC
+from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry
+from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
 from logs.writer import LogWriter
 
-ImportedRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth
+DriveRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth | ObjectMapRecord
 
-TOPICS: dict[type[ImportedRecord], str] = {
+TOPICS: dict[type[DriveRecord], str] = {
     Odometry: "/odom",
     ObjectDetections: "/detections",
     GroundTruthPose: GROUND_TRUTH_TOPIC,
     DetectionTruth: DETECTION_TRUTH_TOPIC,
+    ObjectMapRecord: OBJECT_TRUTH_TOPIC,
 }
+"""A map is that of the true objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,19 +33,10 @@ class DriveSummary:
     duration_s: float
 
 
-def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: Mapping[str, str]) -> DriveSummary:
-    """Write ``records``, which come in the order of their stamps, and ``source`` as the metadata "source".
-
-    Raises:
-        UnwritableLogError: the log cannot be written.
-    """
-    return write_drive(output, ((TOPICS[type(record)], record) for record in records), "source", source)
-
-
 def write_drive(
-    output: Path, records: Iterable[tuple[str, Record]], name: str, metadata: Mapping[str, str]
+    output: Path, records: Iterable[DriveRecord], metadata: Mapping[str, str], name: str = "source"
 ) -> DriveSummary:
-    """Write records with their topics, which come in the order of their stamps, and ``metadata`` under ``name``.
+    """Write records, which come in the order of their stamps, and ``metadata`` under ``name``.
 
     Raises:
         UnwritableLogError: the log cannot be written.
@@ -53,8 +46,9 @@ def write_drive(
     stamps_ns = [0, 0]
     with LogWriter(output, refusals=(LogError,)) as writer:
         writer.add_metadata(name, metadata)
-        for topic, record in records:
-            writer.write(topic, record, record.stamp_ns)
+        for record in records:
+            topic = TOPICS[type(record)]
+            writer.write(topic, record)
             stamps_ns = [stamps_ns[0] if message_counts else record.stamp_ns, record.stamp_ns]
             message_counts[topic] += 1
             if isinstance(record, ObjectDetections):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import ImportedRecord
+from logs.importers.imported_log import DriveRecord
 from logs.importers.kitti import body_poses, parse_calibration, parse_poses, read_times
 from logs.importers.tables import read_table
 from logs.importers.text_files import describe_sources, read_source_text
@@ -36,7 +36,7 @@ class KittiObjects:
     T_world_body: FloatArray | None
     source: dict[str, str]
 
-    def records(self) -> Iterator[ImportedRecord]:
+    def records(self) -> Iterator[DriveRecord]:
         """For each scan in the order of time: odometry, detections, truth where known."""
         for row, found in enumerate(self.detections):
             yield Odometry(found.stamp_ns, self.T_odom_body[row])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.importers.detection_tables import BODY_FRAME, DetectionTable, read_detections
-from logs.importers.imported_log import ImportedRecord
+from logs.importers.imported_log import DriveRecord
 from logs.importers.stamps import match_clock
 from logs.importers.tables import UNLABELLED, read_table
 from logs.importers.text_files import describe_sources, read_source_text
@@ -29,10 +29,10 @@ class TextLog:
     source: dict[str, str]
     notes: tuple[str, ...]
 
-    def records(self) -> Iterator[ImportedRecord]:
+    def records(self) -> Iterator[DriveRecord]:
         """Everything in the order of the stamps; at one stamp odometry, detections, the true pose, the true objects."""
         truth = self.ground_truth.poses() if self.ground_truth is not None else ()
-        streams: list[Iterable[ImportedRecord]] = [
+        streams: list[Iterable[DriveRecord]] = [
             (Odometry(stamp_ns, T) for stamp_ns, T in self.odometry.poses()),
             (record for pair in self.detections.scans() for record in pair if record is not None),
             (GroundTruthPose(stamp_ns, T) for stamp_ns, T in truth),

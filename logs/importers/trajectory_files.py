@@ -129,7 +129,7 @@ def _rotations(table: Table) -> FloatArray:
             yaw,
             "CELL differs from the heading before by more than a turn; if these are degrees, name the column yaw_deg",
         )
-        return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
+        return Rotation.from_euler("z", yaw_rad[:, None]).as_matrix()
     columns = [column for column in (table.find((name,)) for name in _TUM[4:]) if column is not None]
     if len(columns) < 4:
         raise DatasetError(
@@ -140,7 +140,7 @@ def _rotations(table: Table) -> FloatArray:
     norms = np.linalg.norm(q_xyzw, axis=1)
     wrong = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
     table.refuse(wrong, columns[-1], "the norm of the quaternion is not 1, so it is no rotation")
-    return np.asarray(Rotation.from_quat(q_xyzw).as_matrix())
+    return Rotation.from_quat(q_xyzw).as_matrix()
 
 
 def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText | None) -> Trajectory:

@@ -25,7 +25,7 @@ from logs.storage.mcap_index import (
     stream_of,
 )
 from logs.storage.regular_file import open_regular
-from logs.storage.storage import ChannelInfo
+from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
 
@@ -35,8 +35,8 @@ _MESSAGE_BYTES = 300
 _log = logging.getLogger(__name__)
 
 
-class McapFile:
-    """The MCAP file at ``path``; see :class:`logs.storage.storage.Storage`.
+class McapFile(Storage):
+    """The MCAP file at ``path``.
 
     Messages come in the order of log time, those of equal time in the order of the file. A chunk is held in memory only
     while log time passes through it, so memory is that of the chunks that overlap in time; a chunk without messages of
@@ -49,9 +49,7 @@ class McapFile:
     """
 
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
-        self._name = name
-        self._limits = limits
-        self._reading_counters: Counter[str] = Counter()
+        super().__init__(name, limits)
         self._reported: set[str] = set()
         try:
             self._stream = open_regular(path)
@@ -76,7 +74,7 @@ class McapFile:
         """
         index = self._index
         return {
-            **self._reading_counters,
+            **self._counters,
             "lost_chunks": len(index.lost_blocks),
             "lost_bytes": index.lost_tail_bytes + sum(index.lost_blocks.values()),
             "truncated": int(not index.is_complete),
@@ -108,7 +106,7 @@ class McapFile:
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
-        self._reading_counters.clear()
+        self._counters.clear()
         wanted = {c.id: c for c in self._index.channels.values() if topics is None or c.topic in topics}
         empty = {id for id, channel in wanted.items() if channel.topic in without_content}
         waiting = self._blocks_with(wanted)[::-1]
@@ -188,7 +186,7 @@ class McapFile:
             else:
                 data = content[data_begin:end]
                 messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
-        self._reading_counters += counters
+        self._counters += counters
         if counters["messages_too_large"]:
             self._report("a message", "message_mb")
         messages.reverse()

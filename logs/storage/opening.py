@@ -56,18 +56,15 @@ def is_log(path: Path) -> bool:
     return not magic or magic.startswith((MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC))
 
 
-def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
+def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack, name: str = "") -> Storage:
     """Open the file at ``path``; one that is compressed as a whole is unpacked into a temporary folder first.
 
-    ``until_closed`` closes it, and removes that folder.
+    ``until_closed`` closes it, and removes that folder. ``name``: what messages call it, by default the path.
 
     Raises:
         UnreadableLogError: it cannot be read, or is neither MCAP nor a database of rosbag2.
     """
-    return _open(path, str(path), limits, until_closed)
-
-
-def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
+    name = name or str(path)
     try:
         with open_regular(path) as stream:
             magic = stream.read(len(SQLITE_MAGIC))
@@ -75,7 +72,7 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
         raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
     if magic.startswith(ZSTD_MAGIC):
         scratch = until_closed.enter_context(TemporaryDirectory(prefix="dslam-"))
-        return _open(_unpack(path, Path(scratch)), name, limits, until_closed)
+        return open_storage(_unpack(path, Path(scratch)), limits, until_closed, name)
     storage: Storage | None = None
     if magic.startswith(MAGIC):
         storage = McapFile(path, name, limits)

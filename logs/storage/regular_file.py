@@ -46,15 +46,6 @@ def read_regular(path: str | os.PathLike[str]) -> bytes:
         return stream.read()
 
 
-def check_regular(path: str | os.PathLike[str]) -> None:
-    """Open and close a file that another library is to read.
-
-    Raises:
-        OSError: as of ``open_regular``.
-    """
-    open_regular(path).close()
-
-
 def _without_waiting(path: str, flags: int) -> int:
     """Opening a pipe without a writer would block."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

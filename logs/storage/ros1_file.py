@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import bz2
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import lz4.frame
@@ -13,14 +12,14 @@ from rosbags.rosbag1 import Reader, ReaderError
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.mcap_index import DAMAGE
-from logs.storage.storage import ChannelInfo
+from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import Channel, RawMessage, Schema
 
 _DAMAGE = (*DAMAGE, ReaderError, AssertionError, LookupError, OSError)
 
 
-class Ros1File:
-    """The bag at ``path``; see :class:`logs.storage.storage.Storage`.
+class Ros1File(Storage):
+    """The bag at ``path``.
 
     Messages come in the order of log time, in the encoding "ros1", up to the first damaged chunk.
 
@@ -29,8 +28,7 @@ class Ros1File:
     """
 
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
-        self._limits = limits
-        self._counters: Counter[str] = Counter()
+        super().__init__(name, limits)
         self._reader = Reader(path)
         try:
             self._reader.open()
@@ -46,11 +44,6 @@ class Ros1File:
         for offset, chunk in self._reader.chunks.items():
             self._reader.chunks[offset] = chunk._replace(decompressor=self._decompress)
 
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Of the latest pass: ``truncated`` (1: it could not be read to its end) and ``messages_too_large``."""
-        return self._counters
-
     def channels(self) -> list[ChannelInfo]:
         """The channels, with their numbers of messages and the times of the bag."""
         span = self._reader.start_time, self._reader.end_time
@@ -62,7 +55,7 @@ class Ros1File:
     def messages(
         self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
     ) -> Iterator[RawMessage]:
-        """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content."""
+        """See :class:`Storage`; counted are ``truncated`` (1: it could not be read to its end) and what is left out."""
         self._counters.clear()
         wanted = [each for each in self._reader.connections if topics is None or each.topic in topics]
         try:
@@ -74,10 +67,6 @@ class Ros1File:
                     yield RawMessage(self._channels[connection.id], log_time_ns, log_time_ns, 0, content)
         except _DAMAGE:
             self._counters["truncated"] = 1
-
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """None: such files hold only messages."""
-        return {}
 
     def close(self) -> None:
         """Close the file."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.ros2_definitions import known_definition
-from logs.storage.storage import ChannelInfo
+from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import Channel, RawMessage, Schema
 from logs.validation import LAST_NS
 
@@ -27,8 +26,8 @@ _SPANS = (
 )
 
 
-class SqliteFile:
-    """The rosbag2 database at ``path``; see :class:`logs.storage.storage.Storage`.
+class SqliteFile(Storage):
+    """The rosbag2 database at ``path``.
 
     Messages come in the order of log time, those of equal time in the order in which they were recorded; messages of
     other topics than the wanted ones are not read. Databases written before ROS 2 Iron hold no definitions of their
@@ -39,9 +38,7 @@ class SqliteFile:
     """
 
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
-        self._name = name
-        self._limits = limits
-        self._counters: Counter[str] = Counter()
+        super().__init__(name, limits)
         try:
             self._database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
             self._channels = self._read_channels()
@@ -50,13 +47,6 @@ class SqliteFile:
                 f"cannot read {name}: {error}; not a rosbag2 database, or a damaged one"
             ) from error
 
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Of the latest pass: ``truncated`` (1: it could not be read to its end), ``messages_too_large`` and
-        ``messages_without_time``.
-        """
-        return self._counters
-
     def channels(self) -> list[ChannelInfo]:
         """The channels, with their numbers of messages and their times."""
         return list(self._channels.values())
@@ -64,7 +54,7 @@ class SqliteFile:
     def messages(
         self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
     ) -> Iterator[RawMessage]:
-        """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content."""
+        """See :class:`Storage`; counted are ``truncated`` (1: it could not be read to its end) and what is left out."""
         self._counters.clear()
         wanted = {id: i.channel for id, i in self._channels.items() if topics is None or i.channel.topic in topics}
         empty = [id for id, channel in wanted.items() if channel.topic in without_content]
@@ -86,10 +76,6 @@ class SqliteFile:
                     yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, sequence, content)
         except _DATABASE_ERRORS:
             self._counters["truncated"] = 1
-
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """None: such files hold only messages."""
-        return {}
 
     def close(self) -> None:
         """Close the file."""

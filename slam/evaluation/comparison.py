@@ -31,18 +31,11 @@ _ROUNDING = 1e-9  # relative; what two ways of adding up the same numbers may di
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """The evaluation of one log: its JSON in ``results``.
-
-    ``configuration``: the effective one, JSON as the log recorded it; "" where it did not. ``given_map``: the map that
-    the drive was given, and whether the drive extended it; "" without one.
-    """
+    """The evaluation of one log: its JSON in ``results``, and what the log recorded of how it was ``made``."""
 
     name: str
     results: Mapping[str, Any]
-    configuration: str = ""
-    version: str = ""
-    input_sha256: str = ""
-    given_map: str = ""
+    made: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +74,8 @@ class Comparison:
                 {
                     "log": run.name,
                     "group": label,
-                    "version": run.version,
-                    "input_sha256": run.input_sha256,
+                    "version": run.made.get("version", ""),
+                    "input_sha256": run.made.get("input_sha256", ""),
                     "evaluation": dict(run.results),
                 }
                 for label, runs in self.groups.items()
@@ -102,7 +95,7 @@ def spread_of(figure: Figure, runs: Sequence[Run]) -> Spread:
     return Spread.over(figure.of(run.results) for run in runs)
 
 
-def compare_runs(runs: Sequence[Run], figures: Sequence[Figure] = HEADLINE_FIGURES) -> Comparison:
+def compare_runs(runs: Sequence[Run]) -> Comparison:
     """Group the runs by their configurations and mark what differs from the first group by more than ``RULE`` says.
 
     Raises:
@@ -114,7 +107,7 @@ def compare_runs(runs: Sequence[Run], figures: Sequence[Figure] = HEADLINE_FIGUR
     for run, label in zip(runs, _labels(runs), strict=True):
         groups.setdefault(label, []).append(run)
     marks = {}
-    for figure in figures:
+    for figure in HEADLINE_FIGURES:
         for label in _find_different(groups, figure):
             first, own = (spread_of(figure, each).mean or 0.0 for each in (next(iter(groups.values())), groups[label]))
             marks[label, figure.key] = "* better" if (own < first) == figure.is_error else "* worse"
@@ -144,7 +137,9 @@ def _labels(runs: Sequence[Run]) -> list[str]:
 
 def _changes(run: Run) -> list[str]:
     """The version, and the settings that differ from the defaults, "key=value" each."""
-    if not run.configuration:
-        return [f"version={run.version}", f"unknown configuration of {run.name}"]
-    given = [f"given map {sha256(run.given_map.encode()).hexdigest()[:8]}"] if run.given_map else []
-    return [f"version={run.version}", *(each.replace('"', "") for each in changes(Config(), run.configuration)), *given]
+    configuration, version = run.made.get("configuration", ""), f"version={run.made.get('version', '')}"
+    if not configuration:
+        return [version, f"unknown configuration of {run.name}"]
+    given_map = run.made.get("map_drives", "") + run.made.get("map_extended", "")
+    given = [f"given map {sha256(given_map.encode()).hexdigest()[:8]}"] if given_map else []
+    return [version, *(each.replace('"', "") for each in changes(Config(), configuration)), *given]

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import pandas as pd
 
 from logs.closures import find_final_decisions
+from logs.container.json_text import plain
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
@@ -31,7 +32,7 @@ from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
 from slam.evaluation.place_recognition.revisits import describe_revisits, find_revisits
-from slam.evaluation.result import Evaluation, describe_trajectories, plain
+from slam.evaluation.result import Evaluation, describe_trajectories
 
 NO_ESTIMATE = {
     "estimate": "no final trajectory (/slam/trajectory_stamped): the run was not finished",

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from slam.evaluation.inputs.protocol import Protocol
@@ -44,16 +42,3 @@ def describe_trajectories(trajectories: Mapping[str, TrajectoryErrors | None]) -
         for figure in ("ate_m", "rpe_translation_percent", "rpe_rotation_deg_per_100m")
     }
     return {**head, **trajectories}
-
-
-def plain(value: Any) -> Any:
-    """Dataclasses, arrays and mappings as JSON has them; a number that is not finite is None."""
-    if is_dataclass(value):
-        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
-    if isinstance(value, Mapping):
-        return {name: plain(each) for name, each in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, tuple | list):
-        return [plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -57,7 +57,7 @@ class Join:
     @property
     def T_reference_query(self) -> FloatArray:
         """The transform (4, 4) between the two maps that it implies."""
-        return np.asarray(self.T_reference_place @ invert(self.T_query_place))
+        return self.T_reference_place @ invert(self.T_query_place)
 
 
 def write_joins(path: Path, joins: Sequence[Join]) -> None:

@@ -74,4 +74,4 @@ def _path(steps: FloatArray) -> FloatArray:
 def _beyond(start: FloatArray, end: FloatArray, length_m: float) -> FloatArray:
     """The point (2,) on the straight line from ``start`` through ``end``, ``length_m`` further."""
     step = end - start
-    return np.asarray(end + step * (length_m / max(float(np.linalg.norm(step)), 1e-12)))
+    return end + step * (length_m / max(float(np.linalg.norm(step)), 1e-12))

@@ -63,22 +63,22 @@ class Presence:
     @property
     def appeared(self) -> FloatArray:
         """Probability (L,) that it was not there when the fleet began."""
-        return np.asarray(self.states[:, 0, NOT_YET])
+        return self.states[:, 0, NOT_YET]
 
     @property
     def gone(self) -> FloatArray:
         """Probability (L,) that it is gone by the last session."""
-        return np.asarray(self.states[:, -1, GONE])
+        return self.states[:, -1, GONE]
 
     @property
     def present(self) -> FloatArray:
         """Probability (L,) that it is there at the last session."""
-        return np.asarray(self.states[:, -1, PRESENT])
+        return self.states[:, -1, PRESENT]
 
     @property
     def useful(self) -> FloatArray:
         """Probability (L,) that it is there at the last session and, where most objects would be, seen by the next."""
-        return np.asarray(self.present * self.detectability)
+        return self.present * self.detectability
 
 
 def seen_probabilities(passes: Passes) -> FloatArray:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -27,13 +26,8 @@ from slam.object_map.map_summary import summarize_map
 from slam.replay import replay
 from slam.sweeps.workers import Death, compute_all
 
-logger = logging.getLogger(__name__)
-
 VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
-TRIES = 4
-"""A log whose process dies is mapped so often."""
-
 Progress = Callable[[float, str], None]
 """Takes the fraction of a task that is done, and what was done."""
 
@@ -86,9 +80,11 @@ def map_sessions(
         else:
             waiting.setdefault(log.sha256, log)
     compute = partial(_timed, partial(map_session, folder=folder, config=config))
-    for finished, (log, outcome) in enumerate(_computed(compute, list(waiting.values()), workers), start=1):
+    outcomes = compute_all(compute, list(waiting.values()), jobs=workers, fresh=True)
+    for finished, (log, outcome) in enumerate(outcomes, start=1):
         if isinstance(outcome, Death):
-            outcome = Session(log.sha256, "the process that mapped it died each time, perhaps for lack of memory"), 0.0
+            reason = "the process that mapped it died, perhaps for lack of memory; add it again, with fewer --workers"
+            outcome = Session(log.sha256, reason), 0.0
         session, seconds = outcome
         sessions[log.sha256] = session
         result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings" if session.is_mapped else "not mapped"
@@ -154,20 +150,3 @@ def _read_session(folder: Path) -> Session | None:
     except (OSError, ValueError):
         return None
     return session if session.reason or (folder / MAP_NAME).exists() else None
-
-
-def _computed(
-    compute: Callable[[FleetLog], tuple[Session, float]], logs: Sequence[FleetLog], workers: int
-) -> Iterator[tuple[FleetLog, tuple[Session, float] | Death]]:
-    """Each log with its session and the seconds that it took, as they finish; with ``Death`` where its process died
-    ``TRIES`` times.
-    """
-    for attempt in range(1, TRIES + 1):
-        died = []
-        for log, outcome in compute_all(compute, logs, jobs=workers, fresh=True):
-            if isinstance(outcome, Death) and attempt < TRIES:
-                logger.info("a process died (exit code %s); its log is mapped again", outcome.exit_code)
-                died.append(log)
-            else:
-                yield log, outcome
-        logs = died

@@ -21,11 +21,10 @@ MIN_SPEED_MPS = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """True poses at a steady rate: stamps_ns (K,), ``T_world_body`` (K, 4, 4), z = 0; tour_m (K,) along the tour."""
+    """True poses at a steady rate: stamps_ns (K,), ``T_world_body`` (K, 4, 4), z = 0."""
 
     stamps_ns: IntArray
     T_world_body: FloatArray
-    tour_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +61,7 @@ class DrivePlan:
         xyz[:, 0] = np.interp(at_s, self.time_s, self.xy[:, 0])
         xyz[:, 1] = np.interp(at_s, self.time_s, self.xy[:, 1])
         T_world_body = transform_from_xyz_yaw(xyz, np.interp(at_s, self.time_s, self.yaw_rad))
-        return Drive(start_ns + offset_ns, T_world_body, np.interp(at_s, self.time_s, self.tour_m))
+        return Drive(start_ns + offset_ns, T_world_body)
 
 
 def plan_drive(tour: FloatArray, config: DriveConfig) -> DrivePlan:

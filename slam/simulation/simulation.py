@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.importers.imported_log import DriveSummary, write_drive
+from logs.importers.imported_log import DriveRecord, DriveSummary, write_drive
 from logs.messages import (
     DetectionTruth,
     GroundTruthPose,
@@ -16,7 +16,6 @@ from logs.messages import (
     ObjectMapRecord,
     Odometry,
 )
-from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
 from slam.common.arrays import FloatArray
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import SimulationError
@@ -26,11 +25,6 @@ from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
 from slam.simulation.sensor import Scan, scan_objects
 from slam.simulation.world import World
 
-SimulatedRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth | ObjectMapRecord
-
-ODOMETRY_TOPIC = "/odom"
-DETECTIONS_TOPIC = "/detections"
-
 MIN_TOUR_M = 2.0
 REFERENCE_PATH_M = 100.0
 """Path over which the settings of the odometry give its drift."""
@@ -39,10 +33,10 @@ CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
 """Each has random numbers of its own; the order is part of what a seed means, so new causes go to the end."""
 
 
-def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[tuple[str, int, SimulatedRecord]]:
-    """Drive the tour of ``world``: (topic, stamp_ns, record) in the order of time.
+def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[DriveRecord]:
+    """Drive the tour of ``world``: records in the order of time.
 
-    First the true objects (those that stand still) on /ground_truth/objects, frame "world"; then, for each scan,
+    First the true objects (those that stand still), frame "world"; then, for each scan,
     odometry (which starts at the identity), detections in the body frame "base_link", the true pose, and the true id of
     each detection. After a kidnapping the odometry starts at the identity again, unless it was silent. The same world,
     configuration and seed give the same records; each cause of error has its own random numbers.
@@ -72,7 +66,7 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
         "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
         CHANGED_SETTINGS: changed_settings(config),
     }
-    return write_drive(path, ((topic, record) for topic, _, record in records), "simulation", made)
+    return write_drive(path, records, made, "simulation")
 
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
@@ -101,14 +95,13 @@ def _start_ns(config: SimulationConfig) -> int:
 
 def _records(
     world: World, config: SimulationConfig, drives: list[Drive], rngs: Mapping[str, np.random.Generator]
-) -> Iterator[tuple[str, int, SimulatedRecord]]:
+) -> Iterator[DriveRecord]:
     start_ns = _start_ns(config)
     names, class_indices = np.unique(world.labels, return_inverse=True)
     vocabulary = tuple(names.tolist())
-    objects = ObjectMapRecord.of_objects(
+    yield ObjectMapRecord.of_objects(
         world.object_ids, world.positions, class_indices, vocabulary, stamp_ns=start_ns, frame_id="world"
     )
-    yield OBJECT_TRUTH_TOPIC, start_ns, objects
     T_odom_first = np.eye(4)
     for drive in drives:
         T_odom_body = T_odom_first @ drifting_odometry(drive.T_world_body, config.odometry, rng=rngs["odometry"])
@@ -127,10 +120,10 @@ def _records(
                 rngs,
             )
             true_ids = tuple("" if source < 0 else world.object_ids[rows[source]] for source in scan.sources.tolist())
-            yield ODOMETRY_TOPIC, stamp_ns, Odometry(stamp_ns, T_odom_body[i])
-            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary, config)
-            yield GROUND_TRUTH_TOPIC, stamp_ns, GroundTruthPose(stamp_ns, T_world_body)
-            yield DETECTION_TRUTH_TOPIC, stamp_ns, DetectionTruth(stamp_ns, true_ids)
+            yield Odometry(stamp_ns, T_odom_body[i])
+            yield _detections(stamp_ns, scan, vocabulary, config)
+            yield GroundTruthPose(stamp_ns, T_world_body)
+            yield DetectionTruth(stamp_ns, true_ids)
 
 
 def _detections(stamp_ns: int, scan: Scan, vocabulary: Sequence[str], config: SimulationConfig) -> ObjectDetections:

@@ -117,7 +117,7 @@ def furnish_park(furniture: Furniture, corners: FloatArray, *, rng: np.random.Ge
     def inside() -> FloatArray:
         u, v = rng.uniform(0.17, 0.83, 2)
         weights = np.array([(1.0 - u) * (1.0 - v), u * (1.0 - v), u * v, (1.0 - u) * v])
-        return np.asarray(weights @ corners)
+        return weights @ corners
 
     for label, count in (("tree", int(rng.integers(18, 36))), ("bench", int(rng.integers(3, 8))), ("fountain", 1)):
         for _ in range(count):
@@ -127,4 +127,4 @@ def furnish_park(furniture: Furniture, corners: FloatArray, *, rng: np.random.Ge
 def _row(length_m: float, spacing_m: float, jitter_m: float, rng: np.random.Generator) -> FloatArray:
     """Places along a street at about ``spacing_m``, clear of both crossings."""
     at_m = np.arange(CORNER_M + rng.uniform(0.0, spacing_m), length_m - CORNER_M, spacing_m)
-    return np.asarray(at_m + rng.normal(0.0, jitter_m, len(at_m)))
+    return at_m + rng.normal(0.0, jitter_m, len(at_m))

@@ -69,13 +69,14 @@ class World:
         return digest.hexdigest()
 
 
-def load_world(objects: Path, trajectory: Path, *, name: str | None = None) -> World:
+def load_world(objects: Path, trajectory: Path) -> World:
     """Read a world from two tables of objects, in metres (:func:`logs.importers.maps.object_table.read_object_table`).
+
+    Its name is that of the folder that holds ``objects``.
 
     Args:
         objects: what stands in the world, with its classes and ids where known.
         trajectory: the points of the tour in order.
-        name: what outputs call the world; by default the name of the folder that holds ``objects``.
 
     Raises:
         DatasetError: a missing column, a cell that is no number, or an id used twice; names the file and the line.
@@ -87,5 +88,4 @@ def load_world(objects: Path, trajectory: Path, *, name: str | None = None) -> W
             raise SimulationError(f"{path}: positions in degrees; give metres")
     if len(tour.labels) < 2:
         raise SimulationError(f"{trajectory}: {len(tour.labels)} poses; a tour needs at least two")
-    name = objects.resolve().parent.name if name is None else name
-    return World(name, there.ids, there.positions, there.labels, tour.positions[:, :2])
+    return World(objects.resolve().parent.name, there.ids, there.positions, there.labels, tour.positions[:, :2])

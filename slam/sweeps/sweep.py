@@ -51,15 +51,9 @@ class Sweep:
 
     def compare(self) -> Comparison:
         """The drives with the same faults and settings are one group, its seeds repetitions."""
+        made = {task: json.dumps({"faults": task.faults or "none", "variant": task.variant}) for task in self.results}
         return compare_runs(
-            [
-                Run(
-                    task.name,
-                    result.evaluation,
-                    json.dumps({"faults": task.faults or "none", "variant": task.variant}),
-                )
-                for task, result in self.results.items()
-            ]
+            [Run(task.name, each.evaluation, {"configuration": made[task]}) for task, each in self.results.items()]
         )
 
     def to_json_dict(self) -> dict[str, Any]:
@@ -115,7 +109,7 @@ def run_sweep(
     folder: Path,
     *,
     jobs: int,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
     compute: Callable[..., MappedDrive] = map_drive,
 ) -> Sweep:
     """Degrade, map and evaluate one log again and again.
@@ -144,8 +138,7 @@ def run_sweep(
                 kept.keep(task, result)
                 results[task] = result
                 _log.info("%s: %s", task.name, result.error or "done")
-                if on_progress is not None:
-                    on_progress(len(results) / len(tasks))
+                on_progress(len(results) / len(tasks))
     return Sweep({task: results[task] for task in tasks}, len(new))
 
 

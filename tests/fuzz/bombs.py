@@ -14,14 +14,24 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Chunk, DataEnd, Footer, Header
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord
 from mcap.records import Message as MessageRecord
 
 from logs.storage.mcap_index import MAGIC
-from tests.fuzz.mcap_file import Layout, McapFile, Message, channel_record, encoded, write_file
+from tests.fuzz.mcap_file import Layout, McapFile, Message, write_file
 
 GIGABYTE = 10**9
 _SPARSE = b"\0" * 10**7
+
+
+def encoded(*records: McapRecord) -> bytes:
+    """The bytes of records, one after the other."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
+
+
 _END = encoded(DataEnd(0), Footer(0, 0, 0)) + MAGIC
 _START = MAGIC + encoded(Header("", "bomb"))
 
@@ -64,16 +74,16 @@ def declared_2_to_the_60() -> bytes:
 
 
 def channels_1e6() -> bytes:
-    return _START + encoded(*(channel_record(i % 65_536, 0, f"/topic_{i}", "json") for i in range(10**6))) + _END
+    return _START + encoded(*(Channel(i % 65_536, f"/topic_{i}", "json", {}, 0) for i in range(10**6))) + _END
 
 
 def channels_65e3_with_index() -> bytes:
-    channels = {i: (0, f"/topic_{i}", "json") for i in range(65_536)}
-    return write_file(McapFile({}, channels, [Message(i, i, b"{}") for i in range(65_536)]), Layout())
+    channels = {i: (0, f"/topic_{i}", "json") for i in range(65_535)}
+    return write_file(McapFile({}, channels, [Message(i, i, b"{}") for i in range(65_535)]), Layout())
 
 
 def empty_messages_1e7(topic: str = "/topic", encoding: str = "json") -> bytes:
-    content = encoded(channel_record(1, 0, topic, encoding)) + encoded(MessageRecord(1, 5, b"", 5, 0)) * 100_000
+    content = encoded(Channel(1, topic, encoding, {}, 0)) + encoded(MessageRecord(1, 5, b"", 5, 0)) * 100_000
     chunk = Chunk("zstd", zstandard.compress(content), 5, 5, 0, len(content))
     return _START + encoded(chunk) * 100 + _END
 
@@ -115,7 +125,7 @@ def write_bomb(path: Path, make: Callable[[], bytes]) -> None:
     with path.open("wb") as stream:
         stream.write(_START + start.end() + head.end())
         stream.seek(size + 4, os.SEEK_CUR)
-        stream.write(encoded(channel_record(1, 0, "/topic", "json"), MessageRecord(1, 5, b"", 5, 0)) + _END)
+        stream.write(encoded(Channel(1, "/topic", "json", {}, 0), MessageRecord(1, 5, b"", 5, 0)) + _END)
 
 
 def main() -> int:

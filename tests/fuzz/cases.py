@@ -20,7 +20,7 @@ from tests.fuzz.log_mutations import mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
 from tests.fuzz.seeds import WEIGHTS, Seeds
-from tests.fuzz.training_mutations import mutate_weights
+from tests.fuzz.weights_mutations import mutate_weights
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
 _OUTPUT = re.compile(r"(out|saved)\.\w+")

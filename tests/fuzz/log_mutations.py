@@ -63,9 +63,9 @@ def _payloads(file: McapFile, rng: np.random.Generator) -> None:
 def _mutate_protobuf(name: str, data: bytes, rng: np.random.Generator) -> bytes:
     """By way of JSON; where protobuf has no place for the odd value, any bytes."""
     try:
-        tree = json.dumps(MessageToDict(DECODERS[name][0].FromString(data)), allow_nan=False).encode()
+        tree = json.dumps(MessageToDict(DECODERS[name].message_class.FromString(data)), allow_nan=False).encode()
         altered = json.loads(mutate_json(tree, rng), parse_constant=str)
-        return bytes(ParseDict(altered, DECODERS[name][0]()).SerializeToString())
+        return bytes(ParseDict(altered, DECODERS[name].message_class()).SerializeToString())
     except (DecodeError, ParseError, ValueError, TypeError, AttributeError):
         return mutate_bytes(data, rng)
 

@@ -110,7 +110,7 @@ def _as_json(file: McapFile) -> McapFile:
 
 def _json(file: McapFile, message: Message) -> bytes:
     name = file.schemas[file.channels[message.channel][0]][0]
-    content = DECODERS[name][0].FromString(message.data)
+    content = DECODERS[name].message_class.FromString(message.data)
     return json.dumps(MessageToDict(content, preserving_proto_field_name=True)).encode()
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
+from logs.importers.imported_log import TOPICS
 from logs.messages import FactorGraphRecord, ObjectDetections, ObjectMapRecord, Odometry, Record, StatusRecord
 from logs.reader import LogReader
 from logs.selection import select_all
@@ -58,7 +59,8 @@ def block_world(*, side_m: float = 40.0, classes: tuple[str, ...] = ("bench", "l
 
 
 def drive(config: SimulationConfig = EXACT, *, seed: int = 1, world: World | None = None) -> list[Entry]:
-    return list(simulate(world or block_world(), config, seed=seed))
+    records = simulate(world or block_world(), config, seed=seed)
+    return [(TOPICS[type(record)], record.stamp_ns, record) for record in records]
 
 
 def odometry_of(entries: Iterable[Entry]) -> list[Odometry]:

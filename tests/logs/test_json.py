@@ -50,7 +50,7 @@ def test_every_message_is_the_same_as_in_protobuf(tmp_path: Path, index: int, st
         writer.write(topic, record)
     with LogReader(tmp_path / "log.mcap") as reader:
         (raw,) = reader.messages()
-    message = DECODERS[raw.channel.schema_name][0].FromString(raw.data)
+    message = DECODERS[raw.channel.schema_name].message_class.FromString(raw.data)
     values = MessageToDict(message, preserving_proto_field_name=style == "foxglove")
     values = foxglove_times(values) if style == "foxglove" else values
     (expected,) = decode(raw, kind)

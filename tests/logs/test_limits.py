@@ -48,7 +48,7 @@ def read(path: Path, file: McapFile | None = None, /, limits: ReadingLimits | No
 @pytest.mark.parametrize("has_index", [True, False])
 def test_chunk_that_says_it_is_too_large_is_left_out(file, tmp_path, caplog, has_index):
     with caplog.at_level(logging.WARNING):
-        found = read(tmp_path, file, declared_size=2**60, has_index=has_index)
+        found = read(tmp_path, file, chunk={"uncompressed_size": 2**60}, has_index=has_index)
     assert found == (0, {"chunks_too_large": 3})
     assert "limits.chunk_mb = 64" in caplog.text
 
@@ -56,7 +56,7 @@ def test_chunk_that_says_it_is_too_large_is_left_out(file, tmp_path, caplog, has
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("declared", [100, 10_000_000])
 def test_chunk_of_another_size_than_it_says_is_left_out(file, tmp_path, compression, declared):
-    count, counters = read(tmp_path, file, declared_size=declared, compression=compression)
+    count, counters = read(tmp_path, file, chunk={"uncompressed_size": declared}, compression=compression)
     assert (count, counters["lost_chunks"]) == (0, 3)
 
 
@@ -75,7 +75,9 @@ def test_no_more_is_decompressed_than_a_chunk_says(monkeypatch, tmp_path, compre
     assert all(size <= 1001 for size in sizes)
 
 
-@pytest.mark.parametrize("layout", [{"summary_start": len(MAGIC)}, {"doubled_index": True}])
+@pytest.mark.parametrize(
+    "layout", [{"footer": {"summary_start": len(MAGIC), "summary_crc": 0}}, {"doubled_index": True}]
+)
 def test_false_summary_is_not_believed(file, tmp_path, layout):
     assert read(tmp_path, file, **layout)[0] == 30
 
@@ -109,9 +111,10 @@ def test_large_messages_are_left_out(file, tmp_path, caplog):
 
 
 def test_what_waits_for_its_turn_is_limited(file, tmp_path):
-    assert read(tmp_path, file, chunk_times=(0, 100))[0] == 30
+    times = {"message_start_time": 0, "message_end_time": 100}
+    assert read(tmp_path, file, chunk=times)[0] == 30
     with pytest.raises(UnreadableLogError, match=r"overlap in time.*limits\.waiting_mb"):
-        read(tmp_path, file, limits=ReadingLimits(waiting_mb=0.001), chunk_times=(0, 100))
+        read(tmp_path, file, limits=ReadingLimits(waiting_mb=0.001), chunk=times)
 
 
 def test_metadata_beyond_the_limit_is_left_out(tmp_path, caplog):

@@ -10,7 +10,7 @@ import pytest
 
 from logs.digest import file_sha256
 from logs.errors import LogError, TopicSelectionError
-from logs.importers.imported_log import write_imported_log
+from logs.importers.imported_log import write_drive
 from logs.importers.kitti_objects import read_kitti_objects
 from logs.messages import (
     DetectionAssociations,
@@ -254,7 +254,7 @@ def test_the_first_half_minute_of_a_real_drive_is_as_good_as_its_odometry(tmp_pa
     )
     first_ns = recorded.stamps_ns[0]
     records = [record for record in recorded.records() if record.stamp_ns - first_ns < end_ns - round(times[0] * 1e9)]
-    write_imported_log(tmp_path / "in.mcap", records, recorded.source)
+    write_drive(tmp_path / "in.mcap", records, recorded.source)
     replay(tmp_path / "in.mcap", tmp_path / "out.mcap", Config())
     found = evaluate(read_records(tmp_path / "out.mcap"))
     assert found.results["counters"]["odometry_used"] == 300

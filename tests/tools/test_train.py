@@ -71,21 +71,6 @@ def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, calle
     assert (told["best"]["epoch"], told["best"]["validation_top_5"]) == (3, 0.975)
 
 
-@pytest.mark.usefixtures("tiny")
-def test_a_training_leaves_its_files_and_goes_on_where_it_was(dslam: Run, tmp_path: Path) -> None:
-    typed = ("train", tmp_path / "net", "--network", "descriptellation", "--epochs", 1, "--threads", 1, "--json")
-    first = dslam(*typed)
-    assert first.code == 0, first.err
-    assert sorted(path.name for path in (tmp_path / "net").iterdir()) == [
-        "checkpoint.pt",
-        "curves.csv",
-        "weights.safetensors",
-    ]
-    again = dslam(*typed)
-    assert json.loads(again.out) == json.loads(first.out)
-    assert_refused(dslam(*typed, "--seed", 1), "checkpoint.pt", "another configuration")
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("network", ["descriptellation_lr", "descriptellation"])
@@ -118,10 +103,6 @@ def test_train_refuses_a_map_with_too_few_objects(dslam: Run, tmp_path: Path, ro
     [
         (("--anew",), ("--anew", "--maps")),
         (("--network", "transformer"), ("'transformer'", "descriptellation")),
-        (("--epochs", 0), ("--epochs",)),
-        (("--epochs", "many"), ("--epochs",)),
-        (("--seed", -1), ("--seed",)),
-        (("--threads", 0), ("--threads",)),
         (("--network", "descriptellation", "--device", "gpu"), ("gpu",)),
         (("--network", "descriptellation", "--device", "cuda:99"), ("cuda:99",)),
     ],

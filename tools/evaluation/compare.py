@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -16,20 +16,14 @@ from tools.evaluation.evaluated_log import (
     Reference,
     Rules,
     Times,
-    Truth,
     evaluate_log,
     parse_thresholds,
 )
 from tools.evaluation.requirements import Require, finish
 
-if TYPE_CHECKING:
-    from slam.evaluation.comparison import Run
-
 
 def compare(
-    logs: Annotated[
-        list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.", show_default=False)
-    ],
+    logs: Annotated[list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.")],
     reference: Reference = None,
     times: Times = None,
     calib: Calib = None,
@@ -47,14 +41,17 @@ def compare(
 
     Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap
     """
-    truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
+    truth = (reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-    from slam.evaluation.comparison import compare_runs
+    from slam.evaluation.comparison import Run, compare_runs
     from tools import console
 
     _refuse_copies(logs)
-    runs = [_evaluate(log, truth) for log in logs]
+    runs = []
+    for log in logs:
+        records, evaluation = evaluate_log(log, *truth)
+        runs.append(Run(str(log), evaluation.to_json_dict(), records.provenance))
     comparison = compare_runs(runs)
     if as_json:
         console.show_json(comparison.to_json_dict())
@@ -65,21 +62,6 @@ def compare(
         if rules:
             console.show(console.pairs(runs[0].results["protocol"]["rules"], title="\nrules"))
     finish({run.name: run.results for run in runs}, require, quiet=as_json)
-
-
-def _evaluate(log: Path, truth: Truth) -> Run:
-    from slam.evaluation.comparison import Run
-
-    records, evaluation = evaluate_log(log, truth)
-    made = records.provenance
-    return Run(
-        name=str(log),
-        results=evaluation.to_json_dict(),
-        configuration=made.get("configuration", ""),
-        version=made.get("version", ""),
-        input_sha256=made.get("input_sha256", ""),
-        given_map=made.get("map_drives", "") + made.get("map_extended", ""),
-    )
 
 
 def _refuse_copies(logs: Sequence[Path]) -> None:

@@ -15,7 +15,6 @@ from tools.evaluation.evaluated_log import (
     Reference,
     Rules,
     Times,
-    Truth,
     evaluate_log,
     parse_thresholds,
 )
@@ -46,21 +45,22 @@ def evaluate(
 
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
-    truth = Truth(reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
+    truth = (reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
     check_outputs([picture, page], [log, reference, times, calib, map_run])
     from slam.evaluation.report.figures import list_figures, summarize
     from tools import console
 
-    records, evaluation = evaluate_log(log, truth)
+    records, evaluation = evaluate_log(log, *truth)
     if picture is not None:
         from slam.display.map_picture import draw_map
         from slam.evaluation.report.picture import compose_picture
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
     if page is not None:
-        from slam.evaluation.page.page import write_page
+        from logs.storage.placement import write_text
+        from slam.evaluation.page.page import compose_page
 
-        write_page(page, records, evaluation, title=log.stem)
+        write_text(page, compose_page(records, evaluation, title=log.stem))
     results = evaluation.to_json_dict()
     if as_json:
         console.show_json(results)

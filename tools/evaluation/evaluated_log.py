@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +19,6 @@ Reference = Annotated[
     typer.Option(
         metavar="LOG|POSES",
         help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz).",
-        show_default=False,
     ),
 ]
 Times = Annotated[
@@ -28,7 +26,6 @@ Times = Annotated[
     typer.Option(
         metavar="FILE",
         help="Seconds of each pose in KITTI's format; not needed with one pose per odometry message.",
-        show_default=False,
     ),
 ]
 Calib = Annotated[
@@ -36,12 +33,11 @@ Calib = Annotated[
     typer.Option(
         metavar="FILE",
         help="KITTI's calib.txt, if references in its format are of the left camera.",
-        show_default=False,
     ),
 ]
 MapRun = Annotated[
     Path | None,
-    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.", show_default=False),
+    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization."),
 ]
 Protocols = Annotated[
     list[str] | None,
@@ -49,27 +45,9 @@ Protocols = Annotated[
         "--protocol",
         metavar="NAME=NUMBER",
         help="A threshold of the evaluation (--rules lists them), e.g. closure_translation_m=4. Repeatable.",
-        show_default=False,
     ),
 ]
 Rules = Annotated[bool, typer.Option("--rules", help="Also print the rules of the evaluation.")]
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """The ground truth, if the logs do not hold it, and how it is used.
-
-    ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's
-    format; ``map_run``: the drive that made the map in which the robot found itself; ``topics``: by kind;
-    ``thresholds``: of the protocol, by name, that are not its own.
-    """
-
-    reference: Path | None
-    times: Path | None
-    calib: Path | None
-    map_run: Path | None
-    topics: Mapping[str, str]
-    thresholds: Mapping[str, float]
 
 
 def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
@@ -90,8 +68,25 @@ def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
     return thresholds
 
 
-def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation]:
+def evaluate_log(
+    log: Path,
+    reference: Path | None,
+    times: Path | None,
+    calib: Path | None,
+    map_run: Path | None,
+    topics: Mapping[str, str],
+    thresholds: Mapping[str, float],
+) -> tuple[EvaluationRecords, Evaluation]:
     """The records of the log and their evaluation.
+
+    Args:
+        log: of a replay.
+        reference: the log, or the file of poses, that holds the truth; None if ``log`` does.
+        times: seconds of each pose in KITTI's format.
+        calib: of the camera of such poses.
+        map_run: the drive that made the map in which the robot found itself.
+        topics: of the truth, by kind.
+        thresholds: of the protocol, by name, that are not its own.
 
     Raises:
         LogError: it cannot be read.
@@ -103,13 +98,12 @@ def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation
     from slam.evaluation.inputs.records import read_records
     from slam.evaluation.inputs.text_reference import TextReference
 
-    path = truth.reference
-    reference = path if path is None or is_log(path) else TextReference(path, truth.times, truth.calib)
-    records = read_records(log, reference=reference, topics=truth.topics)
-    map_alignment = None if truth.map_run is None else _locate_map_of(truth.map_run)
+    truth = reference if reference is None or is_log(reference) else TextReference(reference, times, calib)
+    records = read_records(log, reference=truth, topics=topics)
+    map_alignment = None if map_run is None else _locate_map_of(map_run)
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
-    protocol = protocol_of(records).with_thresholds(truth.thresholds)
+    protocol = protocol_of(records).with_thresholds(thresholds)
     return records, evaluate(records, protocol, map_alignment=map_alignment)
 
 

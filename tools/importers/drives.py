@@ -1,29 +1,14 @@
-"""Writes an imported drive, and prints what was written."""
+"""Prints what was written of a drive."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from logs.importers.imported_log import DriveSummary, ImportedRecord
-
-
-def write_drive(
-    output: Path,
-    records: Iterable[ImportedRecord],
-    source: Mapping[str, str],
-    *,
-    json: bool,
-    about: Mapping[str, Any] | None = None,
-) -> None:
-    """Write the log ``output`` and print a summary; ``about``: what a drive in text files is like."""
-    from logs.importers.imported_log import write_imported_log
-
-    summary = write_imported_log(output, records, source)
-    show_written(output, summary, json=json, figures=about or {}, notes=_describe(about, summary) if about else ())
+    from logs.importers.imported_log import DriveSummary
 
 
 def show_written(
@@ -31,7 +16,7 @@ def show_written(
     summary: DriveSummary,
     *,
     json: bool,
-    figures: Mapping[str, Any],
+    figures: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
     title: str = "",
 ) -> None:
@@ -39,7 +24,7 @@ def show_written(
     from tools import console
 
     if json:
-        console.show_json({"output": str(output), **asdict(summary), **figures})
+        console.show_json({"output": str(output), **asdict(summary), **(figures or {})})
         return
     console.show(
         f"{output}: {summary.duration_s:.0f} s{title}",
@@ -47,14 +32,3 @@ def show_written(
         f"  {summary.detection_count} objects detected",
         *notes,
     )
-
-
-def _describe(about: Mapping[str, Any], summary: DriveSummary) -> list[str]:
-    length_m = about["odometry_length_m"]
-    speed = f" ({length_m / summary.duration_s:.2f} m/s)" if summary.duration_s > 0.0 else ""
-    columns = about["columns_left_out"]
-    return [
-        f"  odometry in {about['odometry_format']} format, {length_m:.0f} m{speed}",
-        *([f"  columns left out: {', '.join(columns)}"] if columns else []),
-        *(f"  note: {note}" for note in about["notes"]),
-    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ from tools.arguments import Json, check_outputs, parse_origin
 if TYPE_CHECKING:
     from logs.importers.maps.map_objects import MapObjects
 
-NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.", show_default=False)]
+NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.")]
 Origin = Annotated[
     str | None,
     typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median position of objects in degrees."),
@@ -38,7 +39,6 @@ def map_of_objects(
     tag: Annotated[
         list[str] | None,
         typer.Option(
-            "--tag",
             metavar="KEY[=VALUE]",
             help="Tag of the objects in OpenStreetMap, instead of those of street furniture. Repeatable.",
         ),
@@ -46,7 +46,6 @@ def map_of_objects(
     name: Annotated[
         list[str] | None,
         typer.Option(
-            "--name",
             metavar="NUMBER=CLASS",
             help="Number and name of a class of a point cloud; by default all classes but 0. Repeatable.",
         ),
@@ -56,7 +55,6 @@ def map_of_objects(
     sigma: Annotated[
         float | None,
         typer.Option(
-            "--sigma",
             metavar="METRES",
             min=0.01,
             help=f"Standard deviation of a coordinate of an object; by default {SURVEYED_SIGMA_M:g}, and "
@@ -85,11 +83,13 @@ def map_of_objects(
 
         objects = read_geojson(file)
     elif suffix == ".ply":
-        from logs.clouds.cloud_files import read_cloud
+        from logs.clouds.cloud_files import labelled_cloud, read_points
         from logs.clouds.map_of_cloud import map_of_cloud
         from logs.digest import file_sha256
 
-        objects = map_of_cloud(read_cloud(file), str(file), file_sha256(file), _parsed_names(name))
+        objects = map_of_cloud(
+            labelled_cloud(read_points(file), str(file)), str(file), file_sha256(file), _parsed_names(name)
+        )
     else:
         from logs.importers.maps.object_table import read_object_table
 
@@ -124,7 +124,7 @@ def _make_map(
     from tools import console
 
     if label is not None:
-        objects = objects.relabelled(label)
+        objects = replace(objects, labels=(label,) * len(objects))
     imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
     counts = Counter(objects.labels).most_common()

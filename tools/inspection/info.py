@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -40,6 +40,7 @@ def info(
 
     Why was a loop not closed? dslam info map.mcap --closures, then --keyframe 812
     """
+    from logs.container.json_text import plain
     from logs.summary import summarize
     from tools import console
 
@@ -53,13 +54,12 @@ def info(
     wanted = closures or keyframe is not None
     is_map = saved_map.METADATA in summary.metadata
     if json:
-        plain = asdict(replace(summary, closure_candidates=()))
-        del plain["closure_candidates"]
-        plain |= {"selection": _selected(summary), "duration_s": summary.duration_s}
-        plain |= {"map": saved_map.describe(log)} if is_map else {}
+        told = {each.name: getattr(summary, each.name) for each in fields(summary) if each.name != "closure_candidates"}
+        told |= {"selection": _selected(summary), "duration_s": summary.duration_s}
+        told |= {"map": saved_map.describe(log)} if is_map else {}
         if wanted:
-            plain["closure_candidates"] = [_plain_candidate(summary, each) for each in candidates]
-        console.show_json(plain)
+            told["closure_candidates"] = [{"time_s": _time_s(summary, each), **plain(each)} for each in candidates]
+        console.show_json(told)
         return
     if keyframe is None:
         length_m = summary.odometry_length_m
@@ -175,14 +175,6 @@ def _time_s(summary: LogSummary, candidate: LoopClosureRecord) -> float:
     """Seconds from the start of the drive to the query keyframe, on the clock of the measurements."""
     first_ns = summary.first_stamp_ns
     return (candidate.stamp_ns - (summary.closure_candidates[0].stamp_ns if first_ns is None else first_ns)) * 1e-9
-
-
-def _plain_candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, Any]:
-    arrays = {
-        name: None if (array := getattr(candidate, name)) is None else array.tolist()
-        for name in ("T_reference_query", "covariance")
-    }
-    return {"time_s": _time_s(summary, candidate), **asdict(candidate), **arrays}
 
 
 def _candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, str]:

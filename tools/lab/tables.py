@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,19 +16,30 @@ Markdown = Annotated[bool, typer.Option("--markdown", help="Print the table in M
 ResultFolder = Annotated[
     Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are reused.")
 ]
+Descriptors = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--descriptor",
+        metavar="NAME",
+        help="Descriptor: a name, a weights file or module:Class. Repeatable; by default all.",
+    ),
+]
 UNDEFINED = "–"
 COMPARED = ("ATE m", "closures precision", "closures recall", "relocalizations right", "associations precision")
 """Figures of a comparison that fit beside one another."""
 
 
-def number(value: float | None, digits: int, factor: float = 1.0) -> str:
-    """A number with so many digits; a dash where it is undefined."""
-    return UNDEFINED if value is None else f"{factor * value:.{digits}f}"
+def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, str]:
+    """The cells of ``figures``; ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}"."""
+    return {heading: _filled(template, figures) for heading, template in columns.items()}
 
 
-def percent(share: float | None, digits: int = 1) -> str:
-    """A share in per cent."""
-    return number(share, digits, 100.0)
+def _filled(template: str, figures: Mapping[str, Any]) -> str:
+    try:
+        text = template.format_map(figures)
+        return text.replace("%", "") if "%}" in template else text
+    except (KeyError, TypeError):  # a figure that is not there, or that is None
+        return UNDEFINED
 
 
 def rows_of(comparison: Comparison) -> list[dict[str, str]]:
@@ -38,8 +50,8 @@ def rows_of(comparison: Comparison) -> list[dict[str, str]]:
     table = comparison.to_table().T.reindex(columns=list(COMPARED)).astype(object).fillna(UNDEFINED)
     ate = next(figure for figure in HEADLINE_FIGURES if figure.heading == COMPARED[0])
     spreads = [spread_of(ate, runs) for runs in comparison.groups.values()]
-    extremes = [[number(value, ate.digits) for value in (each.least, each.greatest)] for each in spreads]
-    table.insert(1, "least to greatest", [" to ".join(each) for each in extremes])
+    span = f"{{least:.{ate.digits}f}} to {{greatest:.{ate.digits}f}}"
+    table.insert(1, "least to greatest", [_filled(span, asdict(each)) for each in spreads])
     return [{"runs": str(name)} | row for name, row in table.to_dict("index").items()]
 
 
@@ -67,8 +79,5 @@ def to_markdown(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (
     headings = list(rows[0]) if rows else []
     alignment = ["---" if heading in (*headings[:1], *texts) else "---:" for heading in headings]
     lines = [headings, alignment, *(list(row.values()) for row in rows)]
-    return "\n".join(f"| {' | '.join(map(_escaped, cells))} |" for cells in lines)
-
-
-def _escaped(cell: str) -> str:
-    return cell.replace("|", "\\|").replace("\n", " ")
+    plain = [[cell.replace("|", "\\|").replace("\n", " ") for cell in cells] for cells in lines]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in plain)

@@ -32,12 +32,10 @@ def _file(help_: str) -> Any:
 def export(
     log: Annotated[
         Path,
-        typer.Argument(
-            metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind.", show_default=False
-        ),
+        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind."),
     ],
     of: Annotated[
-        Track, typer.Option("--of", help="Poses for --tum, --kitti and --ros2-bag: of the final map, online, ...")
+        Track, typer.Option(help="Poses for --tum, --kitti and --ros2-bag: of the final map, online, ...")
     ] = Track.ESTIMATE,
     tum: Annotated[Path | None, _file("Trajectory: stamp x y z qx qy qz qw.")] = None,
     kitti: Annotated[Path | None, _file("Trajectory: 3 x 4 matrix of the body.")] = None,

@@ -14,12 +14,11 @@ from tools.arguments import check_outputs
 def view(
     log: Annotated[
         Path,
-        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or any map.", show_default=False),
+        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or any map."),
     ],
     save: Annotated[
         Path | None,
         typer.Option(
-            "--save",
             metavar="FILE.rrd|FILE.png|FILE.json",
             help="Write a Rerun recording, a picture from above, or a layout for Foxglove, instead of showing it.",
         ),

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 def calibrate(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG...", help="Logs of one robot; their data are pooled.", show_default=False),
+        typer.Argument(metavar="LOG...", help="Logs of one robot; their data are pooled."),
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="ROBOT.toml", help="The calibration to write.", show_default=False),
+        typer.Option("-o", "--output", metavar="ROBOT.toml", help="The calibration to write."),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

@@ -24,7 +24,6 @@ def config(
             "--from",
             metavar="MAP.mcap",
             help="Print the configuration of this map or log, with its calibration.",
-            show_default=False,
         ),
     ] = None,
     simulation: Annotated[bool, typer.Option("--simulation", help="Print the settings of 'dslam simulate'.")] = False,

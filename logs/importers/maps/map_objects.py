@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,10 +32,6 @@ class MapObjects:
 
     def __len__(self) -> int:
         return len(self.labels)
-
-    def relabelled(self, label: str) -> MapObjects:
-        """The same objects, all of one class."""
-        return replace(self, labels=(label,) * len(self))
 
 
 def distinct(names: Iterable[str]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from logs.digest import file_sha256
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects
-from logs.storage.regular_file import check_regular
+from logs.storage.regular_file import open_regular
 
 if TYPE_CHECKING:
     import osmium
@@ -55,7 +55,7 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     wanted = _parsed(tags) if tags else TAGS
     positions, labels, ids = list[tuple[float, float, float]](), list[str](), list[str]()
     try:
-        check_regular(path)
+        open_regular(path).close()
         nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*wanted))
         for node in nodes:
             label = _class_of(node, wanted)

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from slam.common.errors import EvaluationError
 from slam.evaluation.metrics.alignment import STRAIGHT_LINE_RATIO
+from slam.evaluation.metrics.statistics import CONFIDENCE
 from slam.evaluation.metrics.trajectory import KITTI_LENGTHS_M, KITTI_START_STEP
 
 SPACING_TOLERANCE = 0.05
@@ -19,8 +20,6 @@ SAME_HEADING_DEG, OPPOSITE_HEADING_DEG = 45.0, 135.0
 """Angles between the headings of two visits up to which they are the same, and beyond which they are opposite."""
 WINDOW_LANDMARKS = 3
 """Fewest landmarks of a window: two leave no residual after their alignment."""
-COVERAGE_PROBABILITY = 0.95
-"""Of the region of the chi-squared distribution in which errors are counted."""
 RANGE_M = 30.0
 """Sensor range for which the lengths of the protocol are given: those of papers, about cars in streets."""
 
@@ -123,7 +122,7 @@ class Protocol:
             f"{self.closure_rotation_deg:g} deg (whole angle of rotation). The success rate is the share of "
             "losses with a right fix, the wrong rate that of losses with a wrong one; fixes without truth are ignored.",
             "calibration": "The NEES e^T P^-1 e of an error e with the covariance P, per degree of freedom (1 is "
-            f"right, more is overconfident), and the share of errors in the {100.0 * COVERAGE_PROBABILITY:g} % "
+            f"right, more is overconfident), and the share of errors in the {100.0 * CONFIDENCE:g} % "
             "region of the chi-squared distribution. Covariances are in the map frame, which the first keyframe fixes, "
             "so the truth is aligned with the estimate there and nowhere else. Errors of one run are correlated: judge "
             "the coverage over several runs.",

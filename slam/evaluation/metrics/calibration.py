@@ -15,9 +15,10 @@ from scipy.special import gammaincinv
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
-from slam.evaluation.inputs.protocol import COVERAGE_PROBABILITY, Protocol
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import LandmarkMatches
+from slam.evaluation.metrics.statistics import CONFIDENCE
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
 NEEDS = {
@@ -36,7 +37,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
     """Set errors (N, D) against covariances (N, D, D), leaving out those that are not positive definite; N may be 0.
 
     ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``coverage``: share of the errors in the
-    region with probability :data:`COVERAGE_PROBABILITY`; ``count``: errors used.
+    region of the chi-squared distribution with probability :data:`CONFIDENCE`; ``count``: errors used.
     """
     dimension = errors.shape[1]
     finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
@@ -46,7 +47,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
         return {"coverage": None, "nees": None, "count": 0}
     whitened = np.linalg.solve(covariances[usable], errors[usable][:, :, None])[:, :, 0]
     squares = np.einsum("ni,ni->n", errors[usable], whitened)
-    limit = 2.0 * gammaincinv(0.5 * dimension, COVERAGE_PROBABILITY)
+    limit = 2.0 * gammaincinv(0.5 * dimension, CONFIDENCE)
     return {
         "coverage": float(np.mean(squares <= limit)),
         "nees": float(np.mean(squares)) / dimension,

@@ -28,12 +28,11 @@ FixError = tuple[float, float] | None
 """Position error [m] and rotation error [deg] of a fix; None without a fix, or without a true pose at its time."""
 
 
-def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> FloatArray:
+def locate_map(mapping: EvaluationRecords) -> FloatArray:
     """``T_world_map`` (4, 4) of a map, from the drive that made it: its final trajectory laid on its truth.
 
     Args:
         mapping: records of the output log of the drive that saved the map.
-        protocol: the thresholds.
 
     Raises:
         EvaluationError: that log has no final trajectory or no truth, or the two cannot be aligned.
@@ -41,8 +40,7 @@ def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> 
     if mapping.trajectory is None or not mapping.true_poses:
         lacks = "final trajectory" if mapping.trajectory is None else "ground truth"
         raise EvaluationError(f"the log of the drive that made the map has no {lacks}, so the map cannot be located")
-    max_gap_s = (protocol or Protocol()).max_truth_gap_s
-    poses = synchronize(mapping.final_path, mapping.true_path, max_gap_s=max_gap_s)
+    poses = synchronize(mapping.final_path, mapping.true_path, max_gap_s=Protocol().max_truth_gap_s)
     return align_path(poses.positions_est, poses.positions_gt).T_world_map
 
 

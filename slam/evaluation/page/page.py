@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from logs.container.names import visible
-from logs.storage.placement import write_text
 from slam.common.config_tree import CHANGED_SETTINGS
 from slam.common.errors import EvaluationError
 from slam.common.geometry import travelled_m
@@ -27,23 +26,14 @@ from slam.evaluation.report.picture import compose_picture
 from slam.evaluation.result import Evaluation
 
 
-def write_page(path: Path, records: EvaluationRecords, evaluation: Evaluation, *, title: str) -> None:
-    """Write the page of an evaluation, whole or not at all; the same input gives the same bytes.
+def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: str) -> str:
+    """The page of an evaluation as text; the same input gives the same text.
 
     Args:
-        path: file to write, by way of ``NAME.part``.
         records: what was read.
         evaluation: what was measured of it.
         title: heading of the page; plain text.
-
-    Raises:
-        UnwritableLogError: the file cannot be written.
     """
-    write_text(path, compose_page(records, evaluation, title=title))
-
-
-def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: str) -> str:
-    """The whole page as text; as :func:`write_page`."""
     results = evaluation.to_json_dict()
     drawings: dict[str, Callable[[], Figure]] = {
         "Map": lambda: compose_map(compose_picture(records, evaluation, title=title)),

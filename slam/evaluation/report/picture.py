@@ -23,7 +23,8 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
     Truth that could not be aligned is left out. Paths are broken, by a row of NaN, at discontinuities of the odometry.
     The robot is marked as lost where it lost its place: before the discontinuity, not at its start in a given map.
     """
-    estimate = estimated_path(records)
+    # Where a run did not finish, its poses as they were at their time.
+    estimate = records.final_path if records.trajectory else records.online_path
     errors = evaluation.estimate or evaluation.online
     odometry, truth = records.odometry_path, records.true_path
     spans_ns = _discontinuities(records.graph)
@@ -55,11 +56,6 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
         odometry_ate_m=evaluation.odometry.ate_m if evaluation.odometry else None,
         **_closures(evaluation, estimate),
     )
-
-
-def estimated_path(records: EvaluationRecords) -> PoseSeries:
-    """The final trajectory, or the poses as they were at their time where a run did not finish."""
-    return records.final_path if records.trajectory else records.online_path
 
 
 def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArray:

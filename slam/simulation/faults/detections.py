@@ -6,6 +6,7 @@ Each public function is a fault; its docstring tells what it does, its parameter
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 from typing import Annotated
 
@@ -13,12 +14,12 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from logs.messages import ObjectDetections
+from logs.dslam_codec import take_rows
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import make_transform
 from slam.simulation.faults.parameters import Degrees, Factor, Metres, Share, Sigma
-from slam.simulation.faults.recording import Recording, Scan, joined, taken
+from slam.simulation.faults.recording import Recording, Scan, joined
 
 FALSE_POSITIVE_RANGE_PERCENTILE = 95.0
 """False positives lie within the range that holds so many per cent of the log's detections."""
@@ -85,7 +86,7 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
     places = np.concatenate([from_sensor for _, from_sensor in _from_sensor(log)])
     if not len(places):
         raise SimulationError("no detection is in view, so false positives cannot be modelled; widen the field of view")
-    donors = ObjectDetections(0, "", **joined([scan.seen for scan in log.scans]))
+    donors = joined([scan.seen for scan in log.scans])
     x, y, z = places.T
     reach_m, bearings = np.percentile(np.hypot(x, y), FALSE_POSITIVE_RANGE_PERCENTILE), np.arctan2(y, x)
     frames = log.body_frames()
@@ -94,8 +95,8 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
         range_m, bearing = reach_m * np.sqrt(rng.random(number)), rng.uniform(bearings.min(), bearings.max(), number)
         rows = rng.integers(len(places), size=number)
         xyz = np.stack([range_m * np.cos(bearing), range_m * np.sin(bearing), z[rows]], axis=1)
-        in_sensor = {"positions": xyz @ frames(scan.seen.frame_id)[:3, :3], "track_ids": None}
-        scan.add(ObjectDetections(scan.stamp_ns, scan.seen.frame_id, **taken(donors, rows) | in_sensor))
+        in_sensor = xyz @ frames(scan.seen.frame_id)[:3, :3]
+        scan.add(replace(take_rows(donors, N=rows), positions=in_sensor, track_ids=None))
 
 
 def claimed_sigma(log: Recording, sigma_m: _Claimed = 1e-3) -> None:

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.errors import LogError, UnwritableLogError
+from logs.errors import LogError
 from logs.messages import Record
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
-from logs.writer import LogWriter, partial_path
+from logs.writer import LogWriter
 from slam.common.errors import SimulationError, SlamError
 from slam.simulation.faults.recording import Message, Recording, make_recording
 from slam.simulation.faults.registry import Fault
@@ -37,11 +37,11 @@ _InOrder = Iterator[tuple[int, int, Message[Record] | RawMessage]]
 
 @dataclass(frozen=True, slots=True)
 class FaultSummary:
-    """Messages of the output by topic, detections in the input and in the output, and what was left out, by reason."""
+    """Detections in the input and in the output, messages of the output by topic, and what was left out, by reason."""
 
-    message_counts: dict[str, int]
     detections_before: int
     detections: int
+    message_counts: dict[str, int]
     left_out: dict[str, int]
 
 
@@ -77,7 +77,7 @@ def write_faulty(
     *,
     seed: int,
     topics: Mapping[str, str] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> FaultSummary:
     """Write the log ``source`` with faults as the log ``output``, with the metadata "faults".
 
@@ -96,9 +96,6 @@ def write_faulty(
         SimulationError: the log has not what a fault needs, or the seed is negative.
     """
     with LogReader(source) as reader:
-        for path in (output, partial_path(output)):
-            if path.exists() and path.samefile(source):
-                raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         selection = select_topics(reader.topics(), topics, needed=_NEEDED)
         log = make_recording(_read(reader, selection))
         left_out = dict(sorted((+Counter(reader.counters)).items()))
@@ -117,9 +114,8 @@ def write_faulty(
                 else:
                     writer.write(message.topic, message.record, message.log_time_ns)
                 written[message.topic] += 1
-                if progress is not None:
-                    progress(min(written.total() / total, 1.0))
-    return FaultSummary(dict(sorted(written.items())), detections_before, _detection_count(log), left_out)
+                progress(min(written.total() / total, 1.0))
+    return FaultSummary(detections_before, _detection_count(log), dict(sorted(written.items())), left_out)
 
 
 def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:

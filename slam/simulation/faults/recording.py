@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.dslam_codec import take_rows
 from logs.messages import (
     DetectionTruth,
     GroundTruthPose,
@@ -64,12 +65,16 @@ class Scan:
         """The true id of each detection; () where they are not known."""
         return () if self.truth is None else self.truth.record.object_ids
 
-    def change(self, ids: Sequence[str] | None = None, **fields: Any) -> None:
-        """Give the detections other fields, and true ids where their number changes."""
-        self.message = self.message.having(**fields)
+    def put(self, seen: ObjectDetections, ids: Sequence[str] | None = None) -> None:
+        """Put other detections in the place of these, with true ids where their number changes."""
+        self.message = replace(self.message, record=seen)
         if self.truth is not None:
             object_ids = self.ids if ids is None else tuple(ids)
-            self.truth = self.truth.having(stamp_ns=self.stamp_ns, object_ids=object_ids)
+            self.truth = self.truth.having(stamp_ns=seen.stamp_ns, object_ids=object_ids)
+
+    def change(self, **fields: Any) -> None:
+        """Give the detections other fields."""
+        self.put(replace(self.seen, **fields))
 
     def move(self, T: FloatArray) -> None:
         """Move positions and covariances by a transform (4, 4)."""
@@ -80,11 +85,12 @@ class Scan:
     def keep(self, is_kept: NDArray[np.bool_]) -> None:
         """Keep the detections of a mask (N,), with their true ids."""
         ids = [name for name, kept in zip(self.ids, is_kept.tolist(), strict=False) if kept]
-        self.change(ids, **taken(self.seen, np.flatnonzero(is_kept)))
+        self.put(take_rows(self.seen, N=np.flatnonzero(is_kept)), ids)
 
     def add(self, false: ObjectDetections) -> None:
         """Add detections of nothing that is in the truth; they have no tracks."""
-        self.change((*self.ids, *[""] * len(false.labels)), **joined([self.seen, false]))
+        seen = replace(joined([self.seen, false]), stamp_ns=self.stamp_ns, frame_id=self.seen.frame_id)
+        self.put(seen, (*self.ids, *[""] * len(false.labels)))
 
 
 @dataclass(slots=True, eq=False)
@@ -219,23 +225,13 @@ def seconds_ns(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-def taken(seen: ObjectDetections, rows: IntArray) -> dict[str, Any]:
-    """The fields of the detections ``rows`` (M,)."""
-    arrays = {name: getattr(seen, name) for name in ("positions", "scores", "covariances", "sizes")}
-    tuples = {name: getattr(seen, name) for name in ("labels", "track_ids")}
-    return {
-        **{name: None if array is None else array[rows] for name, array in arrays.items()},
-        **{name: None if texts is None else tuple(texts[i] for i in rows) for name, texts in tuples.items()},
-    }
-
-
-def joined(every: Sequence[ObjectDetections]) -> dict[str, Any]:
-    """The fields of all detections together; covariances and sizes that only some have are zero for the others, and
-    track ids "".
+def joined(every: Sequence[ObjectDetections]) -> ObjectDetections:
+    """All detections as one message, the first that has any; covariances and sizes that only some have are zero for
+    the others, and track ids "".
     """
     parts = [part for part in every if part.labels] or every[:1]
 
-    def stack(name: str, shape: tuple[int, ...]) -> FloatArray | None:
+    def stack(name: str, shape: tuple[int, ...]) -> Any:
         arrays = [getattr(part, name) for part in parts]
         if all(array is None for array in arrays):
             return None
@@ -243,11 +239,12 @@ def joined(every: Sequence[ObjectDetections]) -> dict[str, Any]:
         return np.concatenate([zero if array is None else array for array, zero in zip(arrays, zeros, strict=True)])
 
     has_ids = any(part.track_ids is not None for part in parts)
-    return {
-        "positions": stack("positions", (3,)),
-        "labels": tuple(label for part in parts for label in part.labels),
-        "scores": stack("scores", ()),
-        "covariances": stack("covariances", (3, 3)),
-        "sizes": stack("sizes", (3,)),
-        "track_ids": tuple(i for p in parts for i in p.track_ids or ("",) * len(p.labels)) if has_ids else None,
-    }
+    return replace(
+        parts[0],
+        positions=stack("positions", (3,)),
+        labels=tuple(label for part in parts for label in part.labels),
+        scores=stack("scores", ()),
+        covariances=stack("covariances", (3, 3)),
+        sizes=stack("sizes", (3,)),
+        track_ids=tuple(i for p in parts for i in p.track_ids or ("",) * len(p.labels)) if has_ids else None,
+    )

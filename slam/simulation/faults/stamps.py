@@ -75,7 +75,7 @@ def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> None:
 def _after_half(log: Recording, seconds: float) -> NDArray[np.bool_]:
     """Which stamps (N,) of the odometry are within so long from half time on."""
     begin_ns, end_ns = log.from_half(seconds)
-    return np.asarray((log.stamps_ns >= begin_ns) & (log.stamps_ns < end_ns))
+    return (log.stamps_ns >= begin_ns) & (log.stamps_ns < end_ns)
 
 
 def _thinned(stamps_ns: list[int], rate_hz: float) -> set[int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.clouds.cloud_files import read_cloud
+from logs.clouds.cloud_files import labelled_cloud, read_points
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.map_of_cloud import map_of_cloud
 from logs.errors import DatasetError
@@ -24,6 +24,10 @@ def write_ply(path: Path, points: np.ndarray, order: str = "binary_little_endian
     header = "\n".join([*lines, "element face 0", "property list uchar int vertex_indices", "end_header\n"]).encode()
     path.write_bytes(header + points.astype(points.dtype.newbyteorder("<" if "little" in order else ">")).tobytes())
     return path
+
+
+def read_cloud(path: Path) -> LabelledCloud:
+    return labelled_cloud(read_points(path), path.name)
 
 
 def street(class_name: str, instance_name: str) -> np.ndarray:

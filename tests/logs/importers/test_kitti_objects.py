@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import DriveSummary, write_imported_log
+from logs.importers.imported_log import DriveSummary, write_drive
 from logs.importers.kitti_objects import read_kitti_objects
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
 from logs.reader import LogReader
@@ -47,7 +47,7 @@ def paths(root: Path) -> dict[str, Path]:
 
 def write_log(output: Path, files: dict[str, Path]) -> DriveSummary:
     drive = read_kitti_objects(**files)
-    return write_imported_log(output, drive.records(), drive.source)
+    return write_drive(output, drive.records(), drive.source)
 
 
 def test_records_in_body_frame(root: Path) -> None:

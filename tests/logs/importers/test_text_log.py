@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import write_imported_log
+from logs.importers.imported_log import write_drive
 from logs.importers.text_log import TextLog, read_text_log
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry
 from tests.logs.importers.text_drives import DETECTIONS, TUM, TextDrive
@@ -48,7 +48,7 @@ def test_packed_files_give_same_records(drive: TextDrive) -> None:
     packed = read(drive, odometry="odometry.tum.gz", detections="detections.csv.gz")
     written = []
     for log in (read(drive), packed, packed):
-        write_imported_log(drive.output, log.records(), {})
+        write_drive(drive.output, log.records(), {})
         written.append(drive.output.read_bytes())
     assert written[0] == written[1] == written[2]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -26,8 +25,9 @@ def configuration(*overrides: str) -> str:
     return load_tree(Config, None, overrides).model_dump_json()
 
 
-def run(name: str, ate_m: float | None, *overrides: str, version: str = "1") -> Run:
-    return Run(name, {"trajectory": {"ate_m": ate_m}}, configuration(*overrides), version)
+def run(name: str, ate_m: float | None, *overrides: str, **made: str) -> Run:
+    recorded = {"configuration": configuration(*overrides), "version": "1", **made}
+    return Run(name, {"trajectory": {"ate_m": ate_m}}, recorded)
 
 
 def runs(prefix: str, values: Any, *overrides: str) -> list[Run]:
@@ -74,8 +74,8 @@ class TestGroups:
         assert list(comparison.groups) == ["loop_closure.top_k=15", "keyframe.distance_m=1.5"]
 
     def test_version_unknown_configuration_and_given_map_split_groups(self) -> None:
-        unknown = [Run(name, {"trajectory": {"ate_m": 1.0}}) for name in "xy"]
-        given = [replace(run(name, 1.0), given_map=given_map) for name, given_map in (("c", "[1]0"), ("d", "[1]1"))]
+        unknown = [Run(name, {"trajectory": {"ate_m": 1.0}}, {}) for name in "xy"]
+        given = [run("c", 1.0, map_drives="[1]"), run("d", 1.0, map_drives="[2]")]
         comparison = compare_runs([run("a", 1.0), run("b", 1.0, version="2"), *unknown, *given])
         assert list(groups_of(comparison).values()) == [["a"], ["b"], ["x"], ["y"], ["c"], ["d"]]
         assert list(comparison.groups)[:2] == ["version=1", "version=2"]
@@ -87,7 +87,7 @@ class TestGroups:
 
 def marks(first: list[float], second: list[float | None]) -> dict[tuple[str, str], str]:
     others = [run(f"b{i}", value, "keyframe.distance_m=3.0") for i, value in enumerate(second)]
-    return dict(compare_runs([*runs("a", first), *others], [ATE]).marks)
+    return dict(compare_runs([*runs("a", first), *others]).marks)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_json_has_every_run_and_figure() -> None:
 def test_table_has_a_column_for_each_group_and_marks_differences() -> None:
     def marked_run(group: int, seed: int, ate_m: float, recall: float) -> Run:
         results = {"trajectory": {"ate_m": ate_m + 0.01 * seed}, "closures": {"recall": recall}}
-        return Run(f"{group}{seed}", results, json.dumps({"keyframe": {"distance_m": group}}), "1")
+        return Run(f"{group}{seed}", results, {"configuration": json.dumps({"keyframe": {"distance_m": group}})})
 
     numbers = {1: (1.0, 0.5), 2: (2.0, 0.9), 3: (1.02, 0.5)}
     several = [marked_run(group, seed, *pair) for group, pair in numbers.items() for seed in range(3)]

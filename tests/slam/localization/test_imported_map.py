@@ -49,7 +49,7 @@ def drive(
     town: World, known: PriorMap, *, extend: bool, initial_pose: InitialPose | None = None
 ) -> tuple[list[float], FinalMap, Slam]:
     """Errors [m] of the poses in the map when they came."""
-    records = [record for _, _, record in simulate(town.shortened(LENGTH_M), SimulationConfig(), seed=2)]
+    records = list(simulate(town.shortened(LENGTH_M), SimulationConfig(), seed=2))
     truth = truth_of(records)
     slam, errors = Slam(Config(), known, extend=extend, initial_pose=initial_pose), list[float]()
     for record in records:
@@ -115,7 +115,7 @@ def test_where_little_is_seen_at_once_all_that_was_passed_tells_the_place(monkey
     for stretches in (STRETCHES, 0):
         monkeypatch.setattr("slam.loop_closure.stretches.STRETCHES", stretches)
         slam = Slam(Config(), known, extend=False)
-        for _, _, record in simulate(park, SimulationConfig(), seed=2):
+        for record in simulate(park, SimulationConfig(), seed=2):
             if isinstance(record, Odometry | ObjectDetections | Transform):
                 slam.process(record)
         found_m.append(slam.fixes[0].travel_m if slam.fixes else np.inf)

@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import Markdown, number, percent, report
+from tools.lab.tables import Descriptors, Markdown, report, row_of
 
-if TYPE_CHECKING:
-    from slam.simulation.world import World
-
-
-Objects = Annotated[
-    Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.", show_default=False)
-]
-Trajectory = Annotated[
-    Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.", show_default=False)
-]
-Methods = Annotated[
-    list[str] | None,
-    typer.Option("--descriptor", metavar="NAME", help="Descriptor. Repeatable; by default all."),
-]
+Objects = Annotated[Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")]
+Trajectory = Annotated[Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.")]
+COLUMNS = {
+    "descriptor": "{method}",
+    "scenario": "{scenario}",
+    "success %": "{success:.1%} ± {deviation:.1%}",
+    "of ceiling %": "{of_ceiling:.1%}",
+    "ceiling %": "{ceiling:.1%}",
+    "misplaced %": "{misplaced:.1%}",
+    "likeliest %": "{likeliest:.1%}",
+    "top 5 %": "{top_5:.1%}",
+    "ms": "{query_ms:.1f}",
+    "map s": "{build_s:.2f}",
+}
 
 
 def descriptors(
     objects: Objects = None,
     trajectory: Trajectory = None,
-    descriptor: Methods = None,
+    descriptor: Descriptors = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries for each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with different queries.")] = 5,
     output: Annotated[
@@ -38,7 +38,7 @@ def descriptors(
             "--output",
             "-o",
             metavar="FOLDER",
-            help="Folder for a CSV file, a LaTeX table (the best in bold) and a figure.",
+            help="Folder for the figures as a CSV file.",
         ),
     ] = None,
     markdown: Markdown = False,
@@ -57,11 +57,13 @@ def descriptors(
     """
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
+    from logs.storage.placement import write_text
     from tools import console
     from tools.lab.retrieval.labelled_map import labelled_map
-    from tools.lab.retrieval.paper import benchmark_descriptors, write_comparison
+    from tools.lab.retrieval.paper import benchmark_descriptors
+    from tools.simulate import load_or_generate
 
-    world = _world(objects, trajectory)
+    world = load_or_generate(objects, trajectory, seed=0)
     objects_of_map = labelled_map(world)
     methods = list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name]))
     with console.progress_bar("localizing", "localizing") as move:
@@ -71,47 +73,19 @@ def descriptors(
             methods,
             queries=queries,
             seeds=seeds,
-            on_progress=move or (lambda fraction: None),
+            on_progress=move,
         )
     count, classes = len(objects_of_map), len(objects_of_map.vocabulary)
     conditions = f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds"
     if output is not None:
-        write_comparison(output, world.name, cells, conditions)
+        output.mkdir(parents=True, exist_ok=True)
+        write_text(output / "descriptors.csv", cells.to_csv(index=False, lineterminator="\n"))
     rows = cells.to_dict("records")
     about = {"map": world.name, "objects": count, "classes": classes, "queries": queries, "seeds": seeds}
     report(
-        [_row(cell) for cell in rows],
+        [row_of(COLUMNS, cell) for cell in rows],
         title=f"{world.name}: {conditions}",
         texts=["scenario"],
         markdown=markdown,
         json={**about, "cells": rows} if json else None,
     )
-
-
-def _world(objects: Path | None, trajectory: Path | None) -> World:
-    """The map of the files, or the generated town."""
-    import numpy as np
-
-    from slam.simulation.street_grid import generate_street_grid
-    from slam.simulation.world import load_world
-
-    if (objects is None) != (trajectory is None):
-        raise typer.BadParameter("--objects and --trajectory belong together; give both or neither.")
-    if objects is not None and trajectory is not None:
-        return load_world(objects, trajectory)
-    return generate_street_grid(rng=np.random.default_rng(0))
-
-
-def _row(cell: dict[str, Any]) -> dict[str, str]:
-    return {
-        "descriptor": cell["method"],
-        "scenario": cell["scenario"],
-        "success %": f"{percent(cell['success'])} ± {percent(cell['deviation'])}",
-        "of ceiling %": percent(cell["of_ceiling"]),
-        "ceiling %": percent(cell["ceiling"]),
-        "misplaced %": percent(cell["misplaced"]),
-        "likeliest %": percent(cell["likeliest"]),
-        "top 5 %": percent(cell["top_5"]),
-        "ms": number(cell["query_ms"], 1),
-        "map s": number(cell["build_s"], 2),
-    }

@@ -8,22 +8,30 @@ from typing import Annotated
 
 import typer
 
-from tools.arguments import Json
+from tools.arguments import Jobs, Json
+
+ROWS = {
+    "logs": "{logs}, {unusable} of them damaged or of another town",
+    "joined": "{joined} in {parts} maps, {unjoined} not; {false_joins} false",
+    "landmarks": "{landmarks}, RMSE {rmse_m:.3f} m, median {median_m:.3f} m; in maps of "
+    "single drives RMSE {single_rmse_m:.3f} m, median {single_median_m:.3f} m",
+    "duplicates": "{duplicates:.2%}",
+    "changes": "{changes_reported} reported, precision {change_precision:.3f}; "
+    "{changes_true} passed by two drives both before and after, recall {change_recall:.3f}",
+    "cost": "{wall_s:.0f} s, {processor_s:.0f} s of the processor; {session_mb:.2f} MB a session",
+}
 
 
 def fleet(
     folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of logs and maps.")],
     city: Annotated[
         list[Path] | None,
-        typer.Option(metavar="DIR", help="Folder with objects.csv and trajectory.csv. Repeatable.", show_default=False),
+        typer.Option(metavar="DIR", help="Folder with objects.csv and trajectory.csv. Repeatable."),
     ] = None,
     drives: Annotated[int, typer.Option(min=1, help="Drives in each city and in the generated town.")] = 8,
     length: Annotated[float, typer.Option(min=50.0, help="Length of a drive.")] = 250.0,
     months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of logs mapped in parallel. \\[default: one per core]", show_default=False),
-    ] = None,
+    workers: Jobs = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
     json: Json = False,
 ) -> None:
@@ -34,8 +42,6 @@ def fleet(
 
     Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg
     """
-    from dataclasses import asdict
-
     from tools import console
     from tools.lab.fleets.run import benchmark_fleet
     from tools.lab.fleets.simulated_fleet import FleetPlan
@@ -43,24 +49,9 @@ def fleet(
     plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
     jobs = workers or os.cpu_count() or 1
     with console.progress_line("fleet") as progress:
-        score, cost = benchmark_fleet(
-            folder, city or [], plan, workers=jobs, seed=seed, **({"progress": progress} if progress else {})
-        )
+        figures = benchmark_fleet(folder, city or [], plan, workers=jobs, seed=seed, progress=progress)
     if json:
-        console.show_json({**asdict(score), **asdict(cost)})
-        return
-    console.show(
-        console.pairs(
-            {
-                "logs": f"{score.logs}, {score.unusable} of them damaged or of another town",
-                "joined": f"{score.joined} in {score.parts} maps, {score.unjoined} not; {score.false_joins} false",
-                "landmarks": f"{score.landmarks}, RMSE {score.rmse_m:.3f} m, median {score.median_m:.3f} m; in maps of "
-                f"single drives RMSE {score.single_rmse_m:.3f} m, median {score.single_median_m:.3f} m",
-                "duplicates": f"{100 * score.duplicates:.2f} %",
-                "changes": f"{score.changes_reported} reported, precision {score.change_precision:.3f}; "
-                f"{score.changes_true} passed by two drives both before and after, recall {score.change_recall:.3f}",
-                "cost": f"{cost.wall_s:.0f} s, {cost.processor_s:.0f} s of the processor; "
-                f"{cost.session_mb:.2f} MB a session",
-            }
-        )
-    )
+        console.show_json(figures)
+    else:
+        rows = {name: template.format_map(figures).replace("%", " %") for name, template in ROWS.items()}
+        console.show(console.pairs(rows))

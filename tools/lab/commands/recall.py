@@ -9,27 +9,35 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import Markdown, number, percent, report
+from tools.lab.tables import Descriptors, Markdown, report, row_of
 
 if TYPE_CHECKING:
     from tools.lab.retrieval.path_queries import Scenario
 
 RESULTS, PICTURE = "contest.csv", "contest.png"
+COLUMNS = {
+    "descriptor": "{proposer}",
+    "map": "{map_objects} of {map_classes}",
+    "query": "{query}",
+    "@1 %": "{at_1:.1%}",
+    "@5 %": "{at_5:.1%}",
+    "@25 %": "{at_25:.1%}",
+    "right %": "{right:.1%}",
+    "wrong %": "{wrong:.1%}",
+    "ms": "{propose_ms:.1f}",
+    "95 % ms": "{propose_p95_ms:.1f}",
+    "verify ms": "{verify_ms:.1f}",
+    "B/object": "{bytes_per_object:.0f}",
+    "build s": "{build_s:.1f}",
+}
 
 
 def recall(
     objects: Annotated[
         list[Path],
-        typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class. Repeatable: side by side.", show_default=False),
+        typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class. Repeatable: side by side."),
     ],
-    descriptor: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--descriptor",
-            metavar="NAME",
-            help="Descriptor: a name, a weights file or module:Class. Repeatable; by default all.",
-        ),
-    ] = None,
+    descriptor: Descriptors = None,
     size: Annotated[
         list[int] | None,
         typer.Option(min=1, metavar="N", help="Size of the map: the N objects nearest to a random one. Repeatable."),
@@ -90,7 +98,7 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, add_results, run_contest, side_by_side
+    from tools.lab.retrieval.contest import Contest, add_results, run_contest, scenario_of, side_by_side
     from tools.lab.retrieval.contest_picture import draw_contest
 
     proposers = dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])
@@ -104,13 +112,13 @@ def recall(
     )
     world = side_by_side([read_object_table(path) for path in objects])
     with console.progress_bar("measuring", "measuring") as move:
-        cells = run_contest(world, contest, on_progress=move or (lambda fraction: None))
+        cells = run_contest(world, contest, on_progress=move)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
         draw_contest(output / PICTURE, add_results(output / RESULTS, cells))
     found = cells.to_dict("records")
     report(
-        [_row(each, contest.scenarios[0]) for each in found],
+        [row_of(COLUMNS, {**each, "query": scenario_of(each).describe(contest.scenarios[0])}) for each in found],
         texts=("map", "query"),
         markdown=markdown,
         json={"figures": found} if json else None,
@@ -133,23 +141,3 @@ def _scenarios(
     varied["range_m"] = range_m
     first = Scenario(**{name: values[0] for name, values in varied.items()})
     return (first, *(replace(first, **{name: each}) for name, values in varied.items() for each in values[1:]))
-
-
-def _row(cell: dict[str, Any], first: Scenario) -> dict[str, str]:
-    from tools.lab.retrieval.contest import scenario_of
-
-    return {
-        "descriptor": cell["proposer"],
-        "map": f"{cell['map_objects']} of {cell['map_classes']}",
-        "query": scenario_of(cell).describe(first),
-        "@1 %": percent(cell["at_1"]),
-        "@5 %": percent(cell["at_5"]),
-        "@25 %": percent(cell["at_25"]),
-        "right %": percent(cell["right"]),
-        "wrong %": percent(cell["wrong"]),
-        "ms": number(cell["propose_ms"], 1),
-        "95 % ms": number(cell["propose_p95_ms"], 1),
-        "verify ms": number(cell["verify_ms"], 1),
-        "B/object": number(cell["bytes_per_object"], 0),
-        "build s": number(cell["build_s"], 1),
-    }

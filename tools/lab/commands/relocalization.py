@@ -8,30 +8,30 @@ from typing import Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import number, report
+from tools.lab.tables import report, row_of
 
 COLUMNS = {
-    "drives": ("kidnaps", 0, 1.0),
-    "found": ("success_rate", 1, 100.0),
-    "late": ("late_rate", 1, 100.0),
-    "wrong": ("false_relocalization_rate", 1, 100.0),
-    "lost": ("not_found_rate", 1, 100.0),
-    "m": ("median_distance_m", 1, 1.0),
-    "95 %": ("p95_distance_m", 1, 1.0),
-    "s": ("median_seconds", 1, 1.0),
-    "off m": ("median_error_m", 2, 1.0),
-    "95 % off": ("p95_error_m", 2, 1.0),
-    "deg": ("median_error_deg", 2, 1.0),
-    "search ms": ("query_ms", 1, 1.0),
+    "where": "{where}",
+    "drives": "{kidnaps}",
+    "found": "{success_rate:.1%}",
+    "late": "{late_rate:.1%}",
+    "wrong": "{false_relocalization_rate:.1%}",
+    "lost": "{not_found_rate:.1%}",
+    "m": "{median_distance_m:.1f}",
+    "95 %": "{p95_distance_m:.1f}",
+    "s": "{median_seconds:.1f}",
+    "off m": "{median_error_m:.2f}",
+    "95 % off": "{p95_error_m:.2f}",
+    "deg": "{median_error_deg:.2f}",
+    "search ms": "{query_ms:.1f}",
 }
-"""Heading -> figure, digits, and factor."""
 
 
 def relocalization(
-    log: Annotated[Path, typer.Option(metavar="LOG.mcap", help="A drive with its truth.", show_default=False)],
+    log: Annotated[Path, typer.Option(metavar="LOG.mcap", help="A drive with its truth.")],
     map_until: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", min=1.0, help="Map the drive up to this time.", show_default=False),
+        typer.Option(metavar="SECONDS", min=1.0, help="Map the drive up to this time."),
     ] = None,
     map_log: Annotated[
         Path | None,
@@ -39,15 +39,12 @@ def relocalization(
             "--map",
             metavar="MAP.mcap",
             help="Do not map the drive, but use this imported map, in the frame of the truth.",
-            show_default=False,
         ),
     ] = None,
     kidnaps: Annotated[
         int, typer.Option(min=1, help="Largest number of places in the map, and of places outside.")
     ] = 100,
-    max_travel: Annotated[
-        float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="Length of each search.")
-    ] = 60.0,
+    max_travel: Annotated[float, typer.Option(metavar="METRES", min=5.0, help="Length of each search.")] = 60.0,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
@@ -87,10 +84,7 @@ def relocalization(
             topics=parse_topics(topics),
             on_progress=move,
         )
-    rows = [
-        {"where": where} | {name: number(found[key], digits, factor) for name, (key, digits, factor) in COLUMNS.items()}
-        for where, found in result["groups"].items()
-    ]
+    rows = [row_of(COLUMNS, {"where": where, **found}) for where, found in result["groups"].items()]
     elsewhere = [each["is_right"] is not None for each in result["elsewhere"]]
     report(
         rows,

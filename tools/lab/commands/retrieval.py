@@ -8,19 +8,23 @@ from typing import Annotated, Any
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import Markdown, number, percent, report
+from tools.lab.tables import Descriptors, Markdown, report, row_of
+
+COLUMNS = {
+    "drive": "{drive}",
+    "descriptor": "{descriptor}",
+    "queries": "{queries}",
+    "places @1 %": "{places_at_1:.1%}",
+    "places @5 %": "{places_at_5:.1%}",
+    "places @25 %": "{places_at_25:.1%}",
+    "query ms": "{query_ms:.1f}",
+    "map s": "{index_s:.2f}",
+}
 
 
 def retrieval(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG.mcap...", help="Drives with truth.", show_default=False)],
-    descriptor: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--descriptor",
-            metavar="NAME",
-            help="Descriptor: a name, a weights file or module:Class. Repeatable; by default all.",
-        ),
-    ] = None,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG.mcap...", help="Drives with truth.")],
+    descriptor: Descriptors = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
@@ -44,25 +48,10 @@ def retrieval(
     figures: list[dict[str, Any]] = []
     for log in logs:
         with console.progress_bar(f"mapping {log.name}", "mapping") as move:
-            figures += measure_revisits(
-                log, names, config, topics=parse_topics(topics), on_progress=move or (lambda done: None)
-            )
+            figures += measure_revisits(log, names, config, topics=parse_topics(topics), on_progress=move)
     report(
-        [_row(each) for each in figures],
+        [row_of(COLUMNS, each) for each in figures],
         texts=["descriptor"],
         markdown=markdown,
         json={"figures": figures} if json else None,
     )
-
-
-def _row(figures: dict[str, Any]) -> dict[str, str]:
-    from tools.lab.retrieval.labelled_map import RECALL_AT
-
-    return {
-        "drive": figures["drive"],
-        "descriptor": figures["descriptor"],
-        "queries": str(figures["queries"]),
-        **{f"places @{k} %": percent(figures[f"places_at_{k}"]) for k in RECALL_AT},
-        "query ms": number(figures["query_ms"], 1),
-        "map s": number(figures["index_s"], 2),
-    }

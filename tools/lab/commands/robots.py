@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import Markdown, number, percent, report
+from tools.lab.tables import Markdown, report, row_of
 from tools.replay import noted_counters
 
 if TYPE_CHECKING:
@@ -18,26 +18,26 @@ if TYPE_CHECKING:
     from tools.lab.drives.robot_drives import RobotDrive
 
 COLUMNS = {
-    "odom. m": ("trajectory.odometry_ate_m", 3, 1.0),
-    "ATE m": ("trajectory.ate_m", 3, 1.0),
-    "landmarks": ("counters.landmarks_confirmed", 0, 1.0),
-    "right %": ("associations.precision", 1, 100.0),
-    "closures": ("closures.accepted_count", 0, 1.0),
-    "precise %": ("closures.precision", 1, 100.0),
-    "indep.": ("closures.independent_count", 0, 1.0),
-    "recall %": ("closures.recall", 1, 100.0),
-    "known %": ("closures.recognised", 1, 100.0),
+    "drive": "{name}",
+    "odom. m": "{trajectory[odometry_ate_m]:.3f}",
+    "ATE m": "{trajectory[ate_m]:.3f}",
+    "landmarks": "{counters[landmarks_confirmed]}",
+    "right %": "{associations[precision]:.1%}",
+    "closures": "{closures[accepted_count]}",
+    "precise %": "{closures[precision]:.1%}",
+    "indep.": "{closures[independent_count]}",
+    "recall %": "{closures[recall]:.1%}",
+    "known %": "{closures[recognised]:.1%}",
+    "x real": "{speed:.1f}",
+    "GB": "{gigabytes:.2f}",
 }
-"""Heading -> key of a figure in an evaluation's JSON, digits, and factor."""
 
 
 def robots(
-    data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="Folder that contains drives, at any depth.", show_default=False)
-    ],
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="Folder that contains drives, at any depth.")],
     drive: Annotated[
         list[str] | None,
-        typer.Option("--drive", metavar="NAME", help="Only this drive, or the drives in this folder. Repeatable."),
+        typer.Option(metavar="NAME", help="Only this drive, or the drives in this folder. Repeatable."),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
@@ -104,9 +104,8 @@ def notes_of(run: MappedDrive) -> list[str]:
 
 
 def _row(name: str, run: MappedDrive) -> dict[str, str]:
-    cells = {heading: number(run.figure(key), digits, factor) for heading, (key, digits, factor) in COLUMNS.items()}
+    used = {} if run.error else {"speed": run.log_s / run.replay_s, "gigabytes": 1e-9 * run.peak_memory_bytes}
+    cells = row_of(COLUMNS, {"name": name, **used, **run.evaluation})
     if (false_share := run.figure("closures.largest_false_share")) is not None:
-        cells["indep."] += f": {percent(false_share, 0)}"
-    speed = None if run.error else run.log_s / run.replay_s
-    gigabytes = number(None if run.error else run.peak_memory_bytes, 2, 1e-9)
-    return {"drive": name, **cells, "x real": number(speed, 1), "GB": gigabytes}
+        cells["indep."] += f": {100.0 * false_share:.0f}"
+    return cells

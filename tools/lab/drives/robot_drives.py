@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.importers.imported_log import write_imported_log
+from logs.importers.imported_log import write_drive
 from logs.importers.text_log import read_text_log
 from slam.common.errors import InputDataError
 
@@ -55,7 +55,7 @@ def import_drive(drive: RobotDrive, log: Path) -> None:
     if drive.detections is None:
         raise InputDataError(f"{drive.odometry.parent}: no file detections.*, so there is nothing to map")
     text = read_text_log(odometry=drive.odometry, detections=drive.detections, ground_truth=drive.ground_truth)
-    write_imported_log(log, text.records(), text.source)
+    write_drive(log, text.records(), text.source)
 
 
 def _is_in(drive: RobotDrive, name: str) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +16,8 @@ from slam.fleet.sessions import MAP_NAME, Progress, session_folder
 from slam.object_map.map_io import load_map
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import load_world
-from tools.lab.fleets.score import FleetScore, score_fleet
+from tools.lab.fleets.score import score_fleet
 from tools.lab.fleets.simulated_fleet import FleetPlan, simulate_fleet
-
-
-@dataclass(frozen=True, slots=True)
-class FleetCost:
-    """Seconds of the whole on the clock and of the processor, and files a session [MB]."""
-
-    wall_s: float
-    processor_s: float
-    session_mb: float
 
 
 def benchmark_fleet(
@@ -38,8 +28,11 @@ def benchmark_fleet(
     workers: int,
     seed: int = 0,
     progress: Progress = lambda done, doing: None,
-) -> tuple[FleetScore, FleetCost]:
+) -> dict[str, float]:
     """Simulate a fleet in the generated town and in cities, map it, and compare it with the truth.
+
+    Returns the figures of :func:`tools.lab.fleets.score.score_fleet`, the seconds of the whole on the clock and of the
+    processor, and the files of a session [MB].
 
     Args:
         folder: takes the logs and what a fleet leaves.
@@ -63,7 +56,8 @@ def benchmark_fleet(
     maps = [load_map(session_folder(folder, digest, Config()) / MAP_NAME) for digest in fleet.order]
     files = [path for path in (folder / "sessions").rglob("*") if path.is_file()]
     session_mb = sum(path.stat().st_size for path in files) / 1e6 / max(len(maps), 1)
-    return score_fleet(truth, fleet, maps), FleetCost(wall_s, processor_s, session_mb)
+    cost = {"wall_s": wall_s, "processor_s": processor_s, "session_mb": session_mb}
+    return score_fleet(truth, fleet, maps) | cost
 
 
 def _processor_s() -> float:

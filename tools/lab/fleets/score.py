@@ -30,31 +30,6 @@ FALSE_JOIN_M = 3.0
 ALIGNMENTS = 5
 
 
-@dataclass(frozen=True, slots=True)
-class FleetScore:
-    """Figures of a fleet. Errors of landmarks in the plane [m]: RMSE and median, in the joint maps and in the maps of
-    the drives; ``duplicates``: share of landmarks whose object has another one; joins: members that are elsewhere by
-    ``FALSE_JOIN_M`` or of another city; ``unjoined``: usable drives outside the part of their city; changes as events.
-    """
-
-    logs: int
-    unusable: int
-    parts: int
-    joined: int
-    unjoined: int
-    false_joins: int
-    landmarks: int
-    rmse_m: float
-    median_m: float
-    single_rmse_m: float
-    single_median_m: float
-    duplicates: float
-    changes_true: int
-    changes_reported: int
-    change_precision: float
-    change_recall: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     """Errors (N,) m of the landmarks that have an object, how many objects have several, and the alignment (4, 4)."""
@@ -64,13 +39,19 @@ class _Fit:
     T_world_map: FloatArray
 
 
-def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -> FleetScore:
+def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -> dict[str, float]:
     """Compare the joint maps with the worlds.
 
     Args:
         truth: what was simulated.
         fleet: what became of it.
         maps: of the sessions, by their numbers.
+
+    Returns:
+        Errors of landmarks in the plane [m]: RMSE and median, in the joint maps and in the maps of the drives;
+        ``duplicates``: share of landmarks whose object has another one; joins: members that are elsewhere by
+        ``FALSE_JOIN_M`` or of another city; ``unjoined``: usable drives outside the part of their city; changes as
+        events.
     """
     drives = [truth.drives[digest] for digest in fleet.order]
     joint = [each for each in fleet.maps if len(each.part.visits) > 1]
@@ -87,34 +68,28 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
     usable = sum(drive.city >= 0 for drive in truth.drives.values())
     landmarks = sum(len(each.part.objects.ids) for each in joint)
     reported, right, shown, found = np.sum(changes, axis=0).tolist()
-    rmse_m, median_m = _errors(fits)
-    single_rmse_m, single_median_m = _errors(single)
-    return FleetScore(
-        logs=len(truth.logs),
-        unusable=len(truth.logs) - usable,
-        parts=len(joint),
-        joined=sum(best.values()),
-        unjoined=usable - sum(best.values()),
-        false_joins=false_joins,
-        landmarks=landmarks,
-        rmse_m=rmse_m,
-        median_m=median_m,
-        single_rmse_m=single_rmse_m,
-        single_median_m=single_median_m,
-        duplicates=sum(fit.duplicates for fit in fits) / max(landmarks, 1),
-        changes_true=shown,
-        changes_reported=reported,
-        change_precision=right / max(reported, 1),
-        change_recall=found / max(shown, 1),
-    )
+    return {
+        "logs": len(truth.logs),
+        "unusable": len(truth.logs) - usable,
+        "parts": len(joint),
+        "joined": sum(best.values()),
+        "unjoined": usable - sum(best.values()),
+        "false_joins": false_joins,
+        "landmarks": landmarks,
+        **_errors("", fits),
+        **_errors("single_", single),
+        "duplicates": sum(fit.duplicates for fit in fits) / max(landmarks, 1),
+        "changes_true": shown,
+        "changes_reported": reported,
+        "change_precision": right / max(reported, 1),
+        "change_recall": found / max(shown, 1),
+    }
 
 
-def _errors(fits: Sequence[_Fit]) -> tuple[float, float]:
+def _errors(of: str, fits: Sequence[_Fit]) -> dict[str, float]:
     """RMSE and median [m]."""
-    if not fits:
-        return float("nan"), float("nan")
-    errors_m = np.concatenate([fit.errors_m for fit in fits])
-    return float(np.sqrt(np.mean(errors_m**2))), float(np.median(errors_m))
+    errors_m = np.concatenate([fit.errors_m for fit in fits]) if fits else np.array([np.nan])
+    return {f"{of}rmse_m": float(np.sqrt(np.mean(errors_m**2))), f"{of}median_m": float(np.median(errors_m))}
 
 
 def _fit(objects: ObjectMapRecord, first: TrueDrive, truth: SimulatedFleet) -> _Fit:
@@ -143,7 +118,7 @@ def _false_joins(part: Part, members: Sequence[TrueDrive], T_world_map: FloatArr
     wrong = 0
     for number, drive in zip(part.sessions, members, strict=True):
         places = apply(T_world_map, part.visits[number].steps.reshape(-1, 3))
-        away_m = np.asarray(cKDTree(drive.path).query(places[:, :2])[0])
+        away_m = cKDTree(drive.path).query(places[:, :2])[0]
         wrong += drive.city != members[0].city or bool(np.median(away_m) > FALSE_JOIN_M)
     return wrong
 

@@ -46,9 +46,8 @@ def benchmark_relocalization(
     given: ImportedMap | float,
     kidnaps: int,
     max_travel_m: float = 60.0,
-    protocol: Protocol | None = None,
     topics: Mapping[str, str] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Relocalize at places of a drive with truth, evenly spread over it.
 
@@ -59,7 +58,6 @@ def benchmark_relocalization(
             mapped, and from which on places are taken.
         kidnaps: most places in the map, and most places far from it.
         max_travel_m: length of each search.
-        protocol: the tolerance of a right fix.
         topics: kind -> topic, where the log leaves a choice.
         on_progress: called with the fraction done, in [0, 1].
 
@@ -71,7 +69,6 @@ def benchmark_relocalization(
         LogError: the log cannot be read.
         SlamError: it holds no truth, or no place of it is in the map.
     """
-    protocol = protocol or Protocol()
     with LogReader(path, RESULT_LIMITS) as reader:
         selection = select_topics(reader.topics(), topics, needed=_KINDS)
         records = [entry.record for entry in reader.records(selection) if isinstance(entry.record, _Kept)]
@@ -86,7 +83,7 @@ def benchmark_relocalization(
             known, reach_m = known_imported(given), config.sensor_range_m
         else:
             begin_ns += round(1e9 * given)
-            known, reach_m = map_drive(_between(records, 0, begin_ns), config), protocol.revisit_distance_m
+            known, reach_m = map_drive(_between(records, 0, begin_ns), config), Protocol().revisit_distance_m
         inside, outside = find_starts(known, truth, begin_ns, reach_m, 2.0 * config.sensor_range_m, max_travel_m)
         if not len(inside):
             raise EvaluationError(
@@ -98,9 +95,8 @@ def benchmark_relocalization(
         for row in (*inside, *outside):
             last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + max_travel_m)
             first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()
-            outcomes.append(put_down(known, _between(records, first_ns, last_ns), config, protocol))
-            if on_progress is not None:
-                on_progress(len(outcomes) / (len(inside) + len(outside)))
+            outcomes.append(put_down(known, _between(records, first_ns, last_ns), config))
+            on_progress(len(outcomes) / (len(inside) + len(outside)))
     found = pd.DataFrame(outcomes[: len(inside)], dtype=object)
     names = [f"{number}+ objects" for number in OBJECTS]
     numbers = pd.cut(found["objects"], [*OBJECTS, np.inf], right=False, labels=names)
@@ -135,7 +131,7 @@ def find_starts(
     )
 
 
-def put_down(known: KnownMap, records: Sequence[Record], config: Config, protocol: Protocol) -> dict[str, Any]:
+def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict[str, Any]:
     """Drive until the robot is localized in the map.
 
     Returns:
@@ -158,6 +154,7 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config, protoco
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
         T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0])
         error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
+        protocol = Protocol()
         is_near = error_m <= protocol.closure_translation_m
         outcome |= {
             "distance_m": float(truth.travelled_at_m(at_ns)[0]),

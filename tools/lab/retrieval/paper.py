@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,10 +18,8 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.index import VectorIndex
 from descriptors.registry import make_index
 from logs.messages import ObjectDetections
-from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.display.map_picture import save_figure
 from slam.loop_closure.candidate import Candidate
 from slam.scan_localization import ScanLocalizer
 from tools.lab.retrieval.labelled_map import LabelledMap
@@ -103,37 +100,6 @@ def localizer_config(method: str, *, noisy: bool = False) -> Config:
             "registration": config.registration.model_copy(update={"estimate_scale": noisy}),
         }
     )
-
-
-def write_comparison(folder: Path, world: str, cells: pd.DataFrame, conditions: str) -> None:
-    """Write a CSV file, a table for LaTeX with the best in bold, and a figure into a folder, which is made.
-
-    Args:
-        folder: of the files.
-        world: name of the map.
-        cells: as :func:`benchmark_descriptors` returns them.
-        conditions: how they were measured, for the caption.
-
-    Raises:
-        UnwritableLogError: a file cannot be written.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "descriptors.csv", cells.to_csv(index=False, lineterminator="\n"))
-    percents = cells.assign(percent=100.0 * cells["success"].astype(float), spread=100.0 * cells["deviation"])
-    success = percents.pivot(index="method", columns="scenario", values="percent")
-    success = success.loc[cells["method"].unique(), cells["scenario"].unique()]
-    axes = success.plot.bar(yerr=percents.pivot(index="method", columns="scenario", values="spread"), rot=30)
-    axes.set_ylabel("success [%]")
-    axes.figure.set_layout_engine("constrained")
-    save_figure(axes.figure, folder / "descriptors.png")
-    texts = success.round(1).map(lambda value: f"{value:.1f}")
-    texts = texts.where(success.lt(success.max(axis=0), axis=1), r"\textbf{" + texts + "}")
-    texts.index = texts.index.str.replace("_", r"\_")
-    caption = f"Localized queries [%] in {world}; {conditions}.".replace("_", r"\_").replace("%", r"\%")
-    table = texts.rename_axis(index=None, columns=None).to_latex(
-        escape=False, column_format="l" + "r" * texts.shape[1], caption=caption, label=f"tab:descriptors-{world}"
-    )
-    write_text(folder / "descriptors.tex", table)
 
 
 def _measure(

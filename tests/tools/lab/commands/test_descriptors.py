@@ -28,7 +28,7 @@ def write_world(folder: Path) -> tuple[object, ...]:
 
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
-    result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "--json")
+    result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "--json", "-o", tmp_path / "out")
     assert result.code == 0, result.err
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"]) == (tmp_path.name, 60, 3)
@@ -36,31 +36,17 @@ def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
     assert list(cells) == [(name, scenario) for name in ("descriptellation_lr", "random") for scenario in SCENARIOS]
     assert all(set(cell) == {"method", "scenario"} | MEASURES for cell in cells.values())
+    table = pd.read_csv(tmp_path / "out" / "descriptors.csv")
+    assert table["method"].tolist() == ["descriptellation_lr"] * 3 + ["random"] * 3
     assert cells["descriptellation_lr", "self"]["success"] == cells["descriptellation_lr", "self"]["ceiling"] == 1.0
 
 
 def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     assert_refused(benchmark(dslam, "--descriptor", "rings"), "'rings'", "descriptellation_lr")
-    assert_refused(dslam("benchmark", "descriptors", "--queries", 0), "--queries")
-    assert_refused(dslam("benchmark", "descriptors", "--seeds", 0), "--seeds")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")
     assert_refused(benchmark(dslam, *files, "--descriptor", "descriptellation_lr"), "no object", "30 m")
     assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")
-
-
-def test_comparison_is_written_as_csv_latex_and_figure(dslam: Run, tmp_path: Path) -> None:
-    files = write_world(tmp_path)
-    result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "-o", tmp_path / "out")
-    assert result.code == 0, result.err
-    frame = pd.read_csv(tmp_path / "out" / "descriptors.csv")
-    assert frame["method"].tolist() == ["descriptellation_lr"] * 3 + ["random"] * 3
-    latex = (tmp_path / "out" / "descriptors.tex").read_text()
-    best = frame[frame["scenario"] == "self"]["success"].max()
-    assert rf"descriptellation\_lr & \textbf{{{100 * best:.1f}}}" in latex
-    assert r"\caption" in latex
-    assert r"\label" in latex
-    assert (tmp_path / "out" / "descriptors.png").stat().st_size > 5000
 
 
 def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:

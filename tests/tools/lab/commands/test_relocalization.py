@@ -38,9 +38,6 @@ def _objects() -> list[tuple[float, float, str]]:
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--map-until", 9, "--kidnaps", 0), "--kidnaps"),
-        (("--map-until", 9, "--max-travel", 1), "--max-travel"),
-        (("--map-until", 9, "--set", "loop_closure.topk=3"), "loop_closure.top_k"),
         ((), "--map-until and --map"),
         (("--map-until", 3, "--map", "m.mcap"), "--map-until and --map"),
         (("--map-until", 9), "drive.mcap"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slam.sweeps.mapped_drive import MappedDrive
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run
 from tools.lab.commands import robots
 
 COUNTERS = {"odometry_used": 5, "landmarks_confirmed": 37, "odometry_breaks": 2, "closures_accepted": 3}
@@ -52,9 +52,3 @@ def test_json_has_every_figure(dslam: Run, data: Path) -> None:
     assert (bad["error"], bad["notes"]) == ("line 1 | broken", ["line 1 | broken"])
     assert good["notes"] == ["odometry breaks 2"]
     assert good["evaluation"]["associations"]["precision"] == 0.6175
-
-
-def test_what_cannot_be_is_refused(dslam: Run, data: Path, tmp_path: Path) -> None:
-    assert_refused(dslam("benchmark", "robots", tmp_path / "nowhere"), "holds no drives")
-    assert_refused(dslam("benchmark", "robots", data, "--drive", "goo"), "no drive 'goo'", "bad/one, good")
-    assert_refused(dslam("benchmark", "robots", data, "--set", "keyframe.distance=1"), "distance_m")
