@@ -78,14 +78,6 @@ class LoopClosureConfig(Branch):
     )
 
 
-class RegistrationSettings(Branch):
-    """Registration of one constellation of objects with another."""
-
-    estimate_scale: bool = Field(
-        default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
-    )
-
-
 class LabelsConfig(Branch):
     """What the classes of detections are called in the map. Old names may hold the wildcards * and ?."""
 
@@ -105,7 +97,6 @@ class Config(Branch):
     keyframe: KeyframeConfig = KeyframeConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     localization: LocalizationConfig = LocalizationConfig()
-    registration: RegistrationSettings = RegistrationSettings()
     labels: LabelsConfig = LabelsConfig()
     topics: dict[str, str] = Field(
         default={},

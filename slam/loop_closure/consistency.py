@@ -12,11 +12,10 @@ from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import invert, yaw_rad
 from slam.loop_closure.candidate import Candidate
 from slam.odometry.noise import SLIP_INFLATION
-from slam.registration.parameters import DISTINCT_RANGES
 
 # Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
 # the objects in a row, or more. In sensor ranges.
-AGREE_RANGES = DISTINCT_RANGES
+AGREE_RANGES = 1.0 / 15.0
 AGREE_RAD = np.deg2rad(5.0)
 TILT_SIGMA_RAD = np.deg2rad(1.0)
 """Error of gravity between two traversals."""

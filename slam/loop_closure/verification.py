@@ -22,8 +22,9 @@ from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
+from slam.registration.estimate import Registration
 from slam.registration.parameters import RegistrationConfig, registration_config
-from slam.registration.registration import Registration, refine
+from slam.registration.registration import refine
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""
@@ -264,7 +265,7 @@ def register(
     All objects of a query of fewer than ``min_inliers`` have to agree.
     """
     if MIN_OBJECTS <= len(query) < config.min_inliers:
-        config = config.model_copy(update={"min_inliers": len(query)})
+        config = replace(config, min_inliers=len(query))
     return refine(
         query.positions,
         query.labels,

@@ -18,7 +18,8 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
-from slam.place_recognition.landmark_index import Batch, make_landmark_index
+from slam.place_recognition.landmark_index import LandmarkIndex
+from slam.place_recognition.landmark_pairs import Batch
 from slam.place_recognition.place import Place, traversal_of
 from slam.place_recognition.place_search import PlaceSearch
 
@@ -42,7 +43,7 @@ class PlaceRetriever:
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
         self._map = object_map
-        self._index = make_landmark_index(config)
+        self._index = LandmarkIndex(config)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1

@@ -27,10 +27,10 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratio
+from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.registration.parameters import registration_config
-from slam.registration.registration import refine
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
@@ -149,16 +149,7 @@ def verify(
     for T_proposed in poses:
         near = np.sort(np.asarray(tree.query_ball_point(T_proposed[:2, 3], reach_m), dtype=np.int64))
         reference = Submap(objects.positions[near], np.full(len(near), SURVEYED_SIGMA_M), objects.labels[near], near)
-        found = refine(
-            query.positions,
-            query.labels,
-            reference.positions,
-            reference.labels,
-            T_proposed,
-            registering,
-            query_sigmas=query.sigmas,
-            reference_sigmas=reference.sigmas,
-        )
+        found = register(query, reference, T_proposed, registering)
         if found.T_reference_query is None:
             continue
         ratio = compute_log_likelihood_ratio(query, reference, found.T_reference_query, found.pairs, range_m)
