@@ -114,21 +114,6 @@ class Candidate:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
-    graph, its own or one nearby.
-    """
-
-    candidate: Candidate
-    represented_by: int
-
-    @property
-    def latest(self) -> int:
-        """The later one of the two query keyframes."""
-        return max(self.candidate.query.id, self.represented_by)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
     """A keyframe and the landmarks around it, in its gravity frame.

@@ -69,7 +69,7 @@ PARTS: dict[str, Part] = {
     ),
     "association after a loop": Part(
         replaced={
-            "slam.loop_closure.closure_graph.ClosedLoops._merge_landmarks": lambda self, loop: None,
+            "slam.loop_closure.accepted_closures.AcceptedClosures._merge_landmarks": lambda *each: None,
             "slam.graph_condenser.fuse_duplicate_landmarks": lambda *each, radius_m: 0,
         }
     ),
