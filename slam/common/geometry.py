@@ -94,10 +94,10 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 
 def adjoint(T_a_b: FloatArray) -> FloatArray:
     """Matrix (6, 6) that turns a small motion (rotation, translation) along the axes of frame b into one of frame a."""
-    R, (x, y, z) = T_a_b[:3, :3], T_a_b[:3, 3]
+    R = T_a_b[:3, :3]
     Ad = np.zeros((6, 6))
     Ad[:3, :3] = Ad[3:, 3:] = R
-    Ad[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    Ad[3:, :3] = skew(T_a_b[:3, 3]) @ R
     return Ad
 
 

@@ -16,7 +16,6 @@ from slam.loop_closure.consistency import suppress_non_maxima, which_agree
 from slam.loop_closure.localizer import Localizer
 from slam.loop_closure.verification import Verifier
 from slam.place_recognition.place import Place
-from slam.registration.parameters import registration_config
 
 TRACKED = "its landmarks are still associated: there is no loop to close"
 
@@ -41,8 +40,6 @@ class Acceptance:
     """
 
     def __init__(self, config: Config, verifier: Verifier) -> None:
-        self.min_objects = registration_config(config).min_inliers
-        """Fewest objects that determine a pose."""
         self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -float(logit(config.localization.error_probability))
         self._sensor_range_m = config.sensor_range_m

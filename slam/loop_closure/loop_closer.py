@@ -33,6 +33,7 @@ from slam.place_recognition.imported_places import ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
+from slam.registration.parameters import MIN_INLIERS
 
 logger = logging.getLogger(__name__)
 
@@ -161,12 +162,12 @@ class LoopCloser:
         return replace(query, submap=submap)
 
     def _has_enough_objects(self, query: Query) -> bool:
-        return len(query.submap) >= self._acceptance.min_objects
+        return len(query.submap) >= MIN_INLIERS
 
     def _why_nothing(self, query: Query) -> str:
         if self._has_enough_objects(query):
             return "no matches that agree on a place"
-        return f"{len(query.submap)} landmarks in the submap, min_inliers is {self._acceptance.min_objects}"
+        return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
 
     def _verify_all(self, query: Query, places: Sequence[Place]) -> list[Candidate | LoopClosureRecord]:
         """The candidates at places, or the reasons why there is none."""

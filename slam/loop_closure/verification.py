@@ -13,17 +13,19 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.localization.map_area import MapArea
+from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
+from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD, odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
-from slam.loop_closure.query_priors import QueryPriors
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.estimate import Registration
-from slam.registration.parameters import RegistrationConfig, registration_config
+from slam.registration.parameters import MIN_INLIERS, RegistrationConfig, registration_config
 from slam.registration.registration import refine
 
 MIN_OBJECTS = 2
@@ -50,14 +52,9 @@ class Verifier:
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
-        self._priors = QueryPriors(
-            config,
-            track,
-            graph,
-            keyframes,
-            np.zeros((0, 2)) if mapped is None else mapped,
-            cell_m=config.sensor_range_m,
-        )
+        self._area = MapArea(cell_m=config.sensor_range_m)
+        if mapped is not None:
+            self._area.cover_positions(mapped)
 
     def latest_m(self, query: Query) -> float:
         """Travel up to which landmarks and keyframes may be the reference of a loop closure.
@@ -94,7 +91,7 @@ class Verifier:
         They are in one map with those of the query, so that the pose is known; None if there are too few of them.
         """
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
-        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:
+        if np.count_nonzero(first_seen_m < self.latest_m(query)) < MIN_INLIERS:
             return None
         place = self.place_at(query, query.T_local_gravity, query.keyframe.odometry.segment)
         return place and replace(place, retrieval_distance=0.0, proposer="association")
@@ -134,7 +131,7 @@ class Verifier:
             return candidate
         chain, sigmas = [candidate], [query.submap.sigmas]
         for stretch in query.before:
-            if len(stretch.submap) < self._registration.min_inliers:
+            if len(stretch.submap) < MIN_INLIERS:
                 continue
             place = self.predict(chain[-1], stretch)
             before = None if place is None else self.verify(stretch, place, seed_closure=query.keyframe.id)
@@ -192,7 +189,7 @@ class Verifier:
         assert T_local_gravity is not None
         assert covariance is not None
         ratio = self._ratio(query, reference_submap, T_local_gravity, registration.pairs)
-        prior = self._priors.prior(query, place, reference, seed_closure)
+        prior = self._prior(query, place, reference, seed_closure)
         exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
         confirmed = registration.pairs[exists[registration.pairs[:, 0]]]
         seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
@@ -216,6 +213,25 @@ class Verifier:
             unpredicted_penalty=-prior.log_uniform(covariance),
             seed_closure=seed_closure,
             is_tracked=2 * int(np.sum(seen == met)) > len(seen),
+        )
+
+    def _prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
+        """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""
+        self._area.cover(self._keyframes)
+        T_local_query, since = place.T_local_query, seed_closure
+        if seed_closure == NOWHERE:
+            since = reference.id
+            T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
+            T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
+            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
+        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
+        return PosePrior(
+            T_local_query,
+            float(np.hypot(SLIP_INFLATION * sigma_m, self._config.calibration.objects.landmark_sigma_m)),
+            float(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD)),
+            failure_probability(self._config.localization.failures_per_km, travel_m),
+            self._area.area_m2,
         )
 
     def _ratio(

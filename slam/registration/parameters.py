@@ -12,6 +12,10 @@ SEARCH_RANGES = 0.1
 """How far a partner is looked for at first, in sensor ranges."""
 
 
+MIN_INLIERS = 3
+"""Fewest pairs of objects that support a pose, unless the query has fewer."""
+
+
 @dataclass(frozen=True, slots=True)
 class RegistrationConfig:
     """Registration of one constellation of objects with another.
@@ -23,7 +27,7 @@ class RegistrationConfig:
 
     height_sigma_m: float = 0.3
     search_radius_m: float = 3.0
-    min_inliers: int = 3
+    min_inliers: int = MIN_INLIERS
     gate_sigma: float = 3.0
     tilt_sigma_rad: float = 0.005
 

@@ -21,10 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.special import chdtr, gammaincinv
 
-from slam.backend.covariance.selected_inverse import diagonal_blocks_of_inverse
+from slam.backend.covariance.selected_inverse import diagonal_blocks_of_inverse, factorize
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 OUTLIER_PROBABILITY = 0.001
@@ -125,15 +124,7 @@ def _adding(samples: IntArray, row_count: int) -> sparse.csr_array:
 def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> FloatArray:
     """Variance (S,) that the optimised graph leaves to each of those sums of rows."""
     sensitivity = sparse.csr_array(adding @ system.jacobian)
-    try:
-        factorized = splu(
-            _information(system, system.kernel_weight),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True, "Equil": False},
-        )
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError(str(error)) from error
+    factorized = factorize(_information(system, system.kernel_weight))
     variances = np.zeros(sensitivity.shape[0])
     for start in range(0, len(variances), SOLVED_AT_ONCE):
         part = slice(start, start + SOLVED_AT_ONCE)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from slam.common.arrays import IntArray
 
@@ -37,12 +37,7 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     Raises:
         np.linalg.LinAlgError: the matrix is not positive definite.
     """
-    try:
-        factors = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
-        )
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError(str(error)) from error
+    factors = factorize(matrix)
     pivots = factors.U.diagonal()
     if not np.array_equal(factors.perm_r, factors.perm_c) or not np.all(pivots.real > 0.0):
         raise np.linalg.LinAlgError("the matrix is not positive definite")
@@ -59,6 +54,20 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
         columns += [column] * len(own)
         values.append(piece[0, own])
     return original[np.concatenate(rows)], original[columns], np.concatenate(values)
+
+
+def factorize(matrix: sparse.csc_array) -> SuperLU:
+    """The factors of a symmetric ``matrix`` (n, n), in an order that keeps them sparse.
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is singular.
+    """
+    try:
+        return splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
+        )
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
 
 
 def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator[tuple[int, IntArray, Matrix]]:

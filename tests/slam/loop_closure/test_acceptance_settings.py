@@ -16,7 +16,7 @@ MODULES = (
     "loop_closure/consistency.py",
     "loop_closure/likelihood_ratio.py",
     "loop_closure/localizer.py",
-    "loop_closure/query_priors.py",
+    "loop_closure/verification.py",
 )
 """All that computes the posterior probability of a candidate."""
 BRANCHES = (LocalizationConfig, LoopClosureConfig, ObjectCalibration, RegistrationConfig)

@@ -21,6 +21,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
+from slam.registration.parameters import MIN_INLIERS
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
@@ -53,8 +54,6 @@ class Parts(Patterns):
         self.resets = 0
         self.closed: dict[int, int] = {}
         self.recognised: list[int] = []
-        # Acceptance.
-        self.min_objects = 4
 
     def recent_submap(self, *_: Any) -> Submap:
         self.first_row += self.new_rows
@@ -323,9 +322,9 @@ def test_a_robot_that_got_lost_looks_up_what_it_had_looked_up_before(parts):
 def test_few_objects_close_no_loop(parts):
     drive = Drive(parts)
     parts.llrs = {FIRST: SURE_LLR}
-    parts.objects = parts.min_objects - 1
+    parts.objects = MIN_INLIERS - 1
     (record,) = drive.close(FIRST)
-    assert record.reason == "3 landmarks in the submap, min_inliers is 4"
+    assert record.reason == "2 landmarks in the submap, min_inliers is 3"
     parts.objects += 1
     parts.llrs[FIRST + 1] = SURE_LLR
     assert accepted(drive.close(FIRST + 1))
@@ -334,7 +333,7 @@ def test_few_objects_close_no_loop(parts):
 def test_lost_robot_uses_unconfirmed_landmarks_too(parts):
     drive = Drive(parts)
     parts.is_connected = False
-    parts.objects = parts.min_objects - 1
+    parts.objects = MIN_INLIERS - 1
     drive.close(FIRST, segment=3)
     assert parts.retrieved == 0
     parts.unconfirmed = 1
