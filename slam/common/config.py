@@ -47,9 +47,6 @@ class LocalizationConfig(Branch):
     failures_per_km: float = Field(
         default=1e-3, gt=0, description="undetected failures of the odometry per kilometre [1/km]"
     )
-    max_hypotheses: int = Field(
-        default=5, ge=0, description="most likely hypotheses that are propagated from keyframe to keyframe"
-    )
 
 
 class LoopClosureConfig(Branch):

@@ -124,7 +124,7 @@ class LoopCloser:
                 verified += self._verify_retrieved(query)
         if not verified:
             return [query.refusal(Stage.RETRIEVAL, self._why_nothing(query))]
-        # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
+        # 4. The candidate with the highest score is accepted or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = suppress_non_maxima(
             [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
@@ -143,15 +143,10 @@ class LoopCloser:
         return last if is_alike and is_near else None
 
     def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
-        """The candidates at the places that landmarks still followed, hypotheses and retrieval propose."""
-        verified = [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
-        is_found = self._any_acceptable(verified)
+        """The candidates at the places that landmarks still followed and retrieval propose."""
         tracked = self._verifier.tracked_place(query)
-        if tracked is not None:
-            verified.append(self._verifier.verify(query, tracked))
-        if not is_found:
-            verified += self._verify_retrieved(query)
-        return verified
+        followed = [] if tracked is None else [self._verifier.verify(query, tracked)]
+        return [*followed, *self._verify_retrieved(query)]
 
     def _verify_retrieved(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
@@ -202,7 +197,6 @@ class LoopCloser:
         self._looked_up = None
         self._continuity.restart()
         self._propagation.reset()
-        self._acceptance.reset()
         return revoked, is_kidnapped
 
     def begin_segment(self, first: int) -> None:

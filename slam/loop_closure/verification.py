@@ -78,13 +78,6 @@ class Verifier:
         reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
-    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
-        """The place of a pose (4, 4) in a segment, on the traversal that passed nearest; None if none passed there."""
-        found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
-        if found is None:
-            return None
-        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf, "hypothesis")
-
     def tracked_place(self, query: Query) -> Place | None:
         """Pose of the query by the landmarks of an earlier traversal that are still associated.
 
@@ -93,8 +86,11 @@ class Verifier:
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
         if np.count_nonzero(first_seen_m < self.latest_m(query)) < MIN_INLIERS:
             return None
-        place = self.place_at(query, query.T_local_gravity, query.keyframe.odometry.segment)
-        return place and replace(place, retrieval_distance=0.0, proposer="association")
+        segment, T_local_query = query.keyframe.odometry.segment, query.T_local_gravity
+        found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
+        if found is None:
+            return None
+        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, 0.0, "association")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""

@@ -13,7 +13,6 @@ from slam.loop_closure.consistency import poses_agree
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-from slam.place_recognition.place import Place
 
 SENSOR_RANGE_M = 30.0
 
@@ -58,6 +57,3 @@ class Patterns:
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         return self.alike
-
-    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
-        return Place(T_local_query, 0.0, segment, np.inf, "hypothesis")

@@ -15,7 +15,6 @@ MODULES = (
     "loop_closure/acceptance.py",
     "loop_closure/consistency.py",
     "loop_closure/likelihood_ratio.py",
-    "loop_closure/localizer.py",
     "loop_closure/verification.py",
 )
 """All that computes the posterior probability of a candidate."""

@@ -51,7 +51,6 @@ class Parts(Patterns):
         self.is_connected = True
         self.is_tracked = False
         self.kidnapped_after_m: float | None = None
-        self.resets = 0
         self.closed: dict[int, int] = {}
         self.recognised: list[int] = []
 
@@ -100,9 +99,6 @@ class Parts(Patterns):
         return make_query(self.keyframes[0], 1).submap
 
     # Acceptance.
-    def expected_places(self, query: Query) -> list[Place]:
-        return []
-
     def is_acceptable(self, candidate: Candidate) -> bool:
         return candidate.score >= (20.0 if candidate.seed_closure < 0 else 6.0)
 
@@ -110,9 +106,6 @@ class Parts(Patterns):
         if self.is_acceptable(candidates[0]):
             return Decision((), tracked=candidates[0]) if self.is_tracked else Decision((), candidates[0])
         return Decision((candidates[0].record(Stage.ACCEPTANCE, "weak"),))
-
-    def reset(self) -> None:
-        self.resets += 1
 
     # Accepted closures.
     def is_closed(self, keyframe: int) -> bool:
@@ -464,10 +457,9 @@ def test_a_kidnapping_by_the_landmarks_in_view_loses_the_robot(parts):
     assert drive.closer.lost_after_m == 12.0
 
 
-def test_who_was_lost_follows_no_closure_and_no_hypothesis_from_before(parts):
+def test_who_was_lost_follows_no_closure_from_before(parts):
     drive = start_in_map(parts)
     drive.closer.declare_lost(drive.keyframes[-1], FIRST)
-    assert parts.resets == 1
     assert drive.closer.lost_after_m is None
     parts.llrs[FIRST + 1] = TRACKED_LLR
     assert accepted(drive.close(FIRST + 1)) == {}

@@ -47,7 +47,6 @@ def _add_weightless(self: Any, observations: Any) -> None:
 PARTS: dict[str, Part] = {
     "descriptor: random vectors": Part(("loop_closure.descriptor=random",)),
     "propagation of closures": Part(("loop_closure.propagation_distance_m=0",)),
-    "hypotheses": Part(("localization.max_hypotheses=0",)),
     "posterior: first candidate": Part(("localization.error_probability=0.999999",)),
     "loop closures": Part(("loop_closure.enabled=false",)),
     "weight of landmarks": Part(
