@@ -316,7 +316,7 @@ class LoopClosureRecord:
     accepted: bool
     stage: str
     reason: str
-    retrieval_distance: float
+    retrieval_distance: float = float("inf")
     inlier_count: int = 0
     inlier_fraction: float = 0.0
     score: float = 0.0

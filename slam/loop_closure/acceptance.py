@@ -91,7 +91,9 @@ class Acceptance:
                 return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
             rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
-            own = next(i for i, each in enumerate(compared) if self._agree(each, best))
+            own = next(
+                i for i, each in enumerate(compared) if self._verifier.agree(each.T_local_query, best.T_local_query)
+            )
             posterior = self._posterior_log_odds(compared)
             rival = max((each.log_likelihood_ratio for i, each in enumerate(compared) if i != own), default=None)
             best = replace(best, best_rival_llr=rival)
@@ -122,6 +124,3 @@ class Acceptance:
         others = np.logaddexp.reduce(np.where(are_together, -np.inf, log_odds), axis=1)
         log_new = np.maximum(np.logaddexp.reduce(np.where(are_together, -np.inf, log_fits), axis=1), 0.0)
         return np.asarray(together - np.logaddexp(others, log_new))
-
-    def _agree(self, a: Candidate, b: Candidate) -> bool:
-        return self._verifier.agree(a.T_local_query, b.T_local_query)

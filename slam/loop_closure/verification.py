@@ -74,7 +74,7 @@ class Verifier:
         T_seed_query = invert(gravity_frame(seed.T_local_body)) @ query.T_local_gravity
         T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
         reference_pose = seed_closure.reference.odometry
-        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0, "prediction")
+        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, "prediction")
         reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
@@ -90,7 +90,7 @@ class Verifier:
         found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
         if found is None:
             return None
-        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, 0.0, "association")
+        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, "association")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
@@ -163,7 +163,7 @@ class Verifier:
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
         reference = candidate.reference.odometry
-        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0, candidate.place.proposer)
+        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, candidate.place.proposer)
         repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
         found = [self.verify(query, replace(place, T_local_query=T)) for T in repeated]
         return [

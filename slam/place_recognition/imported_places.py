@@ -65,7 +65,7 @@ class ImportedPlaces:
     def propose(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` likeliest places of a query, given in its gravity frame."""
         poses = self._search.find_poses(query, map_sigma_m=self._imported.sigma_m, count=count)
-        return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf, "map index") for T_local_query in poses]
+        return [Place(T_local_query, TRAVEL_M, SEGMENT, "map index") for T_local_query in poses]
 
     def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:
         """Add the objects of the map within ``radius_m`` of a place (3,) m as landmarks, each once."""

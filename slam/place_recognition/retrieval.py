@@ -140,7 +140,7 @@ class PlaceRetriever:
     def _place(self, T_local_query: FloatArray, rows: IntArray) -> Place:
         """The place of a pose among the landmarks ``rows`` (K,)."""
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
-        return Place(T_local_query, travel_m, segment, np.inf, "descriptor")
+        return Place(T_local_query, travel_m, segment, "descriptor")
 
     def first_seen_travels_m(self, submap: Submap) -> FloatArray:
         """Travel [m] at which each landmark (N,) of a submap was first seen."""

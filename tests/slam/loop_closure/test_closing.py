@@ -30,7 +30,7 @@ LOOP_M = 400.0
 """The street is driven again after so much travel."""
 FIRST = int(LOOP_M / STEP_M)
 SURE_LLR, TRACKED_LLR, WEAK_LLR = 30.0, 8.0, 1.0
-PLACE = Place(at(0.0), 0.0, 0, 0.5, "descriptor")
+PLACE = Place(at(0.0), 0.0, 0, "descriptor")
 
 
 class Parts(Patterns):
@@ -66,7 +66,7 @@ class Parts(Patterns):
         return None
 
     def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
-        return Place(at(query.travel_m - LOOP_M), query.travel_m - LOOP_M, 0, 0.0, "prediction")
+        return Place(at(query.travel_m - LOOP_M), query.travel_m - LOOP_M, 0, "prediction")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = -1) -> Candidate | LoopClosureRecord:
         llr = self.llrs.get(query.keyframe.id)

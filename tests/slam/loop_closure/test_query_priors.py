@@ -24,7 +24,7 @@ CONFIG = Config()
 STEP_M = 2.0
 COUNT = 100
 LATEST_M = STEP_M * (COUNT - 1)
-PLACE = Place(at(7.0), 0.0, 0, np.inf, "descriptor")
+PLACE = Place(at(7.0), 0.0, 0, "descriptor")
 
 
 def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: float = 0.0) -> Verifier:

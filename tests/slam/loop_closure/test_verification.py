@@ -90,7 +90,7 @@ class Scene:
         T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
         seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
         self.query = Query(self.keyframes[QUERY], seen, T_local_gravity)
-        self.place = Place(T_local_gravity, STEP_M * HERE, 0, 0.5, "descriptor", rank=1)
+        self.place = Place(T_local_gravity, STEP_M * HERE, 0, "descriptor", rank=1)
 
     def verified(self, place: Place | None = None, **more: int) -> Candidate:
         found = self.verifier.verify(self.query, place or self.place, **more)

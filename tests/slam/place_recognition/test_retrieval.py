@@ -113,7 +113,7 @@ def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(
     places.add(50.0, 500.0 + extent_m + 1.0)
     places.add(50.0, 500.0, segment=1)
     places.add(50.0 + RADIUS_M + 25.0, 500.0)
-    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 500.0, 0, 0.0, "descriptor")
+    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 500.0, 0, "descriptor")
     found = places.retriever.reference_submap(place, before_m=BEFORE_M)
     assert found.rows.tolist() == here.tolist()
     assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0
