@@ -75,12 +75,7 @@ PARTS: dict[str, Part] = {
     "clutter around each object": Part(
         replaced={"slam.loop_closure.likelihood_ratio._clutter_densities": _uniform_clutter}
     ),
-    "robust back end": Part(
-        replaced={
-            "slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6,
-            "slam.backend.covariance.marginals.CLOSURE_KERNEL_WIDTH": 1e6,
-        }
-    ),
+    "robust back end": Part(replaced={"slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6}),
     "kidnappings noticed by landmarks": Part(
         replaced={"slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, seen: None}
     ),

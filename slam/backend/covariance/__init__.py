@@ -1,1 +1,0 @@
-"""Covariances: the noise of the input estimated, marginals of poses and landmarks."""
