@@ -26,8 +26,8 @@ from logs.messages import (
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.matched_noise import optimize_with_matched_noise
 from slam.backend.solver_options import UPDATE_KEYFRAMES
+from slam.backend.tilt import hold_tilt
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -172,7 +172,8 @@ class Slam:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
             self._condenser.fuse_landmarks()
-        optimization = optimize_with_matched_noise(self._graph)
+        hold_tilt(self._graph)
+        optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return optimization
 

@@ -17,10 +17,9 @@ from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
-from slam.backend.gtsam_calls import gtsam_errors
+from slam.backend.gtsam_calls import gtsam_errors, without_kernels
 from slam.backend.incremental_solver import IncrementalSolver
-from slam.backend.kernels import without_kernels
-from slam.backend.noise_matching import matched_covariances
+from slam.backend.matched_noise import matched_covariances
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError

@@ -1,0 +1,75 @@
+"""Whether gravity holds the tilt of the odometry, by the whole graph.
+
+Over single steps the detections determine the tilt of the odometry no better than heights; over a whole drive they do.
+Gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. If gravity holds it, the tilts of
+its E steps are not free parameters, and the decrease of the squared residuals when they are freed is chi-squared with
+their effective number of degrees of freedom (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5):
+
+    nu = 2 E + 1/2 d log det H / d log f,
+
+with H the information of all variables and f a factor on the standard deviations of the tilts.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.special import chdtrc
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind
+from slam.common.arrays import FloatArray
+from slam.common.errors import FactorGraphError
+
+logger = logging.getLogger(__name__)
+
+HELD = 0.1
+"""Factor on the standard deviations of roll and pitch that gravity holds."""
+DIFFERENCE = 0.8
+"""Factor on them by which the derivative is taken."""
+CHANCE = 0.01
+"""Probability that a tilt that gravity holds is freed."""
+
+
+def hold_tilt(graph: FactorGraph) -> None:
+    """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
+    free = graph.optimize()
+    steps = {
+        number: each
+        for number, each in graph.factors.items()
+        if isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY
+    }
+    if not steps:
+        return
+    configured = {number: each.covariance for number, each in steps.items()}
+    try:
+        freedom = _effective_freedom(graph, steps)
+    except FactorGraphError as error:
+        logger.info("the noise of the tilt stays as it is configured: %s", error)
+        graph.replace_covariances(configured)
+        return
+    graph.replace_covariances(_scaled(graph, steps, HELD))
+    held = graph.optimize()
+    if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > CHANCE:
+        return
+    graph.replace_covariances(configured)
+    graph.optimize()
+
+
+def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:
+    """Degrees of freedom of the tilts of the steps that the rest of the graph determines."""
+    before = graph.log_determinant()
+    graph.replace_covariances(_scaled(graph, steps, DIFFERENCE))
+    slope = (graph.log_determinant() - before) / np.log(DIFFERENCE)
+    return float(max(2 * len(steps) + 0.5 * slope, 0.0))
+
+
+def _scaled(graph: FactorGraph, steps: Mapping[int, Edge], factor: float) -> dict[int, FloatArray]:
+    """Covariances (6, 6) of steps, axes of the body, with the standard deviations of roll and pitch scaled."""
+    R = graph.poses(np.array([each.to_keyframe for each in steps.values()], dtype=np.int64))[:, :3, :3]
+    S = np.tile(np.eye(6), (len(R), 1, 1))
+    S[:, :3, :3] = np.swapaxes(R, 1, 2) @ np.diag([factor, factor, 1.0]) @ R
+    covariances = S @ np.array([each.covariance for each in steps.values()]) @ np.swapaxes(S, 1, 2)
+    return dict(zip(steps, covariances, strict=True))

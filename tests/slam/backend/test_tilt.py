@@ -1,0 +1,82 @@
+"""The tilt of the odometry is held where the whole graph does not contradict it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.tilt import hold_tilt
+from slam.common.arrays import FloatArray
+from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from tests.slam.backend.graphs import PLAIN
+
+KEYFRAMES, STEP_M = 120, 1.0
+SIGMA_M = 0.1
+"""Of each coordinate of a sighting."""
+TILT_RAD = 0.01
+"""Of a step, by its covariance."""
+
+
+def true_poses() -> FloatArray:
+    """A straight drive of a body that is turned upside down on the way."""
+    poses = transform_from_xyz_yaw(np.stack([STEP_M * np.arange(KEYFRAMES), *np.zeros((2, KEYFRAMES))], axis=1), 0.0)
+    roll = Rotation.from_euler("x", np.linspace(0.0, np.pi, KEYFRAMES)[:, None]).as_matrix()
+    return poses @ make_transform(roll, np.zeros((KEYFRAMES, 3)))
+
+
+def drive(drift_rad: float, seed: int) -> FactorGraph:
+    """The graph of a drive whose odometry drifts in roll and pitch by so much a step."""
+    rng, T = np.random.default_rng(seed), true_poses()
+    R = T[:, :3, :3]
+    landmarks = rng.uniform([-5.0, -8.0, -3.0], [KEYFRAMES * STEP_M + 5.0, 8.0, 3.0], (200, 3))
+    graph = FactorGraph(kernel_width=PLAIN)
+    graph.add_first_keyframe(0, T[0])
+    upright = np.diag([TILT_RAD**2, TILT_RAD**2, 1e-6])
+    for k in range(KEYFRAMES):
+        if k:
+            error = Rotation.from_rotvec(R[k].T @ np.append(rng.normal(scale=drift_rad, size=2), 0.0)).as_matrix()
+            covariance = 1e-4 * np.eye(6)
+            covariance[:3, :3] = R[k].T @ upright @ R[k]
+            step = invert(T[k - 1]) @ T[k] @ make_transform(error, np.zeros(3))
+            graph.add_next_keyframe(Edge(k - 1, k, step, covariance, EdgeKind.ODOMETRY))
+        seen = apply(invert(T[k]), landmarks)
+        near = np.flatnonzero(np.linalg.norm(seen, axis=1) < 6.0)
+        noisy = seen[near] + rng.normal(scale=SIGMA_M, size=(len(near), 3))
+        graph.add_observations(
+            [Observation(k, row, z, SIGMA_M**2 * np.eye(3)) for row, z in zip(near.tolist(), noisy, strict=True)]
+        )
+    return graph
+
+
+def tilt_errors_rad(graph: FactorGraph) -> FloatArray:
+    """Angles (K,) by which the vertical of each keyframe is wrong."""
+    up = np.einsum("kij,kj->ki", true_poses()[:, :3, :3], graph.poses()[:, 2, :3])
+    return np.arccos(np.clip(up[:, 2], -1.0, 1.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exact_tilt_is_held(seed):
+    graph = drive(0.0, seed)
+    graph.optimize()
+    free = tilt_errors_rad(graph)
+    hold_tilt(graph)
+    assert tilt_errors_rad(graph).max() < 0.2 * free.max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_drifting_tilt_is_estimated(seed):
+    graph = drive(TILT_RAD, seed)
+    graph.optimize()
+    free = graph.poses()
+    hold_tilt(graph)
+    np.testing.assert_allclose(graph.poses(), free, atol=1e-3)
+
+
+def test_graph_without_odometry_is_optimised():
+    graph = FactorGraph(kernel_width=PLAIN)
+    graph.add_first_keyframe(0, np.eye(4))
+    hold_tilt(graph)
+    assert graph.match_noise().converged
