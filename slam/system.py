@@ -169,7 +169,7 @@ class Slam:
         self._mapper.close_keyframe()
         self._graph.settle()
         if self._first_keyframe and self._extends:
-            self._mapper.retire_gone(self._closer.missing_landmarks())
+            self._mapper.retire_gone(self._closer.missing.rows())
         if self._extends:
             self._condenser.fuse_landmarks()
         hold_tilt(self._graph)

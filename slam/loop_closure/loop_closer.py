@@ -13,7 +13,6 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import IntArray
 from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
@@ -21,7 +20,7 @@ from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
-from slam.loop_closure.propagation import Propagation
+from slam.loop_closure.propagation import Predicted, Propagation
 from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
@@ -65,7 +64,7 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self._stretches = Stretches(0.5 * SUBMAP_RANGES * config.sensor_range_m)
-        self._missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
+        self.missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
@@ -87,10 +86,6 @@ class LoopCloser:
     def kidnapping_probability(self) -> float:
         """Probability of a recent kidnapping, by the landmarks around."""
         return self._continuity.kidnapping_probability
-
-    def missing_landmarks(self) -> IntArray:
-        """Rows (K,) of landmarks of a prior map that the robot passed and never saw."""
-        return self._missing.rows()
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
@@ -119,7 +114,8 @@ class LoopCloser:
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
         # 3. If the robot is lost and none of them is acceptable, landmarks that are not confirmed yet are used, too.
         if not self.closures.is_localized(keyframe) and not self._any_acceptable(verified):
-            confirmed, query = query, self._with_unconfirmed(query)
+            confirmed, submap = query, recent_submap_with_unconfirmed(self._map, keyframe, self._calibration)
+            query = replace(query, submap=submap)
             if self._has_enough_objects(query) and len(query.submap) > len(confirmed.submap):
                 verified += self._verify_retrieved(query)
         if not verified:
@@ -129,7 +125,7 @@ class LoopCloser:
         candidates = suppress_non_maxima(
             [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
         )
-        return refused + self._decide(query, candidates)
+        return refused + self._decide(query, candidates, predicted)
 
     def _looked_up_alike(self, query: Query) -> Query | None:
         """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
@@ -150,11 +146,13 @@ class LoopCloser:
 
     def _verify_retrieved(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
-        return self._verify_all(query, self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query)))
-
-    def _with_unconfirmed(self, query: Query) -> Query:
-        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._calibration)
-        return replace(query, submap=submap)
+        places = self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query))
+        return [
+            self._verifier.verify(query, place)
+            if self._is_plausible(query, place)
+            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
+            for place in places
+        ]
 
     def _has_enough_objects(self, query: Query) -> bool:
         return len(query.submap) >= MIN_INLIERS
@@ -163,15 +161,6 @@ class LoopCloser:
         if self._has_enough_objects(query):
             return "no matches that agree on a place"
         return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
-
-    def _verify_all(self, query: Query, places: Sequence[Place]) -> list[Candidate | LoopClosureRecord]:
-        """The candidates at places, or the reasons why there is none."""
-        return [
-            self._verifier.verify(query, place)
-            if self._is_plausible(query, place)
-            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
-            for place in places
-        ]
 
     def _is_plausible(self, query: Query, place: Place) -> bool:
         """Whether a place is where the robot may be by what was said before."""
@@ -212,8 +201,10 @@ class LoopCloser:
         self._propagation.remember(query)
         return query
 
-    def _decide(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
-        """Records of the candidates of one query, given by falling score."""
+    def _decide(
+        self, query: Query, candidates: list[Candidate], predicted: Predicted | None
+    ) -> list[LoopClosureRecord]:
+        """Records of the candidates, given by falling score; ``predicted``: where the last closure leads."""
         if not candidates:
             return []
         decision = self._acceptance.decide(query, candidates)
@@ -225,7 +216,7 @@ class LoopCloser:
         best, records = decision.accepted, list(decision.rejected)
         if best is None:
             return records
-        if self._has_prior_map and self._propagation.is_elsewhere(query, best):
+        if self._has_prior_map and self._propagation.is_elsewhere(predicted, best):
             self.lost_after_m = self._keyframes[query.keyframe.id - 1].odometry.travel_m
             return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
         return [*records, *self._accept_and_propagate(best)]
@@ -254,5 +245,5 @@ class LoopCloser:
         """Accept a closure, which predicts the next ones."""
         self._propagation.seed = candidate
         if candidate.reference.is_prior:
-            self._missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
+            self.missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
         return self.closures.add(candidate, reason)
