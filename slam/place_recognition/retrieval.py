@@ -99,9 +99,10 @@ class PlaceRetriever:
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
-        if self._imported is not None:
-            return self._imported.class_shares()
-        counts = 1.0 + np.bincount(self._map.classes(self._rows), minlength=len(self._map.vocabulary))
+        imported = self._imported
+        known = np.bincount(self._map.classes(self._rows)) if imported is None else imported.class_counts
+        counts = np.ones(len(self._map.vocabulary))
+        counts[: len(known)] += known
         return np.asarray(counts / counts.sum())
 
     def propose(self, query: Submap, *, before_m: float) -> list[Place]:
