@@ -206,7 +206,7 @@ class FactorGraph(EditableGraph):
         values = gtsam.Values(self._solver.values())
         if isinstance(self._solver, IncrementalSolver):
             values.insert(self._solver.new_values)
-        return read_estimates(values).with_keyframes(attached, self.poses(attached)[:, :3, 3])
+        return read_estimates(values, attached, self.poses(attached)[:, :3, 3])
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""

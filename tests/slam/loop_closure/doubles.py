@@ -36,6 +36,12 @@ def make_submap(positions: FloatArray, labels: list[int] | None = None, *, first
     return Submap(np.asarray(positions, dtype=np.float64).reshape(-1, 3), np.full(count, 0.3), classes, rows)
 
 
+def part_of(submap: Submap, count: int) -> Submap:
+    """The first landmarks of a submap."""
+    arrays = {name: getattr(submap, name)[:count] for name in ("positions", "sigmas", "labels", "rows")}
+    return Submap(**arrays)
+
+
 def make_query(keyframe: Keyframe, count: int = 0, *, first_row: int = 0) -> Query:
     """A query with so many objects."""
     submap = make_submap(np.zeros((count, 3)))
