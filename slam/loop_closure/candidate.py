@@ -32,9 +32,8 @@ class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
     the query's gravity frame in the local frame of the reference's traversal.
 
-    ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i, of which
-    ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the
-    reference.
+    ``log_likelihood_ratios`` (N,): LLR_i of the landmarks of the query, of which ``log_likelihood_ratio`` is the sum;
+    ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`.
     ``place``: what proposed it; ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found
@@ -49,7 +48,6 @@ class Candidate:
     T_reference_query: FloatArray
     T_local_query: FloatArray
     covariance: FloatArray
-    rows: IntArray
     log_likelihood_ratios: FloatArray
     pairs: IntArray
     matched_fraction: float
@@ -115,15 +113,11 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
-    """A keyframe and the landmarks around it, in its gravity frame.
-
-    ``before``: queries of the stretches that led there, the latest first, where the robot is looked for in a large map.
-    """
+    """A keyframe and the landmarks around it, in its gravity frame."""
 
     keyframe: Keyframe
     submap: Submap
     T_local_gravity: FloatArray
-    before: tuple[Query, ...] = ()
 
     @property
     def travel_m(self) -> float:

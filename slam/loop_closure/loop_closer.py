@@ -13,7 +13,7 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.config import SUBMAP_RANGES, Config
+from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
 from slam.loop_closure.acceptance import Acceptance
@@ -21,7 +21,6 @@ from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.propagation import Predicted, Propagation
-from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.missing_landmarks import MissingLandmarks
@@ -63,7 +62,6 @@ class LoopCloser:
         mapped = None if imported is None else imported.positions
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self._stretches = Stretches(0.5 * SUBMAP_RANGES * config.sensor_range_m)
         self.missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
@@ -194,10 +192,7 @@ class LoopCloser:
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe, self._calibration)
-        before = () if self.closures.is_localized(keyframe) else self._stretches.before(keyframe)
-        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before)
-        if self._retriever.has_imported_map:
-            self._stretches.remember(query)
+        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body))
         self._propagation.remember(query)
         return query
 

@@ -105,8 +105,7 @@ class Verifier:
         reference = self._nearest(registered, query, within_m=self._sensor_range_m)
         if reference is None:
             return self._out_of_reach(query, place)
-        candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
-        return self._with_stretches_before(query, candidate) if seed_closure == NOWHERE else candidate
+        return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
 
     def unregistered(self, query: Query, place: Place) -> FloatArray:
         """LLR (N,) of each object of the query at a place as it is, where the two cannot be registered.
@@ -116,31 +115,6 @@ class Verifier:
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         pairs = _mutually_nearest(query.submap, reference_submap, place.T_local_query)
         return self._ratio(query, reference_submap, place.T_local_query, pairs).per_object
-
-    def _with_stretches_before(self, query: Query, candidate: Candidate) -> Candidate:
-        """The candidate with the LLR of what the robot passed before, each stretch registered where the next one leads.
-
-        Only a candidate that fits by itself is followed back, and as far as the stretches fit. A landmark of several
-        stretches counts once, as it was seen from the nearest of their keyframes.
-        """
-        if not query.before or candidate.log_likelihood_ratio <= 0.0:
-            return candidate
-        chain, sigmas = [candidate], [query.submap.sigmas]
-        for stretch in query.before:
-            if len(stretch.submap) < MIN_INLIERS:
-                continue
-            place = self.predict(chain[-1], stretch)
-            before = None if place is None else self.verify(stretch, place, seed_closure=query.keyframe.id)
-            if place is None or not isinstance(before, Candidate):
-                break
-            if not self.agree(before.T_local_query, place.T_local_query):
-                break
-            chain.append(before)
-            sigmas.append(stretch.submap.sigmas)
-        nearest = np.argsort(np.concatenate(sigmas), kind="stable")
-        rows, first = np.unique(np.concatenate([each.rows for each in chain])[nearest], return_index=True)
-        ratios = np.concatenate([each.log_likelihood_ratios for each in chain])[nearest]
-        return replace(candidate, rows=rows, log_likelihood_ratios=ratios[first])
 
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
@@ -201,7 +175,6 @@ class Verifier:
             covariance=covariance_in_axes(
                 covariance + shared_covariance(self._config.calibration.objects), T_gravity_body[:3, :3]
             ),
-            rows=query.submap.rows,
             log_likelihood_ratios=ratio.per_object,
             pairs=np.column_stack([query.submap.rows[confirmed[:, 0]], reference_submap.rows[confirmed[:, 1]]]),
             matched_fraction=ratio.matched_fraction,

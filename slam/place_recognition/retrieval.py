@@ -133,11 +133,6 @@ class PlaceRetriever:
         poses = search.find_poses(query, map_sigma_m=self._calibration.objects.landmark_sigma_m, count=count)
         return np.concatenate([np.eye(4)[None], poses])
 
-    @property
-    def has_imported_map(self) -> bool:
-        """Whether there is an imported map, without a trajectory."""
-        return self._imported is not None
-
     def _place(self, T_local_query: FloatArray, rows: IntArray) -> Place:
         """The place of a pose among the landmarks ``rows`` (K,)."""
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)

@@ -39,7 +39,6 @@ def make_candidate(
         T_reference_query=T_reference_query,
         T_local_query=T_local_query,
         covariance=sigma**2 * np.eye(6),
-        rows=np.array(list(llr_of), dtype=np.int64),
         log_likelihood_ratios=np.array(list(llr_of.values())),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         matched_fraction=1.0,

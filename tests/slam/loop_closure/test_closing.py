@@ -86,8 +86,6 @@ class Parts(Patterns):
     reach_m = 6.0
 
     # Retriever.
-    has_imported_map = False
-
     def index_inactive_landmarks(self, travel_m: float) -> None:
         pass
 
