@@ -13,13 +13,14 @@ from gtsam.symbol_shorthand import L, X
 from logs.messages import FactorGraphRecord
 from slam.backend.batch_solver import BatchSolver, Optimization
 from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
+from slam.backend.covariance.marginals import compute_marginals
+from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
-from slam.backend.gtsam_calls import gtsam_errors, without_kernels
+from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.incremental_solver import IncrementalSolver
-from slam.backend.matched_noise import matched_covariances
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
@@ -41,7 +42,7 @@ class FactorGraph(EditableGraph):
         kernel_width: float = OBSERVATION_KERNEL_WIDTH,
     ) -> None:
         super().__init__(kernel_width, sensor_range_m=sensor_range_m)
-        self._marginals: tuple[gtsam.Values, gtsam.Marginals] | None = None  # with the estimate that they are of
+        self._marginals: tuple[gtsam.Values, dict[int, FloatArray]] | None = None  # with the estimate that they are of
 
     @property
     def keyframe_variables(self) -> IntArray:
@@ -244,8 +245,8 @@ class FactorGraph(EditableGraph):
         values = solver.values()
         with gtsam_errors("the marginal covariances"):
             if self._marginals is None or self._marginals[0] is not values:
-                self._marginals = values, gtsam.Marginals(without_kernels(solver.factors.values(), values), values)
-            return np.array([self._marginals[1].marginalCovariance(key) for key in keys])
+                self._marginals = values, compute_marginals(solver.factors.values(), values)
+            return np.array([self._marginals[1][key] for key in keys])
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
         variables = self._variables()

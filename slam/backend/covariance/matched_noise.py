@@ -12,11 +12,11 @@ from collections.abc import Mapping
 import gtsam
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.special import chdtr
 
+from slam.backend.covariance.linear_system import linearize
+from slam.backend.covariance.selected_inverse import factorize
 from slam.backend.factors import Edge, EdgeKind, Factor
-from slam.backend.gtsam_calls import without_kernels
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 STRETCH_STEPS = 50
@@ -41,15 +41,11 @@ def matched_covariances(
         values: the optimum.
 
     Raises:
-        RuntimeError: the graph does not determine all variables.
+        np.linalg.LinAlgError: the graph does not determine all variables.
     """
     sizes = np.array([factor.dim() for factor in factors.values()])
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
-    row, column, entry = np.asarray(without_kernels(factors.values(), values).linearize(values).sparseJacobian_())
-    # Both are counted from one; the last column is the right side.
-    shape = int(sizes.sum()), values.dim() + 1
-    system = sparse.csc_array((entry, (row.astype(np.int32) - 1, column.astype(np.int32) - 1)), shape=shape)
-    jacobian, residuals = sparse.csr_array(system[:, :-1]), system[:, -1].toarray().ravel()
+    jacobian, residuals = linearize(factors.values(), values)
     matched = dict[int, FloatArray]()
     for is_closure in (False, True):
         edges = {
@@ -82,19 +78,14 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
         length: edges of a stretch.
 
     Raises:
-        RuntimeError: the graph does not determine all variables.
+        np.linalg.LinAlgError: the graph does not determine all variables.
     """
     samples = rows[: len(rows) // length * length].reshape(-1, length, 6)
     if len(samples) < MIN_SAMPLES:
         return np.ones(6)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).round().astype(np.int64)
     sums = _sums_of(samples[spread], len(residuals))
-    information = splu(
-        sparse.csc_array(jacobian.T @ jacobian),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True, "Equil": False},
-    )
+    information = factorize(sparse.csc_array(jacobian.T @ jacobian))
     columns = (sums @ jacobian).toarray().T
     errors = (sums @ residuals).reshape(-1, 6)
     posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)

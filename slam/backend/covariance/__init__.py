@@ -1,0 +1,1 @@
+"""Covariances: the noise that residuals show, marginals of poses and landmarks."""
