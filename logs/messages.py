@@ -286,9 +286,9 @@ class FactorGraphRecord:
     observation_redundancies: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-PROPOSERS = ("descriptor", "map index", "hypothesis", "prediction", "association")
-"""Who proposes places: descriptors of what was seen before, the index of an imported map, hypotheses and closures that
-the odometry carries on, landmarks that data association never lost."""
+PROPOSERS = ("descriptor", "map index", "prediction", "association")
+"""Who proposes places: descriptors of what was seen before, the index of an imported map, closures that the
+odometry carries on, landmarks that data association never lost."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,7 +316,7 @@ class LoopClosureRecord:
     accepted: bool
     stage: str
     reason: str
-    retrieval_distance: float
+    retrieval_distance: float = float("inf")
     inlier_count: int = 0
     inlier_fraction: float = 0.0
     score: float = 0.0

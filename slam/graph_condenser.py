@@ -49,19 +49,20 @@ class GraphCondenser:
         self._closures = closures
         self._counters = counters
         self._due_at = MIN_KEYFRAMES
-        self._variables = 0
-        self._counted = 0
 
     def update(self) -> None:
         """Condense the graph if it is due."""
-        self._variables += len(self._keyframes) - self._counted
-        self._counted = len(self._keyframes)
         # Keyframes in a map without a trajectory are tied to its frame, not to one another.
-        if self._variables < self._due_at or self._keyframes[0].is_map_frame:
+        if self._variable_count < self._due_at or self._keyframes[0].is_map_frame:
             return
-        if len(self._anchors()) >= MIN_SHARE * self._variables:
+        if len(self._anchors()) >= MIN_SHARE * self._variable_count:
             self._condense()
-        self._due_at = max(MIN_KEYFRAMES, round(GROWTH * self._variables))
+        self._due_at = max(MIN_KEYFRAMES, round(GROWTH * self._variable_count))
+
+    @property
+    def _variable_count(self) -> int:
+        """How many keyframes are variables of the graph."""
+        return len(self._keyframes) - self._counters["keyframes_condensed"]
 
     def fuse_landmarks(self) -> None:
         """Fuse duplicate landmarks at the optimum."""
@@ -78,8 +79,7 @@ class GraphCondenser:
         self._graph.condense(anchors)
         self._closures.forget_condensed()
         self._counters["keyframes_condensed"] += len(anchors)
-        self._variables -= len(anchors)
-        logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variables)
+        logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variable_count)
 
     def _anchors(self) -> dict[int, int]:
         variables = self._graph.keyframe_variables

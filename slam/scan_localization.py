@@ -137,7 +137,6 @@ class ScanLocalizer:
         found = [each for each in verified if isinstance(each, Candidate)]
         if not found:
             return Decision(refused)
-        self._acceptance.reset()
         candidates = suppress_non_maxima(found, sensor_range_m=self._sensor_range_m)
         decision = self._acceptance.decide(query, candidates)
         return replace(decision, rejected=(*refused, *decision.rejected))

@@ -26,13 +26,13 @@ from logs.messages import (
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.matched_noise import optimize_with_matched_noise
 from slam.backend.solver_options import UPDATE_KEYFRAMES
+from slam.backend.tilt import hold_tilt
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
-from slam.final_map import FinalMap, FinalRecords, judge_outcome
+from slam.final_map import FinalMap, final_trajectory, judge_outcome, place_landmarks
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -169,29 +169,26 @@ class Slam:
         self._mapper.close_keyframe()
         self._graph.settle()
         if self._first_keyframe and self._extends:
-            self._mapper.retire_gone(self._closer.missing_landmarks())
+            self._mapper.retire_gone(self._closer.missing.rows())
         if self._extends:
             self._condenser.fuse_landmarks()
-        optimization = optimize_with_matched_noise(self._graph)
+        hold_tilt(self._graph)
+        optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return optimization
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
-        records = FinalRecords(
-            self._graph,
-            self._object_map,
-            self._mapper.keyframes,
-            self._path,
-            first_keyframe=self._first_keyframe,
-            first_segment=self._first_segment,
-            stamp_ns=self._frontend.latest_ns,
-        )
-        if unknown := records.place_landmarks():
+        stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
+        T_map_body = self._graph.poses()[self._first_keyframe :]
+        if unknown := place_landmarks(
+            self._object_map, self._graph, own, T_map_body, first_segment=self._first_segment
+        ):
             self.counters["covariances_missing"] = unknown
         self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
-        graph, object_map = records.graph(), records.object_map()
-        trajectory = records.trajectory()
+        stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
+        graph, object_map = self._graph.to_record(stamp_ns, stamps_ns), self._object_map.to_record(stamp_ns)
+        trajectory = final_trajectory(self._path, own, T_map_body, stamp_ns)
         check = self._check.judge(trajectory)
         doubts = assess(graph, object_map, self._config.calibration, self.counters, check)
         uncorrected = diagnose_uncorrected(graph, self.counters)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -21,20 +21,17 @@ class Estimates:
     landmarks: IntArray
     landmark_positions: FloatArray
 
-    def with_keyframes(self, keyframes: IntArray, positions: FloatArray) -> Estimates:
-        """The estimates with positions (N, 3) of other keyframes (N,)."""
-        return replace(
-            self,
-            keyframes=np.concatenate([self.keyframes, keyframes]),
-            keyframe_positions=np.concatenate([self.keyframe_positions, positions]),
-        )
 
-
-def read_estimates(values: gtsam.Values) -> Estimates:
-    """The positions of all keyframes and landmarks in ``values``."""
+def read_estimates(values: gtsam.Values, attached: IntArray, attached_positions: FloatArray) -> Estimates:
+    """The positions of all keyframes and landmarks in ``values``, and of attached keyframes (N,), (N, 3) m."""
     # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
     indices = (np.array(values.keys(), dtype=np.uint64) & _INDEX_BITS).astype(np.int64)
     landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
     keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
     count = len(landmark_positions)
-    return Estimates(indices[count:], keyframe_positions, indices[:count], landmark_positions)
+    return Estimates(
+        np.concatenate([indices[count:], attached]),
+        np.concatenate([keyframe_positions, attached_positions]),
+        indices[:count],
+        landmark_positions,
+    )

@@ -13,7 +13,8 @@ from gtsam.symbol_shorthand import L, X
 from logs.messages import FactorGraphRecord
 from slam.backend.batch_solver import BatchSolver, Optimization
 from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
-from slam.backend.covariance.marginals import Marginals, compute_marginals, matched_covariances
+from slam.backend.covariance.marginals import compute_marginals
+from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
@@ -41,7 +42,7 @@ class FactorGraph(EditableGraph):
         kernel_width: float = OBSERVATION_KERNEL_WIDTH,
     ) -> None:
         super().__init__(kernel_width, sensor_range_m=sensor_range_m)
-        self._marginals: tuple[gtsam.Values, Marginals] | None = None  # with the estimate that they are of
+        self._marginals: tuple[gtsam.Values, dict[int, FloatArray]] | None = None  # with the estimate that they are of
 
     @property
     def keyframe_variables(self) -> IntArray:
@@ -146,12 +147,11 @@ class FactorGraph(EditableGraph):
     def match_noise(self) -> Optimization:
         """Solve the whole graph with the noise of odometry and closures that their residuals show."""
         solver = self.settle()
-        with gtsam_errors("the estimation of the noise"):
-            records = [self._factors[number] for number in solver.factors]
-            found = matched_covariances(solver.graph, solver.values(), records, self._kernel_width)
-        self.replace_covariances(
-            {number: each for number, each in zip(solver.factors, found, strict=True) if each is not None}
-        )
+        try:
+            with gtsam_errors("the estimation of the noise"):
+                self.replace_covariances(matched_covariances(self._factors, solver.factors, solver.values()))
+        except FactorGraphError as error:
+            logger.info("the noise stays as it is configured: %s", error)
         return self.optimize()
 
     def log_determinant(self) -> float:
@@ -207,13 +207,13 @@ class FactorGraph(EditableGraph):
         values = gtsam.Values(self._solver.values())
         if isinstance(self._solver, IncrementalSolver):
             values.insert(self._solver.new_values)
-        return read_estimates(values).with_keyframes(attached, self.poses(attached)[:, :3, 3])
+        return read_estimates(values, attached, self.poses(attached)[:, :3, 3])
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
         self.update()
         self._check_landmarks(landmarks)
-        return self._all_marginals().of_landmarks(landmarks) if len(landmarks) else np.zeros((0, 3, 3))
+        return self._marginal_covariances([L(landmark) for landmark in landmarks.tolist()], 3)
 
     def pose_covariances(self) -> FloatArray:
         """Marginal covariances (K, 6, 6) of all keyframes, in the order of ``keyframes``, at the current estimate.
@@ -221,10 +221,8 @@ class FactorGraph(EditableGraph):
         Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
         """
         self.update()
-        if not self._keyframes:
-            return np.zeros((0, 6, 6))
-        anchors = [self._attached.anchors.get(keyframe, keyframe) for keyframe in self._keyframes]
-        of_anchors = self._all_marginals().of_keyframes(np.array(anchors, dtype=np.int64))
+        anchors = [X(self._attached.anchors.get(keyframe, keyframe)) for keyframe in self._keyframes]
+        of_anchors = self._marginal_covariances(anchors, 6)
         return self._attached.covariances(self._keyframes, of_anchors)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
@@ -239,14 +237,16 @@ class FactorGraph(EditableGraph):
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of, covariances
         )
 
-    def _all_marginals(self) -> Marginals:
+    def _marginal_covariances(self, keys: Sequence[int], size: int) -> FloatArray:
+        """Covariances (N, size, size) of variables."""
+        if not keys:
+            return np.zeros((0, size, size))
         solver = self.settle()
         values = solver.values()
-        if self._marginals is None or self._marginals[0] is not values:
-            with gtsam_errors("the marginal covariances"):
-                records = [self._factors[number] for number in solver.factors]
-                self._marginals = values, compute_marginals(solver.graph, values, records, self._kernel_width)
-        return self._marginals[1]
+        with gtsam_errors("the marginal covariances"):
+            if self._marginals is None or self._marginals[0] is not values:
+                self._marginals = values, compute_marginals(solver.factors.values(), values)
+            return np.array([self._marginals[1][key] for key in keys])
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
         variables = self._variables()

@@ -6,7 +6,7 @@ GTSAM's order: rotation, then translation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -110,8 +110,8 @@ def map_frame_factor(edge: Edge) -> gtsam.NonlinearFactor:
 
 def _measurement(edge: Edge) -> tuple[gtsam.Pose3, gtsam.noiseModel.Base]:
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
-    covariance = _checked_covariance(edge.covariance, 6, what)
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    covariances = _checked_covariances(edge.covariance[None], lambda _: what)
+    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariances[0])
     if edge.kind == EdgeKind.LOOP_CLOSURE:
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
     return checked_pose(edge.T_from_to, what), noise
@@ -130,7 +130,9 @@ def observation_factors(
     if not observations:
         return []
     positions = np.array([observation.position for observation in observations])
-    covariances = _checked_covariances(observations)
+    covariances = _checked_covariances(
+        np.array([observation.covariance for observation in observations]), lambda row: _name(observations[row])
+    )
     not_finite = np.flatnonzero(~np.isfinite(positions).all(axis=1))
     if len(not_finite):
         what = _name(observations[not_finite[0]])
@@ -165,24 +167,12 @@ def checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
     return gtsam.Pose3(T)
 
 
-def _checked_covariance(covariance: FloatArray, size: int, what: str) -> FloatArray:
-    if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
-        raise FactorGraphError(f"{what}: the covariance must be a finite {size} x {size} matrix")
-    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
-        raise FactorGraphError(f"{what}: the covariance is not positive definite")
-    return covariance
-
-
-def _checked_covariances(observations: Sequence[Observation]) -> FloatArray:
-    """Their covariances (N, 3, 3)."""
-    for observation in observations:
-        if observation.covariance.shape != (3, 3):
-            _checked_covariance(observation.covariance, 3, _name(observation))
-    covariances = np.array([observation.covariance for observation in observations])
-    usable = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
-    least = np.linalg.eigvalsh(np.where(usable[:, None, None], covariances, 0.0))[:, 0]
+def _checked_covariances(covariances: FloatArray, name_of: Callable[[int], str]) -> FloatArray:
+    """Covariances (N, n, n); the name of a wrong one goes into the error."""
+    is_finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    least = np.linalg.eigvalsh(np.where(is_finite[:, None, None], covariances, 0.0))[:, 0]
     for row in np.flatnonzero(least <= 0.0).tolist():
-        _checked_covariance(covariances[row], 3, _name(observations[row]))
+        raise FactorGraphError(f"{name_of(row)}: the covariance is not finite and positive definite")
     return covariances
 
 

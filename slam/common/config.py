@@ -47,9 +47,6 @@ class LocalizationConfig(Branch):
     failures_per_km: float = Field(
         default=1e-3, gt=0, description="undetected failures of the odometry per kilometre [1/km]"
     )
-    max_hypotheses: int = Field(
-        default=5, ge=0, description="most likely hypotheses that are propagated from keyframe to keyframe"
-    )
 
 
 class LoopClosureConfig(Branch):
@@ -78,14 +75,6 @@ class LoopClosureConfig(Branch):
     )
 
 
-class RegistrationSettings(Branch):
-    """Registration of one constellation of objects with another."""
-
-    estimate_scale: bool = Field(
-        default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
-    )
-
-
 class LabelsConfig(Branch):
     """What the classes of detections are called in the map. Old names may hold the wildcards * and ?."""
 
@@ -105,7 +94,6 @@ class Config(Branch):
     keyframe: KeyframeConfig = KeyframeConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     localization: LocalizationConfig = LocalizationConfig()
-    registration: RegistrationSettings = RegistrationSettings()
     labels: LabelsConfig = LabelsConfig()
     topics: dict[str, str] = Field(
         default={},

@@ -94,10 +94,10 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 
 def adjoint(T_a_b: FloatArray) -> FloatArray:
     """Matrix (6, 6) that turns a small motion (rotation, translation) along the axes of frame b into one of frame a."""
-    R, (x, y, z) = T_a_b[:3, :3], T_a_b[:3, 3]
+    R = T_a_b[:3, :3]
     Ad = np.zeros((6, 6))
     Ad[:3, :3] = Ad[3:, 3:] = R
-    Ad[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    Ad[3:, :3] = skew(T_a_b[:3, 3]) @ R
     return Ad
 
 
@@ -121,46 +121,8 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
 
 
 def rotation_of(vector: FloatArray) -> FloatArray:
-    """Rotations (..., 3, 3) of rotation vectors (..., 3) rad, by their quaternions.
-
-    SciPy has the same formula, but takes four times as long for one.
-    """
-    if vector.ndim > 1:
-        return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-    x, y, z = vector.tolist()
-    angle = math.sqrt(x * x + y * y + z * z)
-    # Below, the series of sin(a / 2) / a.
-    scale = math.sin(0.5 * angle) / angle if angle > 1e-3 else 0.5 - angle**2 / 48.0 + angle**4 / 3840.0
-    x, y, z, w = scale * x, scale * y, scale * z, math.cos(0.5 * angle)
-    return np.array(
-        [
-            [x * x - y * y - z * z + w * w, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -x * x - y * y + z * z + w * w],
-        ]
-    )
-
-
-def rotation_vector(R: FloatArray) -> FloatArray:
-    """Rotation vectors (..., 3) rad of rotations (..., 3, 3), the shortest ones.
-
-    Up to a quarter turn directly, which is an order of magnitude sooner for one rotation than SciPy, which is asked for
-    larger ones: near half a turn the sine does not tell the axis.
-    """
-    if R.ndim == 2:
-        x, y, z, cos = _single_axis_sine_and_cosine(R)
-        if cos < 0.0:
-            return np.asarray(Rotation.from_matrix(R).as_rotvec())
-        sin = math.hypot(x, y, z)
-        scale = 1.0 if sin < 1e-12 else math.atan2(sin, cos) / sin
-        return np.array([scale * x, scale * y, scale * z])
-    axis_sine, cosine = _axis_sine_and_cosine(R)
-    if np.any(cosine < 0.0):
-        return np.asarray(Rotation.from_matrix(R).as_rotvec())
-    sine = np.sqrt(np.einsum("...i,...i->...", axis_sine, axis_sine))
-    is_tiny = sine < 1e-12
-    factor = np.where(is_tiny, 1.0, np.arctan2(sine, cosine) / np.where(is_tiny, 1.0, sine))
-    return np.asarray(factor[..., None] * axis_sine)
+    """Rotations (..., 3, 3) of rotation vectors (..., 3) rad."""
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def _single_axis_sine_and_cosine(R: FloatArray) -> tuple[float, float, float, float]:
@@ -224,7 +186,7 @@ def blend(T_start: FloatArray, T_end: FloatArray, fraction: FloatArray | float) 
     """
     share = np.asarray(fraction)[..., None]
     start, end = T_start[..., :3, :3], T_end[..., :3, :3]
-    turn = rotation_vector(np.swapaxes(start, -1, -2) @ end)
+    turn = Rotation.from_matrix(np.swapaxes(start, -1, -2) @ end).as_rotvec()
     translation = (1.0 - share) * T_start[..., :3, 3] + share * T_end[..., :3, 3]
     return make_transform(start @ rotation_of(share * turn), translation)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from slam.common.arrays import IntArray
 
@@ -51,7 +53,7 @@ class UnionFind:
 
 def find_components(count: int, pairs: IntArray) -> IntArray:
     """The least item (N,) of the connected component of each of N = ``count`` items that pairs (K, 2) connect."""
-    sets = UnionFind()
-    for first, second in pairs.tolist():
-        sets.merge(*sorted((sets.find(first), sets.find(second))))
-    return np.array([sets.find(item) for item in range(count)], dtype=np.int64)
+    graph = coo_array((np.ones(len(pairs), dtype=np.bool_), pairs.T), shape=(count, count))
+    components = connected_components(graph, directed=False)[1]
+    _, first, component = np.unique(components, return_index=True, return_inverse=True)
+    return np.asarray(first[component], dtype=np.int64)

@@ -12,45 +12,28 @@ from slam.localization.state import State
 FRAMES, LOG = "/tf", "/slam/log"
 
 
-class Frames:
-    """The frames that are known; each message holds all of them, so that a viewer needs no other."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, Transform] = {}  # by the child
-
-    def add(self, transform: Transform) -> None:
-        """Replace the transform of its child frame."""
-        if transform.child_frame_id != transform.parent_frame_id:
-            self._known[transform.child_frame_id] = transform
-
-    def detach_from_map(self) -> None:
-        """Remove the odometry from the map."""
-        self._known = {child: each for child, each in self._known.items() if each.parent_frame_id != MAP_FRAME}
-
-    def is_leaf(self, frame_id: str) -> bool:
-        """Whether that frame is the parent of no other."""
-        return all(each.parent_frame_id != frame_id for each in self._known.values())
-
-    def tree(self, stamp_ns: int) -> FrameTree:
-        """All frames, stamped with that time."""
-        return FrameTree(stamp_ns, tuple(replace(each, stamp_ns=stamp_ns) for each in self._known.values()))
-
-
 class DriveDisplay:
-    """Turns updates of the estimate into messages for viewers."""
+    """Turns updates of the estimate into messages for viewers.
+
+    Each message about frames holds all that are known, so that a viewer needs no other.
+    """
 
     def __init__(self) -> None:
-        self._frames = Frames()
+        self._frames: dict[str, Transform] = {}  # by the child
 
     def show(self, update: Record) -> Iterator[Message]:
         """Messages about one update of the estimate."""
         if isinstance(update, Transform):
-            self._frames.add(update)
-            if self._frames.is_leaf(update.child_frame_id):  # the body; the message holds all other frames, too
-                yield FRAMES, self._frames.tree(update.stamp_ns)
+            if update.child_frame_id != update.parent_frame_id:  # as of an odometry in the frame of the map
+                self._frames[update.child_frame_id] = update
+            if all(each.parent_frame_id != update.child_frame_id for each in self._frames.values()):  # the body
+                frames = tuple(replace(each, stamp_ns=update.stamp_ns) for each in self._frames.values())
+                yield FRAMES, FrameTree(update.stamp_ns, frames)
         elif isinstance(update, StatusRecord):
             if update.state == State.LOST:
-                self._frames.detach_from_map()
+                self._frames = {
+                    child: each for child, each in self._frames.items() if each.parent_frame_id != MAP_FRAME
+                }
             yield LOG, LogMessage(update.stamp_ns, update.level, f"{update.state.lower()}: {update.message}")
         elif isinstance(update, LoopClosureRecord) and update.inserted:
             text = f"loop closed: keyframe {update.query_keyframe_id} with {update.reference_keyframe_id}"

@@ -1,22 +1,38 @@
-"""Acceptance of loop closures by their posterior probability."""
+"""Acceptance of loop closures by their posterior probability.
+
+Each candidate k is a pose in an earlier traversal, with the log-likelihood ratios of the landmarks around the robot
+(same place against somewhere new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior
+(:mod:`slam.localization.pose_prior`). Its posterior odds against "somewhere new" are
+
+    log o_k = log pi_k + sum_i LLR_ki,        p_k = o_k / (n_k + sum_k o_k),
+
+where n_k is the likelihood ratio of "somewhere new" to clutter. A new place looks like clutter, where it is 1, or as
+the map does from an arbitrary pose in its area A, whichever is likelier. The mean of exp(LLR) over those poses is the
+sum over the candidates r that cannot be true together with k,
+
+    n_k = max(1, sum_r v_r exp(LLR_r)),
+
+where v_r is the share, of all poses in A, of those that the registration r does not tell apart. By chance the mean is
+1 at most, as it is over clutter. On a pattern that repeats it is more, the more often it repeats and the better it
+fits.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
+import numpy as np
 from scipy.special import expit, logit
 
 from logs.messages import LoopClosureRecord
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.consistency import suppress_non_maxima, which_agree
-from slam.loop_closure.localizer import Localizer
+from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.verification import Verifier
-from slam.place_recognition.place import Place
-from slam.registration.parameters import registration_config
 
 TRACKED = "its landmarks are still associated: there is no loop to close"
 
@@ -35,36 +51,13 @@ class Decision:
 
 
 class Acceptance:
-    """Accepts the candidate that is wrong with a probability below ``error_probability``.
-
-    What it remembers of earlier keyframes are the hypotheses of its :class:`slam.loop_closure.localizer.Localizer`.
-    """
+    """Accepts the candidate that is wrong with a probability below ``error_probability``."""
 
     def __init__(self, config: Config, verifier: Verifier) -> None:
-        self.min_objects = registration_config(config).min_inliers
-        """Fewest objects that determine a pose."""
         self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -float(logit(config.localization.error_probability))
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
-        self._localizer = Localizer(
-            config.localization,
-            partial(which_agree, sensor_range_m=self._sensor_range_m),
-            verifier.are_consistent,
-            memory_m=config.propagation_distance_m,
-        )
-
-    def reset(self) -> None:
-        """Forget all hypotheses."""
-        self._localizer.reset()
-
-    def expected_places(self, query: Query) -> list[Place]:
-        """The hypotheses, propagated by the odometry."""
-        places = (
-            self._verifier.place_at(query, T_local_query, segment)
-            for segment, T_local_query in self._localizer.predictions(query)
-        )
-        return [place for place in places if place is not None]
 
     def is_acceptable(self, candidate: Candidate) -> bool:
         """Whether a candidate would be accepted if there was no other."""
@@ -76,48 +69,58 @@ class Acceptance:
         """
         return log_likelihood_ratio < math.log(failure_probability(self._failures_per_km, travel_m))
 
-    def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
+    def decide(self, query: Query, candidates: Sequence[Candidate]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
 
         If it is the pose of landmarks that are still associated, the place is recognised and needs no closure.
 
         Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern
         of objects fits as well.
+
+        Args:
+            query: of the candidates.
+            candidates: one at least, by falling score, of which no two agree.
         """
-        posterior = self._localizer.update(query, candidates)
-        likeliest = candidates[posterior.best]
-        others = [each for each in candidates if each is not likeliest]
-        log_odds = float(posterior.posterior_log_odds[posterior.best])
-        best = replace(likeliest, posterior_log_odds=log_odds)
+        best, *others = candidates
+        posterior = self._posterior_log_odds(candidates)
+        own = 0
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
-        if best.is_tracked and self._is_sure(log_odds):
-            return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
-        if self._is_sure(log_odds):
+        if posterior[0] >= self._least_log_odds:
+            if best.is_tracked:
+                best = replace(best, posterior_log_odds=float(posterior[0]))
+                return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
             rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
-            posterior = self._localizer.update(query, compared)
-            is_best = self._agree(compared[posterior.best], best)
-            best_rival = max((each.log_likelihood_ratio for each in compared if each is not best), default=None)
-            itself = next(i for i, each in enumerate(compared) if self._agree(each, best))
-            log_odds = float(posterior.posterior_log_odds[itself])
-            best = replace(best, posterior_log_odds=log_odds, best_rival_llr=best_rival)
-        else:
-            is_best = True
-        if is_best and self._is_sure(log_odds):
+            own = next(
+                i for i, each in enumerate(compared) if self._verifier.agree(each.T_local_query, best.T_local_query)
+            )
+            posterior = self._posterior_log_odds(compared)
+            rival = max((each.log_likelihood_ratio for i, each in enumerate(compared) if i != own), default=None)
+            best = replace(best, best_rival_llr=rival)
+        best = replace(best, posterior_log_odds=float(posterior[own]))
+        # Another pose may be surer: it can be true together with two that cannot.
+        if own == 0 and posterior[0] >= self._least_log_odds:
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        likeliest_log_odds = log_odds if is_best else posterior.posterior_log_odds[posterior.best]
-        doubt = f"wrong with probability {expit(-likeliest_log_odds):.2g}"
-        reason = doubt if is_best else f"ambiguous: another pose is likelier, {doubt}"
+        doubt = f"wrong with probability {expit(-posterior[0]):.2g}"
+        reason = doubt if own == 0 else f"ambiguous: another pose is likelier, {doubt}"
         record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
         unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
         return Decision(
-            (*rejected, record), contradicts_odometry=is_best and unpredicted >= self._least_log_odds > best.score
+            (*rejected, record), contradicts_odometry=own == 0 and unpredicted >= self._least_log_odds > best.score
         )
 
-    def _is_sure(self, log_odds: float) -> bool:
-        """Whether the accepted pose itself is; another may be surer that can be true together with two that cannot."""
-        return log_odds >= self._least_log_odds
-
-    def _agree(self, a: Candidate, b: Candidate) -> bool:
-        return self._verifier.agree(a.T_local_query, b.T_local_query)
+    def _posterior_log_odds(self, candidates: Sequence[Candidate]) -> FloatArray:
+        """Log odds (K,) of each candidate against "somewhere new" and all that cannot be true together with it; those
+        that can share theirs.
+        """
+        are_together = np.eye(len(candidates), dtype=np.bool_)
+        for i, a in enumerate(candidates):
+            for j, b in enumerate(candidates[:i]):
+                are_together[i, j] = are_together[j, i] = self._verifier.are_consistent(a, b)
+        log_odds = np.array([each.score for each in candidates])
+        log_fits = np.array([each.log_likelihood_ratio - each.unpredicted_penalty for each in candidates])
+        together = np.logaddexp.reduce(np.where(are_together, log_odds, -np.inf), axis=1)
+        others = np.logaddexp.reduce(np.where(are_together, -np.inf, log_odds), axis=1)
+        log_new = np.maximum(np.logaddexp.reduce(np.where(are_together, -np.inf, log_fits), axis=1), 0.0)
+        return np.asarray(together - np.logaddexp(others, log_new))

@@ -1,20 +1,23 @@
-"""The accepted closures: the factors that represent them, and what goes when one is revoked."""
+"""The accepted closures: the factors that represent them, the landmarks that they merged, and what goes when one is
+revoked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import IntArray
+from slam.common.arrays import BoolArray, IntArray
 from slam.common.config import Config
-from slam.loop_closure.candidate import Accepted, Candidate, Stage
-from slam.loop_closure.closure_graph import ClosedLoops
-from slam.object_map.landmarks import ObjectMap
+from slam.loop_closure.candidate import Candidate, Stage
+from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.segments import SegmentConnectivity
 
 INSERT_RANGES = 2.0 / 3.0
 """Least travel between two closures that become factors of the graph, in sensor ranges."""
@@ -22,8 +25,28 @@ TRUSTED_AFTER_RANGES = 60.0 / 30.0
 """A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Accepted:
+    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
+    graph, its own or one nearby; ``factor``: the number of its own.
+    """
+
+    candidate: Candidate
+    represented_by: int
+    factor: int | None = None
+
+    @property
+    def latest(self) -> int:
+        """The later one of the two query keyframes."""
+        return max(self.candidate.query.id, self.represented_by)
+
+
 class AcceptedClosures:
-    """Closures in the order in which they were accepted; some are factors, and represent those nearby."""
+    """Closures in the order in which they were accepted; some are factors, and represent those nearby.
+
+    Landmarks whose travel differs by less than the least travel of a closure are of one traversal: none can relate
+    them.
+    """
 
     def __init__(
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
@@ -31,11 +54,13 @@ class AcceptedClosures:
         self._propagation_distance_m = config.propagation_distance_m
         self._insert_travel_m = INSERT_RANGES * config.sensor_range_m
         self._trusted_after_m = TRUSTED_AFTER_RANGES * config.sensor_range_m
-        self._keyframes = keyframes
-        self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.closure_travel_m)
+        self._min_travel_m = config.closure_travel_m
+        self._map, self._graph, self._keyframes = object_map, graph, keyframes
+        self._segments = SegmentConnectivity(keyframes)
         self._closed: dict[int, int] = {}
         self._tracked: dict[int, int] = {}
         self._accepted: list[Accepted] = []
+        self._lasting: list[Candidate] = []  # condensed closures across breaks
 
     @property
     def keyframes(self) -> IntArray:
@@ -48,7 +73,7 @@ class AcceptedClosures:
 
     def is_localized(self, keyframe: Keyframe) -> bool:
         """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
-        return self._loops.are_connected(self._keyframes[0].id, keyframe.id)
+        return self._segments.are_connected(self._keyframes[0].id, keyframe.id)
 
     def keyframes_nearby(self) -> set[int]:
         """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
@@ -68,14 +93,15 @@ class AcceptedClosures:
         return {row for row in near if self.is_localized(self._keyframes[row])}
 
     def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
-        """Accept a closure; it becomes a factor unless one within ``insert_travel_m`` represents it."""
-        nearest = self._loops.nearest(candidate.travel_m)
-        is_new = nearest is None or (abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m)
-        if is_new:
-            self._loops.insert(candidate)
-        represented_by = (candidate if is_new or nearest is None else nearest.candidate).query.id
-        self._accepted.append(Accepted(candidate, represented_by))
+        """Accept a closure; it becomes a factor unless one within ``INSERT_RANGES`` represents it."""
+        nearest = min(self._factors, key=lambda each: abs(each.candidate.travel_m - candidate.travel_m), default=None)
+        if nearest is None or abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m:
+            accepted = Accepted(candidate, candidate.query.id, self._insert(candidate))
+        else:
+            accepted = Accepted(candidate, nearest.candidate.query.id)
+        self._accepted.append(accepted)
         self._closed[candidate.query.id] = candidate.reference.id
+        is_new, represented_by = accepted.factor is not None, accepted.represented_by
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
 
     def add_tracked(self, candidate: Candidate) -> None:
@@ -90,35 +116,99 @@ class AcceptedClosures:
         revoked closures, and whether the robot was kidnapped.
         """
         segment = keyframe.odometry.segment
-        connecting = [
-            loop.candidate.travel_m
-            for loop in self._loops.loops
-            if loop.candidate.crosses_break and loop.candidate.query.odometry.segment == segment
-        ]
+        connecting = [each.travel_m for each in self._across_breaks if each.query.odometry.segment == segment]
         connected_m = min(connecting, default=-np.inf)
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
         self._tracked = {query: reference for query, reference in self._tracked.items() if query < since}
-        self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query.id >= since])
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
         revoked = [each for each in self._accepted if each.latest >= since]
-        self._accepted = [each for each in self._accepted if each.latest < since]
-        for each in revoked:
-            self._closed.pop(each.candidate.query.id, None)
+        self._remove(revoked)
         reason = "revoked: expected landmarks not observed"
         return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
 
     def settled_before_m(self, travel_m: float) -> float:
         """Closures before the returned travel are not revoked any more, now that the robot has come to ``travel_m``."""
         trusted_m = travel_m - self._trusted_after_m
-        doubtful = any(
-            loop.candidate.crosses_break and loop.candidate.travel_m > trusted_m for loop in self._loops.loops
-        )
-        return -np.inf if doubtful else trusted_m
+        return -np.inf if any(each.travel_m > trusted_m for each in self._across_breaks) else trusted_m
 
     def forget_condensed(self) -> None:
         """Forget the closures whose factors were condensed, and those that they represent: they are part of the map."""
-        self._loops.forget_condensed()
-        factors = {loop.candidate.query.id for loop in self._loops.loops}
-        self._accepted = [each for each in self._accepted if each.represented_by in factors]
+        held = [each for each in self._factors if each.factor in self._graph.factors]
+        self._lasting += [each.candidate for each in self._factors if each not in held and each.candidate.crosses_break]
+        representing = {each.represented_by for each in held}
+        self._accepted = [each for each in self._accepted if each.represented_by in representing]
+
+    @property
+    def _factors(self) -> list[Accepted]:
+        """The closures that are factors."""
+        return [each for each in self._accepted if each.factor is not None]
+
+    @property
+    def _across_breaks(self) -> list[Candidate]:
+        """The factors across breaks of the odometry that may still be revoked."""
+        return [each.candidate for each in self._factors if each.candidate.crosses_break]
+
+    def _insert(self, candidate: Candidate) -> int:
+        """Add the closure as a factor and merge the matched landmarks; returns the number of the factor.
+
+        If its keyframes are in segments that were not connected before, the later segment is first moved rigidly to
+        where the closure puts it.
+        """
+        moved = self._segments.connect(candidate.reference.id, candidate.query.id)
+        edge = candidate.edge()
+        factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
+        self._merge_landmarks(candidate, factor)
+        self._graph.alias_landmarks(self._map.aliases)
+        return factor
+
+    def _remove(self, revoked: Sequence[Accepted]) -> None:
+        """Remove closures, and split the landmarks that only they merged."""
+        for each in revoked:
+            self._closed.pop(each.candidate.query.id, None)
+        self._accepted = [each for each in self._accepted if each not in revoked]
+        gone = {each.factor for each in revoked if each.factor is not None}
+        if not gone:
+            return
+        for factor in gone:
+            self._graph.remove_factor(factor)
+        self._merge_again(gone)
+        self._segments.reset()
+        for candidate in [*self._lasting, *(each.candidate for each in self._factors)]:
+            self._segments.connect(candidate.reference.id, candidate.query.id)
+
+    def _merge_again(self, gone: set[int]) -> None:
+        """Undo all merges of landmarks, and make them again but for those by closures with the factors ``gone``.
+
+        What a closure may merge depends on the merges before it, so each merges its landmarks anew.
+        """
+        waiting = {each.factor: each.candidate for each in self._factors}
+        anew = set(waiting)
+        for merge in self._map.undo_merges():
+            if merge.closure in waiting:
+                self._merge_landmarks(waiting.pop(merge.closure), merge.closure)
+            elif merge.closure not in gone | anew:  # by the front end, or by a closure that was condensed
+                self._map.merge(merge.kept, merge.dropped, closure=merge.closure)
+        for factor, candidate in waiting.items():
+            self._merge_landmarks(candidate, factor)
+        self._graph.alias_landmarks(self._map.aliases)
+
+    def _merge_landmarks(self, candidate: Candidate, factor: int | None) -> None:
+        for query, reference in candidate.pairs.tolist():
+            if self._may_merge(query, reference):
+                self._map.merge(reference, query, closure=factor)
+
+    def _may_merge(self, query: int, reference: int) -> bool:
+        """Whether the query landmark is not merged, and neither landmark is of both traversals."""
+        kept = self._map.canonical_id(reference)
+        if self._map.canonical_id(query) != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
+            return False
+        # Two landmarks of one traversal are two objects; one that stands for two traversals is not merged into a third.
+        is_of_both = self._in_traversal(query, [kept, *self._map.absorbed(kept)]).any()
+        return not is_of_both and bool(self._in_traversal(query, self._map.absorbed(query)).all())
+
+    def _in_traversal(self, landmark: int, others: list[int]) -> BoolArray:
+        """Which other landmarks (N,) were last seen on the same traversal as a landmark."""
+        travel_m = self._map.rows["last_seen_travel_m"]
+        return np.asarray(np.abs(travel_m[others] - travel_m[landmark]) < self._min_travel_m)

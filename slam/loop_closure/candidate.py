@@ -32,9 +32,8 @@ class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
     the query's gravity frame in the local frame of the reference's traversal.
 
-    ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i, of which
-    ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the
-    reference.
+    ``log_likelihood_ratios`` (N,): LLR_i of the landmarks of the query, of which ``log_likelihood_ratio`` is the sum;
+    ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`.
     ``place``: what proposed it; ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found
@@ -49,7 +48,6 @@ class Candidate:
     T_reference_query: FloatArray
     T_local_query: FloatArray
     covariance: FloatArray
-    rows: IntArray
     log_likelihood_ratios: FloatArray
     pairs: IntArray
     matched_fraction: float
@@ -95,7 +93,6 @@ class Candidate:
             accepted=stage == Stage.ACCEPTED,
             stage=stage.value,
             reason=reason,
-            retrieval_distance=self.place.retrieval_distance,
             inlier_count=len(self.pairs),
             inlier_fraction=self.matched_fraction,
             score=self.score,
@@ -114,32 +111,13 @@ class Candidate:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
-    graph, its own or one nearby.
-    """
-
-    candidate: Candidate
-    represented_by: int
-
-    @property
-    def latest(self) -> int:
-        """The later one of the two query keyframes."""
-        return max(self.candidate.query.id, self.represented_by)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
-    """A keyframe and the landmarks around it, in its gravity frame.
-
-    ``before``: queries of the stretches that led there, the latest first, where the robot is looked for in a large map.
-    """
+    """A keyframe and the landmarks around it, in its gravity frame."""
 
     keyframe: Keyframe
     submap: Submap
     T_local_gravity: FloatArray
-    before: tuple[Query, ...] = ()
 
     @property
     def travel_m(self) -> float:
@@ -157,7 +135,6 @@ class Query:
             accepted=False,
             stage=stage.value,
             reason=reason,
-            retrieval_distance=float("inf"),
             reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
             rank=place.rank if place else 0,
             proposer=place.proposer if place else "",

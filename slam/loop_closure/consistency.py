@@ -7,16 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.common.arrays import BoolArray, FloatArray
+from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import invert, yaw_rad
 from slam.loop_closure.candidate import Candidate
 from slam.odometry.noise import SLIP_INFLATION
-from slam.registration.parameters import DISTINCT_RANGES
 
 # Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
 # the objects in a row, or more. In sensor ranges.
-AGREE_RANGES = DISTINCT_RANGES
+AGREE_RANGES = 1.0 / 15.0
 AGREE_RAD = np.deg2rad(5.0)
 TILT_SIGMA_RAD = np.deg2rad(1.0)
 """Error of gravity between two traversals."""
@@ -24,16 +23,11 @@ CLOSURE_SIGMA_RAD = np.deg2rad(0.8)
 """Heading error of a closure that its inliers share: what the centroids of a row of objects turn by."""
 
 
-def which_agree(T_a: FloatArray, T_b: FloatArray, *, sensor_range_m: float) -> BoolArray:
-    """Whether estimates (..., 4, 4) of poses differ by less than ``AGREE_RANGES`` and ``AGREE_RAD``, pair by pair."""
-    T_between = invert(T_a) @ T_b
-    apart_m = np.hypot(T_between[..., 0, 3], T_between[..., 1, 3])
-    return np.asarray((apart_m < AGREE_RANGES * sensor_range_m) & (np.abs(yaw_rad(T_between)) < AGREE_RAD))
-
-
 def poses_agree(T_a: FloatArray, T_b: FloatArray, *, sensor_range_m: float) -> bool:
-    """Whether two estimates (4, 4) of one pose agree; see :func:`which_agree`."""
-    return bool(which_agree(T_a, T_b, sensor_range_m=sensor_range_m))
+    """Whether two estimates (4, 4) of one pose differ by less than ``AGREE_RANGES`` and ``AGREE_RAD``."""
+    T_between = invert(T_a) @ T_b
+    apart_m = np.hypot(T_between[0, 3], T_between[1, 3])
+    return bool(apart_m < AGREE_RANGES * sensor_range_m and abs(yaw_rad(T_between)) < AGREE_RAD)
 
 
 def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: float) -> list[Candidate]:

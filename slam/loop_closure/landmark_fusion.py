@@ -29,11 +29,10 @@ def find_duplicate_landmarks(
     radius_m: float,
     drives: IntArray | None = None,
 ) -> list[tuple[int, int]]:
-    """Pairs of duplicate landmarks, the older one first, in the order in which they are to be merged.
+    """Pairs of duplicate landmarks, the older one first.
 
     Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
     ``radius_m`` in the plane, and few keyframes observed both: two objects that near to each other are seen together.
-    The older one stays where it is and is compared again, with the keyframes of both.
 
     Args:
         object_map: the landmarks.
@@ -50,26 +49,14 @@ def find_duplicate_landmarks(
         if not observers[row].isdisjoint(keyframes)
     ]
     rows = np.array(usable, dtype=np.int64)
-    if not len(rows):
-        return []
-    positions, classes = graph.landmark_positions(rows), object_map.classes(rows)
-    pairs = list[tuple[int, int]]()
-    while True:
-        nearest = _nearest_alike(positions, classes, radius_m)
-        found = [
-            (index, other)
-            for index, other in enumerate(nearest.tolist())
-            if index < other
-            and nearest[other] == index
-            and _may_be_one(observers[int(rows[index])], observers[int(rows[other])], drives)
-        ]
-        if not found:
-            return pairs
-        for index, other in found:
-            pairs.append((int(rows[index]), int(rows[other])))
-            observers[int(rows[index])] |= observers[int(rows[other])]
-        left = np.delete(np.arange(len(rows)), [other for _, other in found])
-        rows, positions, classes = rows[left], positions[left], classes[left]
+    nearest = _nearest_alike(graph.landmark_positions(rows), object_map.classes(rows), radius_m)
+    return [
+        (usable[index], usable[other])
+        for index, other in enumerate(nearest.tolist())
+        if index < other
+        and nearest[other] == index
+        and _may_be_one(observers[usable[index]], observers[usable[other]], drives)
+    ]
 
 
 def fuse_duplicate_landmarks(
@@ -80,7 +67,10 @@ def fuse_duplicate_landmarks(
     radius_m: float,
     drives: IntArray | None = None,
 ) -> int:
-    """Merge duplicate landmarks until there are none; returns how many were merged into another."""
+    """Merge duplicate landmarks until there are none; returns how many were merged into another.
+
+    The older one stays where it is and is compared again, with the keyframes of both.
+    """
     merged = 0
     while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m, drives=drives):
         for kept, dropped in pairs:

@@ -13,16 +13,14 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import IntArray
-from slam.common.config import SUBMAP_RANGES, Config
+from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
-from slam.loop_closure.propagation import Propagation
-from slam.loop_closure.stretches import Stretches
+from slam.loop_closure.propagation import Predicted, Propagation
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.missing_landmarks import MissingLandmarks
@@ -33,6 +31,7 @@ from slam.place_recognition.imported_places import ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
+from slam.registration.parameters import MIN_INLIERS
 
 logger = logging.getLogger(__name__)
 
@@ -63,8 +62,7 @@ class LoopCloser:
         mapped = None if imported is None else imported.positions
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self._stretches = Stretches(0.5 * SUBMAP_RANGES * config.sensor_range_m)
-        self._missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
+        self.missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
@@ -86,10 +84,6 @@ class LoopCloser:
     def kidnapping_probability(self) -> float:
         """Probability of a recent kidnapping, by the landmarks around."""
         return self._continuity.kidnapping_probability
-
-    def missing_landmarks(self) -> IntArray:
-        """Rows (K,) of landmarks of a prior map that the robot passed and never saw."""
-        return self._missing.rows()
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
@@ -118,17 +112,18 @@ class LoopCloser:
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
         # 3. If the robot is lost and none of them is acceptable, landmarks that are not confirmed yet are used, too.
         if not self.closures.is_localized(keyframe) and not self._any_acceptable(verified):
-            confirmed, query = query, self._with_unconfirmed(query)
+            confirmed, submap = query, recent_submap_with_unconfirmed(self._map, keyframe, self._calibration)
+            query = replace(query, submap=submap)
             if self._has_enough_objects(query) and len(query.submap) > len(confirmed.submap):
                 verified += self._verify_retrieved(query)
         if not verified:
             return [query.refusal(Stage.RETRIEVAL, self._why_nothing(query))]
-        # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
+        # 4. The candidate with the highest score is accepted or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = suppress_non_maxima(
             [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
         )
-        return refused + self._decide(query, candidates)
+        return refused + self._decide(query, candidates, predicted)
 
     def _looked_up_alike(self, query: Query) -> Query | None:
         """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
@@ -142,40 +137,28 @@ class LoopCloser:
         return last if is_alike and is_near else None
 
     def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
-        """The candidates at the places that landmarks still followed, hypotheses and retrieval propose."""
-        verified = [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
-        is_found = self._any_acceptable(verified)
+        """The candidates at the places that landmarks still followed and retrieval propose."""
         tracked = self._verifier.tracked_place(query)
-        if tracked is not None:
-            verified.append(self._verifier.verify(query, tracked))
-        if not is_found:
-            verified += self._verify_retrieved(query)
-        return verified
+        followed = [] if tracked is None else [self._verifier.verify(query, tracked)]
+        return [*followed, *self._verify_retrieved(query)]
 
     def _verify_retrieved(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
-        return self._verify_all(query, self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query)))
-
-    def _with_unconfirmed(self, query: Query) -> Query:
-        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._calibration)
-        return replace(query, submap=submap)
-
-    def _has_enough_objects(self, query: Query) -> bool:
-        return len(query.submap) >= self._acceptance.min_objects
-
-    def _why_nothing(self, query: Query) -> str:
-        if self._has_enough_objects(query):
-            return "no matches that agree on a place"
-        return f"{len(query.submap)} landmarks in the submap, min_inliers is {self._acceptance.min_objects}"
-
-    def _verify_all(self, query: Query, places: Sequence[Place]) -> list[Candidate | LoopClosureRecord]:
-        """The candidates at places, or the reasons why there is none."""
+        places = self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query))
         return [
             self._verifier.verify(query, place)
             if self._is_plausible(query, place)
             else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
             for place in places
         ]
+
+    def _has_enough_objects(self, query: Query) -> bool:
+        return len(query.submap) >= MIN_INLIERS
+
+    def _why_nothing(self, query: Query) -> str:
+        if self._has_enough_objects(query):
+            return "no matches that agree on a place"
+        return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
 
     def _is_plausible(self, query: Query, place: Place) -> bool:
         """Whether a place is where the robot may be by what was said before."""
@@ -201,7 +184,6 @@ class LoopCloser:
         self._looked_up = None
         self._continuity.restart()
         self._propagation.reset()
-        self._acceptance.reset()
         return revoked, is_kidnapped
 
     def begin_segment(self, first: int) -> None:
@@ -210,15 +192,14 @@ class LoopCloser:
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe, self._calibration)
-        before = () if self.closures.is_localized(keyframe) else self._stretches.before(keyframe)
-        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before)
-        if self._retriever.has_imported_map:
-            self._stretches.remember(query)
+        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body))
         self._propagation.remember(query)
         return query
 
-    def _decide(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
-        """Records of the candidates of one query, given by falling score."""
+    def _decide(
+        self, query: Query, candidates: list[Candidate], predicted: Predicted | None
+    ) -> list[LoopClosureRecord]:
+        """Records of the candidates, given by falling score; ``predicted``: where the last closure leads."""
         if not candidates:
             return []
         decision = self._acceptance.decide(query, candidates)
@@ -230,7 +211,7 @@ class LoopCloser:
         best, records = decision.accepted, list(decision.rejected)
         if best is None:
             return records
-        if self._has_prior_map and self._propagation.is_elsewhere(query, best):
+        if self._has_prior_map and self._propagation.is_elsewhere(predicted, best):
             self.lost_after_m = self._keyframes[query.keyframe.id - 1].odometry.travel_m
             return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
         return [*records, *self._accept_and_propagate(best)]
@@ -259,5 +240,5 @@ class LoopCloser:
         """Accept a closure, which predicts the next ones."""
         self._propagation.seed = candidate
         if candidate.reference.is_prior:
-            self._missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
+            self.missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
         return self.closures.add(candidate, reason)

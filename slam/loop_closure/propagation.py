@@ -61,8 +61,9 @@ class Propagation:
 
     def predict(self, query: Query) -> Predicted | None:
         """The landmarks at the place that the seed predicts; None without a seed that is near enough."""
-        seed = self._seed_for(query)
-        return None if seed is None else self.predict_from(seed, query)
+        if self.seed is None or query.travel_m - self.seed.travel_m > self._distance_m:
+            return None
+        return self.predict_from(self.seed, query)
 
     def predict_from(self, seed: Candidate, query: Query) -> Predicted | None:
         """The same by another closure."""
@@ -94,17 +95,9 @@ class Propagation:
         ratio = changed_log_likelihood_ratio(ratios[~is_old])
         return self._acceptance.is_contradicted(ratio, self._sensor_range_m)
 
-    def is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
-        """Whether a candidate is farther than registration reaches from the place that the seed predicts."""
-        seed = self._seed_for(query)
-        place = None if seed is None else self._verifier.predict(seed, query)
-        if place is None or place.segment != candidate.reference.odometry.segment:
+    def is_elsewhere(self, predicted: Predicted | None, candidate: Candidate) -> bool:
+        """Whether a candidate is farther than registration reaches from a predicted place."""
+        if predicted is None or predicted.place.segment != candidate.reference.odometry.segment:
             return False
-        apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
+        apart_m = float(np.linalg.norm((predicted.place.T_local_query - candidate.T_local_query)[:2, 3]))
         return apart_m > self._verifier.reach_m
-
-    def _seed_for(self, query: Query) -> Candidate | None:
-        """The seed, if it is near enough to predict the pose of a query."""
-        if self.seed is None or query.travel_m - self.seed.travel_m > self._distance_m:
-            return None
-        return self.seed

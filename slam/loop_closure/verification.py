@@ -13,17 +13,20 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.localization.map_area import MapArea
+from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
+from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD, odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
-from slam.loop_closure.query_priors import QueryPriors
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.parameters import RegistrationConfig, registration_config
-from slam.registration.registration import Registration, refine
+from slam.registration.estimate import Registration
+from slam.registration.parameters import MIN_INLIERS, RegistrationConfig, registration_config
+from slam.registration.registration import refine
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""
@@ -49,14 +52,9 @@ class Verifier:
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
-        self._priors = QueryPriors(
-            config,
-            track,
-            graph,
-            keyframes,
-            np.zeros((0, 2)) if mapped is None else mapped,
-            cell_m=config.sensor_range_m,
-        )
+        self._area = MapArea(cell_m=config.sensor_range_m)
+        if mapped is not None:
+            self._area.cover_positions(mapped)
 
     def latest_m(self, query: Query) -> float:
         """Travel up to which landmarks and keyframes may be the reference of a loop closure.
@@ -76,16 +74,9 @@ class Verifier:
         T_seed_query = invert(gravity_frame(seed.T_local_body)) @ query.T_local_gravity
         T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
         reference_pose = seed_closure.reference.odometry
-        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0, "prediction")
+        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, "prediction")
         reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
-
-    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
-        """The place of a pose (4, 4) in a segment, on the traversal that passed nearest; None if none passed there."""
-        found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
-        if found is None:
-            return None
-        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf, "hypothesis")
 
     def tracked_place(self, query: Query) -> Place | None:
         """Pose of the query by the landmarks of an earlier traversal that are still associated.
@@ -93,10 +84,13 @@ class Verifier:
         They are in one map with those of the query, so that the pose is known; None if there are too few of them.
         """
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
-        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:
+        if np.count_nonzero(first_seen_m < self.latest_m(query)) < MIN_INLIERS:
             return None
-        place = self.place_at(query, query.T_local_gravity, query.keyframe.odometry.segment)
-        return place and replace(place, retrieval_distance=0.0, proposer="association")
+        segment, T_local_query = query.keyframe.odometry.segment, query.T_local_gravity
+        found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
+        if found is None:
+            return None
+        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, "association")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
@@ -111,8 +105,7 @@ class Verifier:
         reference = self._nearest(registered, query, within_m=self._sensor_range_m)
         if reference is None:
             return self._out_of_reach(query, place)
-        candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
-        return self._with_stretches_before(query, candidate) if seed_closure == NOWHERE else candidate
+        return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
 
     def unregistered(self, query: Query, place: Place) -> FloatArray:
         """LLR (N,) of each object of the query at a place as it is, where the two cannot be registered.
@@ -122,31 +115,6 @@ class Verifier:
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         pairs = _mutually_nearest(query.submap, reference_submap, place.T_local_query)
         return self._ratio(query, reference_submap, place.T_local_query, pairs).per_object
-
-    def _with_stretches_before(self, query: Query, candidate: Candidate) -> Candidate:
-        """The candidate with the LLR of what the robot passed before, each stretch registered where the next one leads.
-
-        Only a candidate that fits by itself is followed back, and as far as the stretches fit. A landmark of several
-        stretches counts once, as it was seen from the nearest of their keyframes.
-        """
-        if not query.before or candidate.log_likelihood_ratio <= 0.0:
-            return candidate
-        chain, sigmas = [candidate], [query.submap.sigmas]
-        for stretch in query.before:
-            if len(stretch.submap) < self._registration.min_inliers:
-                continue
-            place = self.predict(chain[-1], stretch)
-            before = None if place is None else self.verify(stretch, place, seed_closure=query.keyframe.id)
-            if place is None or not isinstance(before, Candidate):
-                break
-            if not self.agree(before.T_local_query, place.T_local_query):
-                break
-            chain.append(before)
-            sigmas.append(stretch.submap.sigmas)
-        nearest = np.argsort(np.concatenate(sigmas), kind="stable")
-        rows, first = np.unique(np.concatenate([each.rows for each in chain])[nearest], return_index=True)
-        ratios = np.concatenate([each.log_likelihood_ratios for each in chain])[nearest]
-        return replace(candidate, rows=rows, log_likelihood_ratios=ratios[first])
 
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
@@ -169,7 +137,7 @@ class Verifier:
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
         reference = candidate.reference.odometry
-        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0, candidate.place.proposer)
+        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, candidate.place.proposer)
         repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
         found = [self.verify(query, replace(place, T_local_query=T)) for T in repeated]
         return [
@@ -191,7 +159,7 @@ class Verifier:
         assert T_local_gravity is not None
         assert covariance is not None
         ratio = self._ratio(query, reference_submap, T_local_gravity, registration.pairs)
-        prior = self._priors.prior(query, place, reference, seed_closure)
+        prior = self._prior(query, place, reference, seed_closure)
         exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
         confirmed = registration.pairs[exists[registration.pairs[:, 0]]]
         seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
@@ -207,7 +175,6 @@ class Verifier:
             covariance=covariance_in_axes(
                 covariance + shared_covariance(self._config.calibration.objects), T_gravity_body[:3, :3]
             ),
-            rows=query.submap.rows,
             log_likelihood_ratios=ratio.per_object,
             pairs=np.column_stack([query.submap.rows[confirmed[:, 0]], reference_submap.rows[confirmed[:, 1]]]),
             matched_fraction=ratio.matched_fraction,
@@ -215,6 +182,25 @@ class Verifier:
             unpredicted_penalty=-prior.log_uniform(covariance),
             seed_closure=seed_closure,
             is_tracked=2 * int(np.sum(seen == met)) > len(seen),
+        )
+
+    def _prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
+        """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""
+        self._area.cover(self._keyframes)
+        T_local_query, since = place.T_local_query, seed_closure
+        if seed_closure == NOWHERE:
+            since = reference.id
+            T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
+            T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
+            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
+        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
+        return PosePrior(
+            T_local_query,
+            float(np.hypot(SLIP_INFLATION * sigma_m, self._config.calibration.objects.landmark_sigma_m)),
+            float(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD)),
+            failure_probability(self._config.localization.failures_per_km, travel_m),
+            self._area.area_m2,
         )
 
     def _ratio(
@@ -264,7 +250,7 @@ def register(
     All objects of a query of fewer than ``min_inliers`` have to agree.
     """
     if MIN_OBJECTS <= len(query) < config.min_inliers:
-        config = config.model_copy(update={"min_inliers": len(query)})
+        config = replace(config, min_inliers=len(query))
     return refine(
         query.positions,
         query.labels,

@@ -81,16 +81,6 @@ class LandmarkMerge:
     closure: int | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ObservationSums:
-    """Sums over the measurements of each landmark, one row a landmark."""
-
-    observations: IntArray
-    first_seen_ns: IntArray
-    last_seen_ns: IntArray
-    label_counts: FloatArray
-
-
 class ObjectMap:
     """Landmarks and the vocabulary of their classes."""
 
@@ -281,14 +271,23 @@ class ObjectMap:
         return self._aliases.absorbed(row)
 
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
-        """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out."""
+        """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out.
+
+        The observations of a landmark include those of all that were merged into it.
+        """
         kept = np.array(
             [row for row in range(self._size) if self._reasons.get(row) != RetirementReason.NOT_CONFIRMED],
             dtype=np.int64,
         )
-        landmarks, totals, aliases = self.rows[kept], self._with_merged(), self.aliases
+        landmarks, aliases, rows = self.rows[kept], self.aliases, kept.tolist()
         states = [LandmarkState(state).name.lower() for state in landmarks["state"].tolist()]
-        rows = kept.tolist()
+        counts, first, last = (self.rows[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
+        labels = self._beliefs.label_counts(slice(self._size)).copy()
+        dropped, into = np.array(list(aliases.items()), dtype=np.int64).reshape(-1, 2).T
+        np.add.at(counts, into, self.rows["observations"][dropped])
+        np.minimum.at(first, into, self.rows["first_seen_ns"][dropped])
+        np.maximum.at(last, into, self.rows["last_seen_ns"][dropped])
+        np.add.at(labels, into, self._beliefs.label_counts(dropped))
         return ObjectMapRecord(
             stamp_ns=stamp_ns,
             frame_id="map",
@@ -296,29 +295,17 @@ class ObjectMap:
             ids=tuple(map(str, rows)),
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
-            class_probabilities=self._beliefs.beliefs(totals.label_counts[kept]),
+            class_probabilities=self._beliefs.beliefs(labels[kept]),
             states=tuple("retired" if row in aliases else state for row, state in zip(rows, states, strict=True)),
             reasons=tuple(
                 f"{RetirementReason.MERGED.value} into {aliases[row]}" if row in aliases else self._reasons.get(row, "")
                 for row in rows
             ),
             merged_into=tuple(str(aliases.get(row, "")) for row in rows) if aliases else (),
-            observation_counts=totals.observations[kept],
-            first_seen_ns=totals.first_seen_ns[kept],
-            last_seen_ns=totals.last_seen_ns[kept],
+            observation_counts=counts[kept],
+            first_seen_ns=first[kept],
+            last_seen_ns=last[kept],
         )
-
-    def _with_merged(self) -> _ObservationSums:
-        """Sums of the observations of each landmark and of all that were merged into it."""
-        landmarks = self.rows
-        counts, first, last = (landmarks[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
-        labels = self._beliefs.label_counts(slice(self._size)).copy()
-        dropped, kept = np.array(list(self.aliases.items()), dtype=np.int64).reshape(-1, 2).T
-        np.add.at(counts, kept, landmarks["observations"][dropped])
-        np.minimum.at(first, kept, landmarks["first_seen_ns"][dropped])
-        np.maximum.at(last, kept, landmarks["last_seen_ns"][dropped])
-        np.add.at(labels, kept, self._beliefs.label_counts(dropped))
-        return _ObservationSums(counts, first, last, labels)
 
     def _reserve(self, size: int) -> None:
         if size <= len(self._rows):

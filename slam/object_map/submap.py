@@ -41,12 +41,6 @@ class Submap:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def of(self, indices: IntArray) -> Submap:
-        """Some of the landmarks, by their indices (K,)."""
-        existence = np.broadcast_to(self.existence, len(self))[indices]
-        positions, sigmas, labels = self.positions[indices], self.sigmas[indices], self.labels[indices]
-        return Submap(positions, sigmas, labels, self.rows[indices], existence, self.local_sigma_m)
-
 
 def gravity_frame(T_local_body: FloatArray) -> FloatArray:
     """``T_local_gravity`` (..., 4, 4): at the body, heading as it does, but upright."""

@@ -118,11 +118,6 @@ class ImportedMap:
         radius_m = float(np.abs(path[:, :2] - middle).max()) + self.tile_m
         return np.asarray(self.positions[self.near(middle, radius_m)], dtype=np.float64)
 
-    def class_shares(self) -> FloatArray:
-        """Frequency (C,) of each class, with a pseudo-count of 1."""
-        counts = 1.0 + np.bincount(self.classes, minlength=len(self.vocabulary))
-        return np.asarray(counts / counts.sum())
-
 
 def make_imported_map(
     positions: FloatArray,

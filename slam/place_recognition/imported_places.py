@@ -47,15 +47,11 @@ class ImportedPlaces:
         self._graph = graph
         self._is_fixed = is_fixed
         self._is_flat = is_flat(imported)
-        self._class_shares = imported.class_shares()
+        self.class_counts = np.bincount(imported.classes)
+        """How many objects (C,) of each class the map has."""
         imported.pairs.read_ahead()
         self._search = imported.search()
         self._is_loaded = np.zeros(len(imported), dtype=np.bool_)
-
-    def class_shares(self) -> FloatArray:
-        """Frequency (C,) of each class in the whole map; classes that only the drive knows have that of one object."""
-        shares = self._class_shares
-        return np.append(shares, np.full(len(self._map.vocabulary) - len(shares), 1.0 / (1.0 + len(self._imported))))
 
     @property
     def positions(self) -> FloatArray:
@@ -65,7 +61,7 @@ class ImportedPlaces:
     def propose(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` likeliest places of a query, given in its gravity frame."""
         poses = self._search.find_poses(query, map_sigma_m=self._imported.sigma_m, count=count)
-        return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf, "map index") for T_local_query in poses]
+        return [Place(T_local_query, TRAVEL_M, SEGMENT, "map index") for T_local_query in poses]
 
     def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:
         """Add the objects of the map within ``radius_m`` of a place (3,) m as landmarks, each once."""

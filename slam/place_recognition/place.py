@@ -15,7 +15,6 @@ class Place:
     """A candidate pose of a query: ``T_local_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
     of a ``segment``.
 
-    ``retrieval_distance``: mean distance of the agreeing matches in descriptor space, infinite where none was compared;
     ``proposer``: one of :data:`logs.messages.PROPOSERS`;
     ``rank``: from 1, among the places retrieved for a query, 0 for a place that was not retrieved.
     """
@@ -23,7 +22,6 @@ class Place:
     T_local_query: FloatArray
     travel_m: float
     segment: int
-    retrieval_distance: float
     proposer: str
     rank: int = 0
 

@@ -18,7 +18,8 @@ from descriptors.descriptellation_lr.pairs import DENSITY, spacing_m
 from slam.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.object_map.submap import Submap
-from slam.registration.pose_voting import Matches, vote_for_poses
+from slam.place_recognition.landmark_pairs import LandmarkPairs
+from slam.registration.pose_voting import vote_for_poses
 
 COMPARED = 600
 """Poses with most votes that are scored as they are: with 200, 7 of 100 places with much clutter are missed."""
@@ -83,7 +84,9 @@ class PlaceSearch:
         labels: (M,) numbers of classes, below ``class_count``.
     """
 
-    def __init__(self, pairs: PairIndex, positions: FloatArray, labels: IntArray, class_count: int) -> None:
+    def __init__(
+        self, pairs: PairIndex | LandmarkPairs, positions: FloatArray, labels: IntArray, class_count: int
+    ) -> None:
         self._pairs = pairs
         self._positions = positions
         plane = np.asarray(positions[:, :2], dtype=np.float64)
@@ -108,6 +111,8 @@ class PlaceSearch:
             allowed: which objects (M,) of the map may make a pair; all by default.
         """
         known = np.flatnonzero(query.labels < len(self._densities))
+        if len(known) < 2:
+            return np.zeros((0, 4, 4))
         positions, labels = query.positions[known], query.labels[known]
         # Scored by all of its noise, a query of which the map has a part only meets as much elsewhere by chance.
         local_m = query.sigmas[known] if query.local_sigma_m is None else np.full(len(known), query.local_sigma_m)
@@ -119,8 +124,9 @@ class PlaceSearch:
         T_voted = vote_for_poses(
             positions,
             self._positions[rows].astype(np.float64),
-            Matches(matches.queries, ends.reshape(-1, 2)),
-            weights=np.maximum(matches.nats, MIN_VOTE_NATS),
+            matches.queries,
+            ends.reshape(-1, 2),
+            np.maximum(matches.nats, MIN_VOTE_NATS),
             tolerance_m=VOTE_SIGMAS * float(np.median(sigmas_m)),
             count=max(count, COMPARED),
         )

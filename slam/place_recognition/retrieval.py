@@ -18,7 +18,8 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
-from slam.place_recognition.landmark_index import Batch, make_landmark_index
+from slam.place_recognition.landmark_index import LandmarkIndex
+from slam.place_recognition.landmark_pairs import Batch
 from slam.place_recognition.place import Place, traversal_of
 from slam.place_recognition.place_search import PlaceSearch
 
@@ -42,7 +43,7 @@ class PlaceRetriever:
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
         self._map = object_map
-        self._index = make_landmark_index(config)
+        self._index = LandmarkIndex(config)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1
@@ -98,9 +99,10 @@ class PlaceRetriever:
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
-        if self._imported is not None:
-            return self._imported.class_shares()
-        counts = 1.0 + np.bincount(self._map.classes(self._rows), minlength=len(self._map.vocabulary))
+        imported = self._imported
+        known = np.bincount(self._map.classes(self._rows)) if imported is None else imported.class_counts
+        counts = np.ones(len(self._map.vocabulary))
+        counts[: len(known)] += known
         return np.asarray(counts / counts.sum())
 
     def propose(self, query: Submap, *, before_m: float) -> list[Place]:
@@ -131,15 +133,10 @@ class PlaceRetriever:
         poses = search.find_poses(query, map_sigma_m=self._calibration.objects.landmark_sigma_m, count=count)
         return np.concatenate([np.eye(4)[None], poses])
 
-    @property
-    def has_imported_map(self) -> bool:
-        """Whether there is an imported map, without a trajectory."""
-        return self._imported is not None
-
     def _place(self, T_local_query: FloatArray, rows: IntArray) -> Place:
         """The place of a pose among the landmarks ``rows`` (K,)."""
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
-        return Place(T_local_query, travel_m, segment, np.inf, "descriptor")
+        return Place(T_local_query, travel_m, segment, "descriptor")
 
     def first_seen_travels_m(self, submap: Submap) -> FloatArray:
         """Travel [m] at which each landmark (N,) of a submap was first seen."""

@@ -35,11 +35,10 @@ def make_candidate(
     return Candidate(
         query=query if isinstance(query, Keyframe) else _keyframe(query, travel_m),
         reference=reference if isinstance(reference, Keyframe) else _keyframe(reference, 0.0),
-        place=Place(T_local_query, 0.0, 0, 0.5, ""),
+        place=Place(T_local_query, 0.0, 0, ""),
         T_reference_query=T_reference_query,
         T_local_query=T_local_query,
         covariance=sigma**2 * np.eye(6),
-        rows=np.array(list(llr_of), dtype=np.int64),
         log_likelihood_ratios=np.array(list(llr_of.values())),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         matched_fraction=1.0,

@@ -10,7 +10,7 @@ from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import Edge, EdgeKind, Factor, Observation
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray
-from slam.common.geometry import adjoint, invert
+from slam.common.geometry import adjoint, invert, skew
 
 
 def relative_covariances(
@@ -75,8 +75,7 @@ def _relative_information(seen: Mapping[int, Observation], by_anchor: Mapping[in
             continue
         noise = each.covariance_inflation * each.covariance
         noise = noise + other.covariance_inflation * np.trace(other.covariance) / 3.0 * np.eye(3)
-        x, y, z = each.position
-        J = np.hstack([np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]), -np.eye(3)])
+        J = np.hstack([skew(each.position), -np.eye(3)])
         information += J.T @ np.linalg.solve(noise, J)
     return information
 

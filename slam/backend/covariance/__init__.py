@@ -1,1 +1,1 @@
-"""Covariances: the noise of the input estimated, marginals of poses and landmarks."""
+"""Covariances: the noise that residuals show, marginals of poses and landmarks."""

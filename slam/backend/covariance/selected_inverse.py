@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
-from slam.common.arrays import IntArray
-
-Matrix = NDArray[Any]
-"""Real or complex."""
+from slam.common.arrays import FloatArray, IntArray
 
 
-def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tuple[IntArray, IntArray, Matrix]:
+def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
     """Entries of the inverse of a positive definite ``matrix`` (n, n) whose row and column have one owner.
 
     With the factors L D L^T the columns of the inverse Z follow from the last one to the first (Takahashi 1973):
@@ -26,8 +21,7 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     too. So each column needs only a dense piece of its parent's; a walk down the elimination tree keeps few of them.
 
     Args:
-        matrix: the information matrix. It may be complex, symmetric (not Hermitian), with a positive definite real part
-            and a small imaginary one, and the imaginary part of the inverse is its derivative.
+        matrix: the information matrix.
         owners: (n,) the variable that each row belongs to.
 
     Returns:
@@ -37,14 +31,9 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     Raises:
         np.linalg.LinAlgError: the matrix is not positive definite.
     """
-    try:
-        factors = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
-        )
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError(str(error)) from error
+    factors = factorize(matrix)
     pivots = factors.U.diagonal()
-    if not np.array_equal(factors.perm_r, factors.perm_c) or not np.all(pivots.real > 0.0):
+    if not np.array_equal(factors.perm_r, factors.perm_c) or not np.all(pivots > 0.0):
         raise np.linalg.LinAlgError("the matrix is not positive definite")
     original = np.argsort(factors.perm_c)  # row of the matrix that each step of the elimination took
     lower = sparse.csc_array(factors.L)
@@ -52,7 +41,7 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     lower.sort_indices()
     owners = owners * len(owners) + connected_components(abs(matrix) > 0.0, directed=False)[1]
     owners = owners[original]
-    rows, columns, values = list[IntArray](), list[int](), list[Matrix]()
+    rows, columns, values = list[IntArray](), list[int](), list[FloatArray]()
     for column, front, piece in _walk(lower, pivots, owners):
         (own,) = (owners[front] == owners[column]).nonzero()
         rows.append(front[own])
@@ -61,7 +50,21 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     return original[np.concatenate(rows)], original[columns], np.concatenate(values)
 
 
-def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator[tuple[int, IntArray, Matrix]]:
+def factorize(matrix: sparse.csc_array) -> SuperLU:
+    """The factors of a symmetric ``matrix`` (n, n), in an order that keeps them sparse.
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is singular.
+    """
+    try:
+        return splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
+        )
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
+
+
+def _walk(lower: sparse.csc_array, pivots: FloatArray, owners: IntArray) -> Iterator[tuple[int, IntArray, FloatArray]]:
     """Each column with its front, the column and the rows below it, and the inverse over the front."""
     fronts, children, roots = _elimination_tree(lower, owners)
     starts = lower.indptr.tolist()
@@ -73,7 +76,7 @@ def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator
             own = slice(starts[child], starts[child + 1])
             below = lower.data[own]
             if len(below) < len(fronts[child]):
-                below = np.zeros(len(fronts[child]), dtype=pivots.dtype)
+                below = np.zeros(len(fronts[child]), dtype=np.float64)
                 below[np.searchsorted(fronts[child], lower.indices[own])] = lower.data[own]
             stack.append((child, _extend(fronts[child], fronts[column], piece, below[1:], pivots[child])))
 
@@ -103,7 +106,7 @@ def _elimination_tree(lower: sparse.csc_array, owners: IntArray) -> tuple[list[I
     return fronts, children, roots
 
 
-def _extend(front: IntArray, parent: IntArray, piece: Matrix, column: Matrix, pivot: float) -> Matrix:
+def _extend(front: IntArray, parent: IntArray, piece: FloatArray, column: FloatArray, pivot: float) -> FloatArray:
     """The inverse over the front of a column, from that over its parent's."""
     if len(front) == len(parent) + 1:
         below = piece

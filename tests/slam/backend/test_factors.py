@@ -111,11 +111,6 @@ def test_what_is_no_covariance_becomes_no_factor(variance):
         observation_factors([observation], OBSERVATION_KERNEL_WIDTH, sensor_range_m=30.0)
 
 
-def test_a_covariance_of_another_size_is_refused():
-    with pytest.raises(FactorGraphError, match="6 x 6"):
-        between_factor(edge("odometry", covariance=np.eye(5)))
-
-
 def test_an_edge_of_an_unknown_kind_is_refused():
     with pytest.raises(ValueError, match="guess"):
         edge("guess")

@@ -11,7 +11,7 @@ from slam.simulation.config import SimulationConfig, load_simulation_config
 
 OVERRIDES = (
     "keyframe.distance_m=1.5",
-    "registration.estimate_scale=true",
+    "loop_closure.enabled=false",
     "calibration.odometry.sources=2",
     "calibrate=false",
 )
@@ -53,7 +53,7 @@ def test_changes_names_what_is_not_the_default() -> None:
     assert changed == [
         "calibrate=false",
         "keyframe.distance_m=1.5",
-        "registration.estimate_scale=true",
+        "loop_closure.enabled=false",
         "calibration.odometry.sources=2",
     ]
     assert changes(Config(), "no json") == ["unreadable"]
@@ -92,7 +92,7 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
         ("keyframe.distance_m=nan", "a finite number"),
         ("calibration.detection.yaw_deg=181", "less than or equal to 180"),
         ("loop_closure.top_k=1.5", "a valid integer"),
-        ("registration.estimate_scale=guess", "a valid boolean"),
+        ("loop_closure.enabled=guess", "a valid boolean"),
         ("keyframe=2", "keyframe=2 is not allowed; Input should be an object"),
         ("seed", "expected key=value"),
         ("seed=", "expected key=value"),

@@ -17,8 +17,6 @@ from slam.common.geometry import (
     invert,
     make_transform,
     rotation_angle_rad,
-    rotation_of,
-    rotation_vector,
     transform_from_xyz_yaw,
     travelled_m,
     yaw_rad,
@@ -79,21 +77,11 @@ def test_one_and_many_are_treated_alike():
     for function in (invert, rotation_angle_rad, yaw_rad):
         each = np.array([function(one) for one in T])
         np.testing.assert_allclose(function(batch).reshape(each.shape), each, atol=1e-15)
-    vectors_of_each = np.array([rotation_vector(one[:3, :3]) for one in T])
-    np.testing.assert_allclose(rotation_vector(batch[..., :3, :3]).reshape(-1, 3), vectors_of_each, atol=1e-14)
-    rotations_of_each = np.array([rotation_of(vector) for vector in vectors_of_each])
-    np.testing.assert_allclose(rotation_of(vectors_of_each), rotations_of_each, atol=1e-14)
     fractions = rng.uniform(size=5)
     each = np.array(
         [blend(first, second, fraction) for first, second, fraction in zip(T[:-1], T[1:], fractions, strict=True)]
     )
     np.testing.assert_allclose(blend(T[:-1], T[1:], fractions), each, atol=1e-14)
-
-
-@given(axes, angles)
-def test_the_rotation_of_a_vector_is_scipys(axis, angle_rad):
-    vector = axis / np.linalg.norm(axis) * angle_rad
-    np.testing.assert_allclose(rotation_of(vector), Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
 
 
 def test_nothing_in_gives_nothing_out():
@@ -110,20 +98,6 @@ def test_nothing_in_gives_nothing_out():
 def test_travel_is_the_length_of_the_path_and_not_of_the_chord():
     T = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 2], [0, 0, 2]]), np.zeros(4))
     np.testing.assert_allclose(travelled_m(T), [0.0, 5.0, 7.0, 12.0])
-
-
-@given(rotations)
-def test_the_rotation_vector_is_scipys(R):
-    vector = rotation_vector(R)
-    np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), R, atol=1e-12)
-    assert np.linalg.norm(vector) <= np.pi + 1e-12
-    np.testing.assert_allclose(rotation_vector(np.stack([R, np.eye(3)])), [vector, np.zeros(3)], atol=1e-12)
-
-
-@given(axes, st.floats(-12.0, 0.0).map(lambda exponent: 10.0**exponent))
-def test_the_rotation_vector_of_a_small_turn_is_exact(axis, angle_rad):
-    vector = axis / np.linalg.norm(axis) * angle_rad
-    np.testing.assert_allclose(rotation_vector(rotation(axis, angle_rad)), vector, rtol=1e-9, atol=3e-16)
 
 
 @given(transforms, transforms, st.floats(0.0, 1.0))

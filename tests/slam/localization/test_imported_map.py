@@ -13,7 +13,6 @@ from slam.common.config import Config
 from slam.final_map import FinalMap
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import MIRRORED
-from slam.loop_closure.stretches import STRETCHES
 from slam.place_recognition.imported_map import make_imported_map
 from slam.place_recognition.initial_pose import InitialPose
 from slam.replay import replay as replay_log
@@ -100,26 +99,6 @@ def test_it_is_looked_for_only_where_it_is_said_to_be(town: World, off_m: float)
     prior = InitialPose(town.tour[0] + [off_m, 0.0], 20.0)
     _, _, slam = drive(town, city_map(town), extend=False, initial_pose=prior)
     assert bool(slam.fixes) == (off_m == 0.0)
-
-
-@pytest.mark.slow
-def test_where_little_is_seen_at_once_all_that_was_passed_tells_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(2)
-    count, side_m = 4000, 2400.0  # one tree in 1,400 square metres
-    trees = np.column_stack([rng.uniform(0.0, side_m, (count, 2)), np.zeros(count)])
-    names = tuple(map(str, range(count)))
-    known = make_imported_map(trees, ["tree"] * count, names, sigma_m=0.3)
-    start = np.array([side_m, side_m]) / 3.0
-    park = World("park", names, trees, ("tree",) * count, start + np.array([[0.0, 0.0], [85.0, 0.0]]))
-    found_m = []
-    for stretches in (STRETCHES, 0):
-        monkeypatch.setattr("slam.loop_closure.stretches.STRETCHES", stretches)
-        slam = Slam(Config(), known, extend=False)
-        for record in simulate(park, SimulationConfig(), seed=2):
-            if isinstance(record, Odometry | ObjectDetections | Transform):
-                slam.process(record)
-        found_m.append(slam.fixes[0].travel_m if slam.fixes else np.inf)
-    assert found_m[0] < found_m[1]
 
 
 @pytest.mark.slow

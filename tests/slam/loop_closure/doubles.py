@@ -13,7 +13,6 @@ from slam.loop_closure.consistency import poses_agree
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-from slam.place_recognition.place import Place
 
 SENSOR_RANGE_M = 30.0
 
@@ -37,6 +36,12 @@ def make_submap(positions: FloatArray, labels: list[int] | None = None, *, first
     return Submap(np.asarray(positions, dtype=np.float64).reshape(-1, 3), np.full(count, 0.3), classes, rows)
 
 
+def part_of(submap: Submap, count: int) -> Submap:
+    """The first landmarks of a submap."""
+    arrays = {name: getattr(submap, name)[:count] for name in ("positions", "sigmas", "labels", "rows")}
+    return Submap(**arrays)
+
+
 def make_query(keyframe: Keyframe, count: int = 0, *, first_row: int = 0) -> Query:
     """A query with so many objects."""
     submap = make_submap(np.zeros((count, 3)))
@@ -58,6 +63,3 @@ class Patterns:
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         return self.alike
-
-    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
-        return Place(T_local_query, 0.0, segment, np.inf, "hypothesis")

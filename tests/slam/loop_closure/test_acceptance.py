@@ -42,7 +42,6 @@ def acceptance(patterns: Patterns) -> Acceptance:
 
 def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).accepted is not None
-    acceptance.reset()
     refused = acceptance.decide(query(), [candidate(0.0, SURE_LLR - 1.0)])
     assert refused.accepted is None
     wrong = 1.0 / (1.0 + np.exp(SURE_LLR - 1.0 - PENALTY))
@@ -52,7 +51,6 @@ def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
 def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
     both = [candidate(0.0, SURE_LLR + 10.0), candidate(200.0, SURE_LLR + 9.0)]
     assert acceptance.decide(query(), both).accepted is None
-    acceptance.reset()
     patterns.passed_twice = True
     assert acceptance.decide(query(), both).accepted is not None
 
@@ -60,7 +58,6 @@ def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
 def test_a_place_that_the_odometry_rules_out_shows_that_places_are_alike(acceptance):
     elsewhere = replace(candidate(200.0, SURE_LLR + 15.0), odometry_penalty=PENALTY + 40.0)
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), elsewhere]).accepted is None
-    acceptance.reset()
     by_chance = replace(elsewhere, unpredicted_penalty=SURE_LLR + 15.0)
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), by_chance]).accepted is not None
 
@@ -90,7 +87,6 @@ def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns):
     worse = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)])
     assert worse.accepted is None
     patterns.alike = [candidate(8.0, SURE_LLR - 9.0)]
-    acceptance.reset()
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
 
 
@@ -102,7 +98,6 @@ def test_a_pose_by_landmarks_never_let_go_is_recognised_and_not_closed(acceptanc
     assert found.tracked is not None
     assert found.tracked.is_tracked
     assert [each.stage for each in found.rejected] == ["acceptance", "association"]
-    acceptance.reset()
     patterns.alike = []
     elsewhere = acceptance.decide(query(), [candidate(90.0, SURE_LLR + 40.0), tracked])
     assert elsewhere.accepted is not None
@@ -123,32 +118,30 @@ def test_a_predicted_place_is_contradicted_once_a_failure_of_the_odometry_is_lik
     assert acceptance.is_contradicted(-9.2, 200.0)
 
 
-def test_what_spoke_for_a_pose_at_other_keyframes_does_not_add_up(acceptance):
-    for row in range(3):
-        found = acceptance.decide(query(300.0 + 10.0 * row), [candidate(10.0 * row, SURE_LLR - 1.0, row=row)])
-        assert found.accepted is None
+def test_posterior_odds_are_against_somewhere_new_and_all_that_cannot_be_true_too(acceptance, patterns):
+    assert acceptance._posterior_log_odds([candidate(0.0, 18.0)]) == pytest.approx([18.0 - PENALTY])
+    both = [candidate(0.0, 40.0), candidate(50.0, 38.0)]
+    against_first = np.logaddexp(38.0 - PENALTY, 38.0 - PENALTY - 10.0)
+    assert acceptance._posterior_log_odds(both)[0] == pytest.approx(40.0 - PENALTY - against_first)
+    patterns.passed_twice = True
+    together = np.logaddexp(40.0 - PENALTY, 38.0 - PENALTY)
+    assert acceptance._posterior_log_odds(both) == pytest.approx([together, together])
 
 
-def test_what_spoke_against_a_pose_at_other_keyframes_does(acceptance):
-    acceptance.decide(query(300.0), [candidate(0.0, -8.0, row=1)])
-    assert acceptance.decide(query(310.0), [candidate(10.0, SURE_LLR + 5.0, row=2)]).accepted is None
-    acceptance.reset()
-    assert acceptance.decide(query(310.0), [candidate(10.0, SURE_LLR + 5.0, row=2)]).accepted is not None
+def test_a_place_unlike_all_others_may_be_new_where_others_are_alike(acceptance):
+    def odds(llr: float) -> float:
+        other = replace(candidate(80.0, llr), odometry_penalty=30.0, unpredicted_penalty=25.0)
+        return float(acceptance._posterior_log_odds([candidate(0.0, 48.0), other])[0])
 
-
-def test_hypotheses_are_expected_where_the_odometry_leads(acceptance):
-    assert acceptance.expected_places(query(300.0)) == []
-    acceptance.decide(query(300.0), [candidate(0.0, 12.0)])
-    places = acceptance.expected_places(query(310.0))
-    np.testing.assert_allclose([place.T_local_query for place in places], [at(10.0)], atol=1e-9)
-    acceptance.reset()
-    assert acceptance.expected_places(query(310.0)) == []
+    # By chance a pose in the area reaches an LLR of 25.
+    assert odds(25.0) == pytest.approx(48.0 - PENALTY, abs=0.01)
+    # What is new looks like the other place at 1 of exp(25) poses.
+    assert odds(40.0) == pytest.approx(48.0 - PENALTY - np.logaddexp(40.0 - 25.0, 10.0))
 
 
 def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(acceptance):
     far = replace(candidate(0.0, 30.0), odometry_penalty=28.0)
     assert [each.stage for each in acceptance.decide(query(), [far]).rejected] == ["consistency"]
-    acceptance.reset()
     assert [each.stage for each in acceptance.decide(query(), [candidate(0.0, 4.0)]).rejected] == ["acceptance"]
 
 
@@ -170,5 +163,4 @@ def test_a_candidate_that_only_the_odometry_rules_out_contradicts_it(acceptance)
         decision = acceptance.decide(query(), [replace(found, unpredicted_penalty=unpredicted)])
         assert decision.accepted is None
         assert decision.contradicts_odometry is contradicts
-        acceptance.reset()
-    assert not acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).contradicts_odometry
+        assert not acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).contradicts_odometry

@@ -21,6 +21,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
+from slam.registration.parameters import MIN_INLIERS
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
@@ -29,7 +30,7 @@ LOOP_M = 400.0
 """The street is driven again after so much travel."""
 FIRST = int(LOOP_M / STEP_M)
 SURE_LLR, TRACKED_LLR, WEAK_LLR = 30.0, 8.0, 1.0
-PLACE = Place(at(0.0), 0.0, 0, 0.5, "descriptor")
+PLACE = Place(at(0.0), 0.0, 0, "descriptor")
 
 
 class Parts(Patterns):
@@ -50,11 +51,8 @@ class Parts(Patterns):
         self.is_connected = True
         self.is_tracked = False
         self.kidnapped_after_m: float | None = None
-        self.resets = 0
         self.closed: dict[int, int] = {}
         self.recognised: list[int] = []
-        # Acceptance.
-        self.min_objects = 4
 
     def recent_submap(self, *_: Any) -> Submap:
         self.first_row += self.new_rows
@@ -68,7 +66,7 @@ class Parts(Patterns):
         return None
 
     def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
-        return Place(at(query.travel_m - LOOP_M), query.travel_m - LOOP_M, 0, 0.0, "prediction")
+        return Place(at(query.travel_m - LOOP_M), query.travel_m - LOOP_M, 0, "prediction")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = -1) -> Candidate | LoopClosureRecord:
         llr = self.llrs.get(query.keyframe.id)
@@ -88,8 +86,6 @@ class Parts(Patterns):
     reach_m = 6.0
 
     # Retriever.
-    has_imported_map = False
-
     def index_inactive_landmarks(self, travel_m: float) -> None:
         pass
 
@@ -101,9 +97,6 @@ class Parts(Patterns):
         return make_query(self.keyframes[0], 1).submap
 
     # Acceptance.
-    def expected_places(self, query: Query) -> list[Place]:
-        return []
-
     def is_acceptable(self, candidate: Candidate) -> bool:
         return candidate.score >= (20.0 if candidate.seed_closure < 0 else 6.0)
 
@@ -111,9 +104,6 @@ class Parts(Patterns):
         if self.is_acceptable(candidates[0]):
             return Decision((), tracked=candidates[0]) if self.is_tracked else Decision((), candidates[0])
         return Decision((candidates[0].record(Stage.ACCEPTANCE, "weak"),))
-
-    def reset(self) -> None:
-        self.resets += 1
 
     # Accepted closures.
     def is_closed(self, keyframe: int) -> bool:
@@ -323,9 +313,9 @@ def test_a_robot_that_got_lost_looks_up_what_it_had_looked_up_before(parts):
 def test_few_objects_close_no_loop(parts):
     drive = Drive(parts)
     parts.llrs = {FIRST: SURE_LLR}
-    parts.objects = parts.min_objects - 1
+    parts.objects = MIN_INLIERS - 1
     (record,) = drive.close(FIRST)
-    assert record.reason == "3 landmarks in the submap, min_inliers is 4"
+    assert record.reason == "2 landmarks in the submap, min_inliers is 3"
     parts.objects += 1
     parts.llrs[FIRST + 1] = SURE_LLR
     assert accepted(drive.close(FIRST + 1))
@@ -334,7 +324,7 @@ def test_few_objects_close_no_loop(parts):
 def test_lost_robot_uses_unconfirmed_landmarks_too(parts):
     drive = Drive(parts)
     parts.is_connected = False
-    parts.objects = parts.min_objects - 1
+    parts.objects = MIN_INLIERS - 1
     drive.close(FIRST, segment=3)
     assert parts.retrieved == 0
     parts.unconfirmed = 1
@@ -465,10 +455,9 @@ def test_a_kidnapping_by_the_landmarks_in_view_loses_the_robot(parts):
     assert drive.closer.lost_after_m == 12.0
 
 
-def test_who_was_lost_follows_no_closure_and_no_hypothesis_from_before(parts):
+def test_who_was_lost_follows_no_closure_from_before(parts):
     drive = start_in_map(parts)
     drive.closer.declare_lost(drive.keyframes[-1], FIRST)
-    assert parts.resets == 1
     assert drive.closer.lost_after_m is None
     parts.llrs[FIRST + 1] = TRACKED_LLR
     assert accepted(drive.close(FIRST + 1)) == {}

@@ -11,8 +11,9 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.loop_closure.closure_graph import ClosedLoops
+from slam.loop_closure.accepted_closures import Accepted, AcceptedClosures
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
@@ -43,7 +44,10 @@ class Street:
         self.map = ObjectMap(ObjectCalibration())
         self.graph = FactorGraph(kernel_width=1e6)
         self.keyframes: list[Keyframe] = []
-        self.loops = ClosedLoops(self.map, self.graph, self.keyframes, min_travel_m=min_travel_m)
+        config = Config.model_validate(
+            {"loop_closure": {"min_travel_m": min_travel_m}, "calibration": {"detection": {"sensor_range_m": 3.0}}}
+        )
+        self.closures = AcceptedClosures(config, self.map, self.graph, self.keyframes)
         self.graph.add_first_keyframe(0, pose(0.0))
         for number in range(PASSES * STATIONS):
             self._visit(number)
@@ -81,7 +85,7 @@ class Street:
             sigma=0.3,
             pairs=pairs,
         )
-        self.loops.insert(candidate)
+        assert self.closures.add(candidate, "").inserted
         self.graph.update()
 
     def merge_in_view(self, kept: int, dropped: int) -> None:
@@ -89,6 +93,13 @@ class Street:
         self.map.merge(kept, dropped)
         self.graph.alias_landmarks(self.map.aliases)
         self.graph.update()
+
+    @property
+    def accepted(self) -> list[Accepted]:
+        return list(self.closures._accepted)
+
+    def revoke(self, number: int) -> None:
+        self.closures._remove([self.accepted[number]])
 
     def names(self) -> list[int]:
         return [self.map.canonical_id(row) for row in range(len(self.map))]
@@ -144,7 +155,7 @@ def test_a_closure_makes_one_landmark_of_the_two_that_meet(street):
 
 def test_merged_landmarks_alone_hold_the_passes_together(street):
     street.close(7, 2, SAME_STATIONS)
-    street.graph.remove_factor(street.loops.loops[0].factor)
+    street.graph.remove_factor(street.accepted[0].factor)
     street.graph.update()
     assert street.graph.pose(8)[0, 3] == pytest.approx(3 * SPACING_M, abs=0.3)
 
@@ -191,8 +202,8 @@ def test_withdrawing_a_closure_restores_the_graph_and_the_map(street):
     street.close(7, 2, SAME_STATIONS)
     assert street.facts() != before
     assert np.abs(street.estimate()[: PASSES * STATIONS] - estimate[: PASSES * STATIONS]).max() > 2.0
-    street.loops.remove([street.loops.loops[0]])
-    assert street.loops.loops == []
+    street.revoke(0)
+    assert street.accepted == []
     assert street.facts() == before
     np.testing.assert_allclose(street.estimate(), estimate, atol=1e-3)
 
@@ -201,7 +212,7 @@ def test_withdrawing_one_of_two_closures_leaves_the_other(street):
     street.close(7, 2, SAME_STATIONS)
     only = street.facts()
     street.close(12, 2, [(10 + station, station) for station in range(STATIONS)])
-    street.loops.remove([street.loops.loops[1]])
+    street.revoke(1)
     assert street.facts() == only
 
 
@@ -210,15 +221,15 @@ def test_withdrawing_closures_in_the_order_of_their_insertion_restores_everythin
     street.close(7, 2, SAME_STATIONS)
     street.close(12, 7, [(10 + station, STATIONS + station) for station in range(STATIONS)])
     assert set(street.names()) == set(range(STATIONS))
-    for loop in list(street.loops.loops):
-        street.loops.remove([loop])
+    street.revoke(0)
+    street.revoke(0)
     assert street.facts() == before
 
 
 def test_what_a_closure_merged_stays_merged_where_one_that_it_built_on_is_withdrawn(street):
     street.close(7, 2, [(7, 2)])
     street.close(12, 7, [(12, 7)])
-    street.loops.remove([street.loops.loops[0]])
+    street.revoke(0)
     names = street.names()
     assert names[12] == names[7] != names[2]
 
@@ -244,10 +255,10 @@ def test_a_merge_of_the_front_end_outlives_the_closures_around_it(street, pair, 
         street.close(*closure)
     if at == len(closures):
         street.merge_in_view(*pair)
-    street.loops.remove([street.loops.loops[0]])
+    street.revoke(0)
     assert len({street.names()[row] for row in pair}) == 1
     assert street.names()[2] == 2
-    street.loops.remove([street.loops.loops[0]])
+    street.revoke(0)
     assert street.facts() == only_in_view(pair).facts()
 
 
@@ -256,7 +267,7 @@ def test_removing_a_closure_leaves_the_merges_before_it_alone(street):
     street.merge_in_view(5, 6)
     before, aliases = street.facts(), street.map.aliases
     street.close(12, 7, [(12, 7)])
-    street.loops.remove([street.loops.loops[1]])
+    street.revoke(1)
     assert street.facts() == before
     assert street.map.aliases == aliases
 
@@ -265,16 +276,6 @@ def test_a_merge_of_the_front_end_does_not_keep_a_landmark_from_being_merged_by_
     street.merge_in_view(7, 8)
     street.close(7, 2, [(7, 2)])
     assert street.names()[8] == street.names()[7] == 2
-
-
-def test_the_nearest_closure_is_the_one_nearest_in_travel(street):
-    assert street.loops.nearest(0.0) is None
-    street.close(6, 1, [])
-    street.close(9, 1, [])
-    for travel_m, query in ((PASS_M, 6), (PASS_M + 24.0, 6), (PASS_M + 26.0, 9), (900.0, 9)):
-        found = street.loops.nearest(travel_m)
-        assert found is not None
-        assert found.candidate.query.id == query
 
 
 def test_a_landmark_that_stands_for_two_passes_is_not_merged_into_a_third(street):
@@ -290,7 +291,7 @@ def test_segments_are_connected_as_long_as_a_closure_does_it(street):
         street.keyframes[number] = replace(keyframe, odometry=pose_of)
     street.close(7, 2, [])
     street.close(12, 7, [])
-    assert street.loops.are_connected(0, 14)
-    street.loops.remove([street.loops.loops[0]])
-    assert not street.loops.are_connected(0, 14)
-    assert street.loops.are_connected(7, 12)
+    assert street.closures._segments.are_connected(0, 14)
+    street.revoke(0)
+    assert not street.closures._segments.are_connected(0, 14)
+    assert street.closures._segments.are_connected(7, 12)

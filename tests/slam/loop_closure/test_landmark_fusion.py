@@ -102,11 +102,13 @@ def test_only_nearest_neighbours_are_one_at_a_time() -> None:
 
 def test_what_is_merged_is_compared_again_where_the_older_one_stands() -> None:
     """The third is 0.8 m from the second, and 0.6 m from the first."""
-    assert found([FIRST, ("tree", (5.0, 4.2, 0.0), (3,)), ("tree", (5.0, 3.4, 0.0), (4,))]) == [(0, 1), (0, 2)]
+    parts = mapped([FIRST, ("tree", (5.0, 4.2, 0.0), (3,)), ("tree", (5.0, 3.4, 0.0), (4,))])
+    assert fuse_duplicate_landmarks(*parts, range(KEYFRAMES), radius_m=0.7) == 2
 
 
 def test_what_was_seen_beside_a_merged_landmark_is_another_object() -> None:
-    assert found([FIRST, ("tree", (5.1, 4.0, 0.0), (3,)), ("tree", (4.7, 4.0, 0.0), (3, 4))]) == [(0, 1)]
+    parts = mapped([FIRST, ("tree", (5.1, 4.0, 0.0), (3,)), ("tree", (4.7, 4.0, 0.0), (3, 4))])
+    assert fuse_duplicate_landmarks(*parts, range(KEYFRAMES), radius_m=0.7) == 1
 
 
 def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:

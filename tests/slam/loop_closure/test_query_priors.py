@@ -13,7 +13,7 @@ from slam.common.config import Config
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import NOWHERE, Query
 from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD
-from slam.loop_closure.query_priors import QueryPriors
+from slam.loop_closure.verification import Verifier
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
@@ -24,10 +24,10 @@ CONFIG = Config()
 STEP_M = 2.0
 COUNT = 100
 LATEST_M = STEP_M * (COUNT - 1)
-PLACE = Place(at(7.0), 0.0, 0, np.inf, "descriptor")
+PLACE = Place(at(7.0), 0.0, 0, "descriptor")
 
 
-def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: float = 0.0) -> QueryPriors:
+def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: float = 0.0) -> Verifier:
     """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
     track = KeyframeTrack(config.calibration.odometry)
     for keyframe in keyframes:
@@ -37,7 +37,7 @@ def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: f
         return at(keyframes[id].odometry.travel_m + (bent_m if 2 * id > COUNT else 0.0))
 
     graph = cast(FactorGraph, SimpleNamespace(pose=pose))
-    return QueryPriors(config, track, graph, keyframes, np.zeros((0, 2)), cell_m=3.0)
+    return Verifier(config, SimpleNamespace(), track, graph, keyframes)
 
 
 @pytest.fixture
@@ -54,9 +54,9 @@ def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure(
     keyframes: list[Keyframe], query: Query
 ) -> None:
     priors = make_priors(keyframes, bent_m=5.0)
-    followed = priors.prior(query, PLACE, keyframes[3], NOWHERE)
+    followed = priors._prior(query, PLACE, keyframes[3], NOWHERE)
     np.testing.assert_allclose(followed.T_local_query, at(LATEST_M + 5.0), atol=1e-12)
-    np.testing.assert_array_equal(priors.prior(query, PLACE, keyframes[3], 20).T_local_query, PLACE.T_local_query)
+    np.testing.assert_array_equal(priors._prior(query, PLACE, keyframes[3], 20).T_local_query, PLACE.T_local_query)
 
 
 @pytest.mark.parametrize("since", [3, 60])
@@ -70,8 +70,8 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(
     sigma_m, sigma_rad = track.drift_sigmas(since, COUNT - 1)
     landmark_sigma_m = CONFIG.calibration.objects.landmark_sigma_m
     for prior in (
-        priors.prior(query, PLACE, keyframes[since], NOWHERE),
-        priors.prior(query, PLACE, keyframes[0], since),
+        priors._prior(query, PLACE, keyframes[since], NOWHERE),
+        priors._prior(query, PLACE, keyframes[0], since),
     ):
         assert prior.sigma_m == pytest.approx(np.hypot(SLIP_INFLATION * sigma_m, landmark_sigma_m))
         assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))

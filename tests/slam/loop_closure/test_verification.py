@@ -25,7 +25,7 @@ from slam.odometry.pose import OdometryPose
 from slam.place_recognition.place import Place
 from slam.registration.parameters import registration_config
 from tests.helpers.candidates import make_candidate
-from tests.slam.loop_closure.doubles import make_submap
+from tests.slam.loop_closure.doubles import make_submap, part_of
 
 STEP_M = 2.0
 ROUND = 90
@@ -90,7 +90,7 @@ class Scene:
         T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
         seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
         self.query = Query(self.keyframes[QUERY], seen, T_local_gravity)
-        self.place = Place(T_local_gravity, STEP_M * HERE, 0, 0.5, "descriptor", rank=1)
+        self.place = Place(T_local_gravity, STEP_M * HERE, 0, "descriptor", rank=1)
 
     def verified(self, place: Place | None = None, **more: int) -> Candidate:
         found = self.verifier.verify(self.query, place or self.place, **more)
@@ -140,7 +140,7 @@ def test_objects_that_cannot_be_registered_are_weighed_where_they_are():
 def test_three_objects_make_a_pose_or_all_of_a_query_of_two(seen):
     scene = Scene(scattered(seen))
     assert len(scene.verified().pairs) == seen
-    scene.landmarks.reference = scene.landmarks.reference.of(np.arange(min(seen, 3) - 1))
+    scene.landmarks.reference = part_of(scene.landmarks.reference, min(seen, 3) - 1)
     assert "fewer" in scene.refusal() or "a heading needs two" in scene.refusal()
 
 
@@ -268,7 +268,7 @@ def test_landmarks_that_are_not_confirmed_speak_for_a_pose_and_are_not_merged():
     scene = Scene(scattered())
     existence = np.r_[np.ones(8), np.full(4, 0.6)]
     scene.query = replace(scene.query, submap=replace(scene.query.submap, existence=existence))
-    found, without = scene.verified(), scene.query.submap.of(np.arange(8))
+    found, without = scene.verified(), part_of(scene.query.submap, 8)
     assert sorted(found.pairs[:, 0].tolist()) == without.rows.tolist()
     scene.query = replace(scene.query, submap=without)
     assert found.log_likelihood_ratio > scene.verified().log_likelihood_ratio + 4.0

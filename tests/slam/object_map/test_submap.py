@@ -66,7 +66,6 @@ def test_unconfirmed_landmarks_exist_with_the_share_of_those_seen_as_often_that_
     assert found.rows.tolist() == [0, 1, 2, 3, 4, 7]
     seen_3, seen_2 = (1.0 + 3.0) / (2.0 + 4.0), (1.0 + 3.0) / (2.0 + 5.0)
     np.testing.assert_allclose(found.existence, [1.0, 1.0, 1.0, seen_3, seen_2, seen_2])
-    np.testing.assert_allclose(found.of(np.array([3, 0])).existence, [seen_3, 1.0])
 
 
 def test_unconfirmed_landmarks_of_another_segment_say_nothing():

@@ -15,7 +15,7 @@ from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT
-from slam.place_recognition.landmark_index import Batch, LandmarkVectors
+from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 
@@ -113,7 +113,7 @@ def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(
     places.add(50.0, 500.0 + extent_m + 1.0)
     places.add(50.0, 500.0, segment=1)
     places.add(50.0 + RADIUS_M + 25.0, 500.0)
-    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 500.0, 0, 0.0, "descriptor")
+    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 500.0, 0, "descriptor")
     found = places.retriever.reference_submap(place, before_m=BEFORE_M)
     assert found.rows.tolist() == here.tolist()
     assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0
@@ -189,15 +189,32 @@ def test_vectors_see_lengths_in_sensor_ranges(places, sensor_range_m):
     for range_m in (CONFIG.sensor_range_m, sensor_range_m):
         config = Config.model_validate({"calibration": {"detection": {"sensor_range_m": range_m}}})
         descriptor = _Recorded()
-        landmarks = LandmarkVectors(config, VectorIndex(descriptor))
+        landmarks = VectorPairs(config, VectorIndex(descriptor))
         scaled = query.positions * range_m / CONFIG.sensor_range_m
         landmarks.add(Batch(scaled, query.labels, entries, entries, 0), tuple(places.map.vocabulary))
         seen.append(descriptor.seen[0].positions)
     np.testing.assert_allclose(seen[0], seen[1])
 
 
-def test_places_of_segments_are_told_apart(places):
+def test_matches_by_vectors_are_pairs_of_one_length_in_one_segment(places):
+    """Two objects 9 m apart: the same on each of two segments, and a third one at another distance."""
+    ends = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    landmarks = VectorPairs(CONFIG, VectorIndex(_Recorded()))
+    for segment, more in ((0, [[20.0, 0.0, 0.0]]), (1, [])):
+        positions = np.concatenate([ends, np.reshape(more, (-1, 3))])
+        rows = np.arange(len(positions))
+        landmarks.add(Batch(positions, np.zeros_like(rows), rows, rows, segment), ("tree",))
+    found = landmarks.search(ends, np.zeros(2, dtype=np.int64), sigmas_m=np.full(2, 0.1))
+    assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1}), frozenset({3, 4})}
+    allowed = np.array([True, True, True, True, False])
+    found = landmarks.search(ends, np.zeros(2, dtype=np.int64), sigmas_m=np.full(2, 0.1), allowed=allowed)
+    assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1})}
+
+
+@pytest.mark.parametrize("descriptor", ["descriptellation_lr", "gosmatch_vertex"])
+def test_places_of_segments_are_told_apart(descriptor):
     """Frames of two segments of the odometry overlap."""
+    places = Places(Config.model_validate({"loop_closure": {"descriptor": descriptor}}))
     places.add(50.0, 100.0)
     places.add(50.0, 100.0, seed=2, segment=1)
     places.retriever.index_inactive_landmarks(after(NOW_M))
@@ -209,11 +226,11 @@ def test_places_of_segments_are_told_apart(places):
 def test_landmarks_are_indexed_again_when_their_spacing_has_changed(places):
     places.add(50.0, 100.0)
     places.retriever.index_inactive_landmarks(after(200.0))
-    before_m = places.retriever._index._index.unit_m
+    before_m = places.retriever._index._pairs._index.unit_m
     for row in range(4):
         places.add(400.0, 101.0 + row, seed=10 + row)
     places.retriever.index_inactive_landmarks(after(NOW_M))
-    assert places.retriever._index._index.unit_m < before_m / 1.25
+    assert places.retriever._index._pairs._index.unit_m < before_m / 1.25
     assert places.found_m(50.0) == [50.0]
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.registration.parameters import RegistrationConfig
-from slam.registration.pose_voting import _compatible_pairs, _Votes
-from slam.registration.refinement import make_columns
+from slam.registration.pose_voting import _Votes
 
 LONGEST_M = np.full(9, 20.0)
 """Size of the matches; a heading has a cell of 1 / 20 rad, a place one of 1 m."""
@@ -37,14 +35,3 @@ def test_heavy_votes_are_more_than_many_light_ones() -> None:
 def test_headings_on_either_side_of_half_a_turn_are_one_peak() -> None:
     turns = np.exp(1j * np.array([np.pi - 0.01] * 5 + [-np.pi + 0.01] * 4))
     assert peaks_of(turns, np.zeros((9, 2)), 5) == [list(range(9))]
-
-
-@pytest.mark.parametrize(("factor", "count"), [(0.95, 1), (1.05, 0)])
-def test_heights_of_a_pair_may_differ_by_the_tilt_over_its_horizontal_distance(factor: float, count: int) -> None:
-    config, sigmas = RegistrationConfig(), np.full(2, 0.1)
-    query = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 90.0]])
-    pairs = np.array([[0, 0], [1, 1]])
-    variances = make_columns(query, query, pairs, sigmas, sigmas, config).sigma[:, 1] ** 2
-    rise_m = config.gate_sigma * np.sqrt(variances.sum() + (9.0 * config.tilt_sigma_rad) ** 2)
-    reference = query + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, factor * rise_m]])
-    assert len(_compatible_pairs(make_columns(query, reference, pairs, sigmas, sigmas, config), config)) == count

@@ -47,7 +47,6 @@ def _add_weightless(self: Any, observations: Any) -> None:
 PARTS: dict[str, Part] = {
     "descriptor: random vectors": Part(("loop_closure.descriptor=random",)),
     "propagation of closures": Part(("loop_closure.propagation_distance_m=0",)),
-    "hypotheses": Part(("localization.max_hypotheses=0",)),
     "posterior: first candidate": Part(("localization.error_probability=0.999999",)),
     "loop closures": Part(("loop_closure.enabled=false",)),
     "weight of landmarks": Part(
@@ -69,19 +68,14 @@ PARTS: dict[str, Part] = {
     ),
     "association after a loop": Part(
         replaced={
-            "slam.loop_closure.closure_graph.ClosedLoops._merge_landmarks": lambda self, loop: None,
+            "slam.loop_closure.accepted_closures.AcceptedClosures._merge_landmarks": lambda *each: None,
             "slam.graph_condenser.fuse_duplicate_landmarks": lambda *each, radius_m: 0,
         }
     ),
     "clutter around each object": Part(
         replaced={"slam.loop_closure.likelihood_ratio._clutter_densities": _uniform_clutter}
     ),
-    "robust back end": Part(
-        replaced={
-            "slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6,
-            "slam.backend.covariance.marginals.CLOSURE_KERNEL_WIDTH": 1e6,
-        }
-    ),
+    "robust back end": Part(replaced={"slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6}),
     "kidnappings noticed by landmarks": Part(
         replaced={"slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, seen: None}
     ),

@@ -94,12 +94,8 @@ def localizer_config(method: str, *, noisy: bool = False) -> Config:
     config = Config()
     per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
     config = config.calibrated({"objects.landmark_sigma_m": MAP_SIGMA_M, "objects.landmark_sigma_per_m": per_m})
-    return config.model_copy(
-        update={
-            "loop_closure": config.loop_closure.model_copy(update={"descriptor": method}),
-            "registration": config.registration.model_copy(update={"estimate_scale": noisy}),
-        }
-    )
+    closing = config.loop_closure.model_copy(update={"descriptor": method})
+    return config.model_copy(update={"loop_closure": closing})
 
 
 def _measure(

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from descriptors.descriptellation_lr.pair_index import PairIndex
-from descriptors.index import VectorIndex
 from descriptors.registry import make_index
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.object_map.submap import Submap
-from slam.place_recognition.landmark_index import Batch, LandmarkVectors
+from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place_search import PlaceSearch
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import LabelledMap
@@ -37,30 +36,16 @@ def make_proposer(name: str, objects: LabelledMap) -> Proposer:
         DescriptorError: a descriptor that does not exist.
     """
     index = make_index(name)
-    return _by_pairs(index, objects) if isinstance(index, PairIndex) else _by_vectors(name, index, objects)
-
-
-def _by_pairs(index: PairIndex, objects: LabelledMap) -> Proposer:
-    """Searches the map as an imported one."""
-    index.add(objects.positions, objects.labels)
-    search = PlaceSearch(index, objects.positions, objects.labels, len(objects.vocabulary))
+    pairs: PairIndex | VectorPairs
+    if isinstance(index, PairIndex):
+        pairs = index
+        pairs.add(objects.positions, objects.labels)
+    else:
+        pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
+        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
+    search = PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary))
 
     def propose(query: Submap, count: int) -> FloatArray:
         return search.find_poses(query, map_sigma_m=SURVEYED_SIGMA_M, count=count)
-
-    return Proposer(index.nbytes, propose)
-
-
-def _by_vectors(name: str, index: VectorIndex, objects: LabelledMap) -> Proposer:
-    """Registers the nearest neighbours of each object, as loop closing does."""
-    config = Config().calibrated({"objects.landmark_sigma_m": SURVEYED_SIGMA_M})
-    closing = config.loop_closure.model_copy(update={"descriptor": name})
-    landmarks = LandmarkVectors(config.model_copy(update={"loop_closure": closing}), index)
-    rows = np.arange(len(objects))
-    landmarks.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
-    everywhere = np.ones(len(objects), dtype=np.bool_)
-
-    def propose(query: Submap, count: int) -> FloatArray:
-        return np.array([T for T, _ in landmarks.propose(query, everywhere, count)]).reshape(-1, 4, 4)
 
     return Proposer(index.nbytes, propose)

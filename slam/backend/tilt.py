@@ -1,4 +1,4 @@
-"""The final solution, with the noise of the odometry and of closures that is estimated from the whole graph.
+"""Whether gravity holds the tilt of the odometry, by the whole graph.
 
 Over single steps the detections determine the tilt of the odometry no better than heights; over a whole drive they do.
 Gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. If gravity holds it, the tilts of
@@ -18,7 +18,6 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import chdtrc
 
-from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray
@@ -32,12 +31,6 @@ DIFFERENCE = 0.8
 """Factor on them by which the derivative is taken."""
 CHANCE = 0.01
 """Probability that a tilt that gravity holds is freed."""
-
-
-def optimize_with_matched_noise(graph: FactorGraph) -> Optimization:
-    """Optimise the whole graph with the noise that it shows, that of the tilt first."""
-    hold_tilt(graph)
-    return graph.match_noise()
 
 
 def hold_tilt(graph: FactorGraph) -> None:

@@ -1,0 +1,126 @@
+"""The noise of odometry and closures that their residuals show, where it is another than configured.
+
+The errors of odometry are correlated. An error of its scale is the same for many steps, so the sum is larger than the
+covariances of the steps predict. Its variance is estimated from the drive: over stretches of 50 steps the residuals of
+all steps are added up, axis by axis. The variance of closures is estimated likewise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import gtsam
+import numpy as np
+from scipy import sparse
+from scipy.special import chdtr
+
+from slam.backend.covariance.linear_system import linearize
+from slam.backend.covariance.selected_inverse import factorize
+from slam.backend.factors import Edge, EdgeKind, Factor
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+
+STRETCH_STEPS = 50
+"""Steps of the odometry over which its error is looked at: 100 m of keyframes every 2 m."""
+MIN_SAMPLES, MAX_SAMPLES = 5, 20
+"""Of stretches or closures: fewer are not significant, more would cost time and add little."""
+ROUNDS = 10
+"""Of expectation and maximisation. They begin with the configured noise, and near none at all they are slow."""
+FACTOR_LIMITS = (1e-3, 1e2)
+MIN_INFORMATION = 0.01
+TEST_PROBABILITY = 0.05
+
+
+def matched_covariances(
+    records: Mapping[int, Factor], factors: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values
+) -> dict[int, FloatArray]:
+    """The covariances (6, 6) that the drive itself shows, by the numbers of the edges whose covariances differ.
+
+    Args:
+        records: of all factors, by number.
+        factors: the same of the solver.
+        values: the optimum.
+
+    Raises:
+        np.linalg.LinAlgError: the graph does not determine all variables.
+    """
+    sizes = np.array([factor.dim() for factor in factors.values()])
+    starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
+    jacobian, residuals = linearize(factors.values(), values)
+    matched = dict[int, FloatArray]()
+    for is_closure in (False, True):
+        edges = {
+            number: each
+            for number, each in records.items()
+            if isinstance(each, Edge) and (each.kind == EdgeKind.LOOP_CLOSURE) is is_closure
+        }
+        rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
+        found = variance_factors(jacobian, residuals, rows, 1 if is_closure else STRETCH_STEPS)
+        if (found != 1.0).any():
+            matched |= {number: _scaled(each.covariance, found) for number, each in edges.items()}
+    return matched
+
+
+def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray, length: int) -> FloatArray:
+    """Factors (6,) on the variances of edges, axis by axis.
+
+    It is 1 where a drive has too few of them to tell, or where chance may explain the difference: the global test of
+    geodesy, by the sum of the squared residuals and its expectation, the redundancy (Förstner and Wrobel,
+    Photogrammetric Computer Vision, 2016, section 4.6.8).
+
+    The error over a stretch of edges is known from its residual r, and as well as the optimised graph knows it, with
+    the variance p. Its variance s over all of them is estimated by expectation and maximisation (Dempster et al. 1977),
+    each axis by itself.
+
+    Args:
+        jacobian: (N, n) of all factors; each row is divided by its standard deviation.
+        residuals: (N,), likewise.
+        rows: (E, 6) of the edges, one after another, rotation first.
+        length: edges of a stretch.
+
+    Raises:
+        np.linalg.LinAlgError: the graph does not determine all variables.
+    """
+    samples = rows[: len(rows) // length * length].reshape(-1, length, 6)
+    if len(samples) < MIN_SAMPLES:
+        return np.ones(6)
+    spread = np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).round().astype(np.int64)
+    sums = _sums_of(samples[spread], len(residuals))
+    information = factorize(sparse.csc_array(jacobian.T @ jacobian))
+    columns = (sums @ jacobian).toarray().T
+    errors = (sums @ residuals).reshape(-1, 6)
+    posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)
+    # Information beside that of the row itself; what is next to nothing is nothing.
+    measured = 1.0 / posterior - 1.0
+    measured = np.where(measured < MIN_INFORMATION, 0.0, measured)
+    return np.where(_differs(errors, posterior, measured), _maximize(errors, posterior, measured), 1.0)
+
+
+def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:
+    """(S * 6, N): adds up the rows (S, K, 6) of each sample, and divides by the root of K."""
+    sums = np.broadcast_to(np.arange(len(samples) * 6).reshape(-1, 1, 6), samples.shape)
+    weights = np.full(samples.size, 1.0 / np.sqrt(samples.shape[1]))
+    return sparse.csr_array((weights, (sums.ravel(), samples.ravel())), shape=(len(samples) * 6, row_count))
+
+
+def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
+    """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and the information (S, 6) of other factors."""
+    variance = np.ones(6)
+    for _ in range(ROUNDS):
+        left = variance / (1.0 + variance * measured)
+        expected = np.where(measured > 0.0, left / posterior * residuals, 0.0)
+        variance = np.clip(np.mean(expected**2 + left, axis=0), *FACTOR_LIMITS)
+    return variance
+
+
+def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> BoolArray:
+    """Whether (6,) the residuals reject a variance of 1, by their sum and the redundancy."""
+    redundancy = measured / (1.0 + measured)
+    squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
+    chance = chdtr(np.maximum(redundancy.sum(axis=0), 1e-9), squares.sum(axis=0))
+    return np.asarray(np.minimum(chance, 1.0 - chance) < 0.5 * TEST_PROBABILITY)
+
+
+def _scaled(covariance: FloatArray, factors: FloatArray) -> FloatArray:
+    """A covariance (6, 6) with variances scaled by ``factors`` (6,) along the axes that GTSAM whitens."""
+    axes = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]
+    return np.asarray((axes * factors) @ axes.T)

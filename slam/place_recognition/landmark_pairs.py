@@ -1,0 +1,126 @@
+"""Pairs of landmarks that a robot has left behind: which of them pairs of a query may be, by a descriptor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptellation_lr.pair_index import PairIndex, PairMatches
+from descriptors.descriptellation_lr.pairs import length_tolerances, spacing_m
+from descriptors.index import VectorIndex
+from descriptors.registry import make_index
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.config import Config
+
+DESCRIPTOR_RANGE_M = 30.0
+"""Sensor range for which vectors of constellations are made: their rings and radii are lengths of their own."""
+ADDED_AT_ONCE = 50_000
+"""Constellations that are in memory at the same time."""
+MAX_MATCHES = 1000
+"""Matches of single objects that make pairs, the nearest: half a million pairs."""
+SPACING_FACTOR = 1.25
+"""If the spacing of the landmarks has changed by that factor since their pairs were indexed, they are indexed again."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Landmarks that are added at once, and those around them: ``positions`` (N, 3) m and ``labels`` (N,) of both, in
+    the odometry frame of the ``segment``; ``centres`` (C,): rows of the new ones; ``entries`` (N,): numbers of all in
+    the index, -1 of those that it does not have.
+    """
+
+    positions: FloatArray
+    labels: IntArray
+    centres: IntArray
+    entries: IntArray
+    segment: int
+
+
+class LearnedPairs:
+    """Pairs by their learned likelihood ratio."""
+
+    def __init__(self, index: PairIndex) -> None:
+        self._index = index
+        self._batches = list[Batch]()
+
+    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+        """Add landmarks."""
+        del vocabulary  # classes are compared by their numbers
+        self._batches.append(batch)
+        is_first = len(self._batches) == 1
+        unit_m = spacing_m(
+            batch.positions if is_first else np.concatenate([each.positions[each.centres] for each in self._batches])
+        )
+        if self._index.unit_m is None or abs(np.log(unit_m / self._index.unit_m)) > np.log(SPACING_FACTOR):
+            self._index = self._index.emptied(unit_m)
+            for each in self._batches:
+                self._enter(each)
+        else:
+            self._enter(batch)
+
+    def _enter(self, batch: Batch) -> None:
+        self._index.add(batch.positions, batch.labels, numbers=batch.entries, centres=batch.centres)
+
+    def search(
+        self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
+    ) -> PairMatches:
+        """As :meth:`PairIndex.search`."""
+        return self._index.search(positions, labels, sigmas_m=sigmas_m, allowed=allowed)
+
+
+class VectorPairs:
+    """Pairs of the nearest neighbours of objects, by vectors of their constellations."""
+
+    def __init__(self, config: Config, index: VectorIndex) -> None:
+        self._top_k, self._index = config.loop_closure.top_k, index
+        self._scale = DESCRIPTOR_RANGE_M / config.sensor_range_m
+        self._plane, self._segments = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
+        self._vocabulary: tuple[str, ...] = ()
+
+    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+        """Add landmarks."""
+        self._vocabulary = vocabulary
+        for start in range(0, len(batch.centres), ADDED_AT_ONCE):
+            centres = batch.centres[start : start + ADDED_AT_ONCE]
+            self._index.add(self._constellations(batch.positions, batch.labels, centres))
+        self._plane = np.concatenate([self._plane, batch.positions[batch.centres, :2]])
+        self._segments = np.concatenate([self._segments, np.full(len(batch.centres), batch.segment)])
+
+    def search(
+        self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
+    ) -> PairMatches:
+        """Pairs of matches of single objects whose lengths agree."""
+        allowed = np.ones(len(self._plane), dtype=np.bool_) if allowed is None else allowed
+        matches = self._index.search(self._constellations(positions, labels), self._top_k, allowed)
+        nearest = np.argsort(matches.distances, kind="stable")[:MAX_MATCHES]
+        queries, entries = matches.queries[nearest], matches.entries[nearest]
+        tolerance_m = length_tolerances(np.asarray(np.median(sigmas_m)))
+        lengths_m = pdist(positions[queries, :2])
+        may_be = (lengths_m > tolerance_m) & (np.abs(pdist(self._plane[entries]) - lengths_m) <= tolerance_m)
+        pairs = np.column_stack(np.triu_indices(len(nearest), 1))[may_be]
+        pairs = pairs[self._segments[entries[pairs[:, 0]]] == self._segments[entries[pairs[:, 1]]]]
+        return PairMatches(queries[pairs], entries[pairs], np.ones(len(pairs)))
+
+    def _constellations(
+        self, positions: FloatArray, labels: IntArray, centres: IntArray | None = None
+    ) -> Constellations:
+        """Constellations of objects (N, 3) m, scaled to a sensor that sees as far as the descriptors are made for."""
+        return gather_constellations(
+            positions * self._scale, labels, self._vocabulary, radius_m=self._index.radius_m, centres=centres
+        )
+
+
+LandmarkPairs = LearnedPairs | VectorPairs
+
+
+def make_landmark_pairs(config: Config) -> LandmarkPairs:
+    """Pairs by the descriptor of the settings.
+
+    Raises:
+        DescriptorError: there is none of that name.
+    """
+    index = make_index(config.loop_closure.descriptor)
+    return LearnedPairs(index) if isinstance(index, PairIndex) else VectorPairs(config, index)
