@@ -13,10 +13,11 @@ from descriptors.descriptor import Descriptor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Pairs (query, entry), both (C,), query by query, the nearest first."""
+    """Pairs (query, entry) with their distance, all (C,), query by query, the nearest first."""
 
     queries: IntArray
     entries: IntArray
+    distances: Float32Array
 
 
 class VectorIndex:
@@ -57,7 +58,7 @@ class VectorIndex:
         """
         if not np.any(allowed) or len(constellations) == 0:
             empty = np.zeros(0, dtype=np.int64)
-            return Matches(empty, empty)
+            return Matches(empty, empty, np.zeros(0, dtype=np.float32))
         vectors, labels = self._descriptor.describe(constellations), constellations.centre_labels
         squares = vectors @ self._vectors.T
         squares *= -2.0
@@ -70,7 +71,9 @@ class VectorIndex:
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
         queries, places = np.nonzero(np.isfinite(found))
-        return Matches(queries, nearest[queries, places])
+        own = np.einsum("ij,ij->i", vectors, vectors)
+        distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
+        return Matches(queries, nearest[queries, places], distances)
 
 
 def _smallest(values: Float32Array, k: int) -> IntArray:
