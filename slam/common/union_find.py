@@ -51,10 +51,7 @@ class UnionFind:
 
 def find_components(count: int, pairs: IntArray) -> IntArray:
     """The least item (N,) of the connected component of each of N = ``count`` items that pairs (K, 2) connect."""
-    from scipy.sparse import coo_array  # not loaded to look into a map
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs), dtype=np.bool_), pairs.T), shape=(count, count))
-    components = connected_components(graph, directed=False)[1]
-    _, first, component = np.unique(components, return_index=True, return_inverse=True)
-    return np.asarray(first[component], dtype=np.int64)
+    sets = UnionFind()
+    for first, second in pairs.tolist():
+        sets.merge(*sorted((sets.find(first), sets.find(second))))
+    return np.array([sets.find(item) for item in range(count)], dtype=np.int64)
