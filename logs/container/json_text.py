@@ -31,7 +31,7 @@ def parse_json(text: str, **options: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses, arrays and mappings as JSON has them; a number that is not finite is None."""
+    """Convert dataclasses, arrays and mappings to what JSON can hold; numbers that are not finite become None."""
     if is_dataclass(value):
         return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
     if isinstance(value, Mapping):

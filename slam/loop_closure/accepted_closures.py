@@ -28,7 +28,7 @@ TRUSTED_AFTER_RANGES = 60.0 / 30.0
 @dataclass(frozen=True, slots=True, eq=False)
 class Accepted:
     """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
-    graph, its own or one nearby; ``factor``: the number of its own.
+    graph, itself or one nearby; ``factor``: the number of its factor in the graph, if it has one.
     """
 
     candidate: Candidate

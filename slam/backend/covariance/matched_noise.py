@@ -26,8 +26,11 @@ MIN_SAMPLES, MAX_SAMPLES = 5, 20
 ROUNDS = 10
 """Of expectation and maximisation. They begin with the configured noise, and near none at all they are slow."""
 FACTOR_LIMITS = (1e-3, 1e2)
+"""Bounds of the factors on variances."""
 MIN_INFORMATION = 0.01
+"""Share of the information of an edge that the others must add to it: less is taken to be none."""
 TEST_PROBABILITY = 0.05
+"""Probability that the test rejects the configured noise although it is right."""
 
 
 def matched_covariances(
