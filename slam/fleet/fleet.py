@@ -156,11 +156,10 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             config = common_config(saved.metadata for saved in maps[: number + 1])
-            index = PlaceIndex(maps[:number], sigma_m=config.calibration.objects.landmark_sigma_m)
-            write_joins(path, index.find_joins(maps[number]))
+            write_joins(path, PlaceIndex(maps[:number], config).find_joins(maps[number]))
         joins += read_joins(path)
     config = common_config(saved.metadata for saved in maps)
-    pairs = judge_pairs(maps, joins, config)
+    pairs = judge_pairs(len(maps), joins, config)
     inputs = tuple(part.sessions for part in parts)
     return _Joined(inputs, tuple(pairs), join_parts(parts, pairs, config), config)
 

@@ -98,7 +98,7 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
         "joined": [
-            {"log": _name(fleet, other), "places": len(pair.joins), "log_odds": round(pair.log_odds, 1)}
+            {"log": _name(fleet, other), "places": len(pair.joins), "log_odds": round(pair.surest.log_odds, 1)}
             for pair in fleet.pairs
             for other in {pair.first, pair.second} - {own}
             if pair.accepted and own in (pair.first, pair.second) and fleet.inputs[other][0] in city_map.part.visits
@@ -113,7 +113,7 @@ def _why_alone(fleet: Fleet, own: int) -> str:
     pairs = [pair for pair in fleet.pairs if own in (pair.first, pair.second)]
     if not pairs:
         return "none of its places was recognised in another log"
-    best = max(pairs, key=lambda pair: pair.log_odds)
+    best = max(pairs, key=lambda pair: pair.surest.log_odds)
     other = _name(fleet, best.first + best.second - own)
     if best.accepted:
         return f"its joins contradict those of other logs; the best match was {other}"

@@ -68,7 +68,7 @@ def test_a_false_pair_is_rejected_by_the_others(parts: list[Part], pairs: list[M
     template = next(pair for pair in pairs if (pair.first, pair.second) == (0, 1)).joins[0]
     T = np.eye(4)
     T[:2, 3] = [400.0, 300.0]
-    false = replace(template, reference_map=0, query_map=2, T_reference_place=T, llr=30.0)
-    parts = join_parts(parts, [*pairs, MapPair(0, 2, (false,), 25.0, True, "")], CONFIG)
+    false = replace(template, reference_map=0, query_map=2, T_reference_place=T, log_odds=30.0)
+    parts = join_parts(parts, [*pairs, MapPair(0, 2, (false,), "")], CONFIG)
     assert parts[0].sessions == (0, 1, 2)
     assert parts[0].rejected == (false,)

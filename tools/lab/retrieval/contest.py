@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from threadpoolctl import threadpool_limits
 from descriptors.random_vector import RandomVector
 from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
-from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
@@ -35,10 +33,6 @@ from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
 from tools.lab.retrieval.proposers import Proposer, make_proposer
-
-KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "range_m"]
-KEY += ["queries", "seed"]
-"""Columns that tell one row from all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +81,7 @@ def run_contest(
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, random vectors of the first; one a row.
 
-    ``KEY`` has the columns that tell one from all others. ``map_objects``, ``map_classes``; ``build_s``: time to make
+    ``map_objects``, ``map_classes``; ``build_s``: time to make
     the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose (4 m, 10
     deg) among the first proposals. ``right``: share with a right pose after verification, ``wrong``: share whose
     verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th
@@ -117,18 +111,6 @@ def run_contest(
             rows += _measure(world, sizes[0], [about | asdict(scenario) for scenario in asked])
             on_progress(done / len(runs))
     return pd.DataFrame(rows)
-
-
-def add_results(path_csv: Path, cells: pd.DataFrame) -> pd.DataFrame:
-    """Add rows to those that a CSV file has, in place of earlier ones with the same :data:`KEY`; returns all of them.
-
-    Raises:
-        UnwritableLogError: it cannot be written.
-    """
-    known = [pd.read_csv(path_csv)] if path_csv.exists() else []
-    every = pd.concat([*known, cells], ignore_index=True).drop_duplicates(KEY, keep="last")
-    write_text(path_csv, every.to_csv(index=False, lineterminator="\n"))
-    return every
 
 
 def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
