@@ -41,7 +41,7 @@ def test_a_place_is_found_in_the_map_that_has_it_and_with_its_landmarks(maps: li
 
 def test_a_place_that_a_map_has_twice_is_not_recognised(maps: list[SavedMap]) -> None:
     objects = maps[0].objects
-    positions = np.concatenate([objects.positions, objects.positions + [0.0, 400.0, 0.0]])
+    positions = np.concatenate([objects.positions, objects.positions + np.array([0.0, 400.0, 0.0])])
     classes = [objects.vocabulary.index(label) for label in objects.labels * 2]
     ids = tuple(map(str, range(len(positions))))
     twice = replace(maps[0], objects=ObjectMapRecord.of_objects(ids, positions, classes, objects.vocabulary))
