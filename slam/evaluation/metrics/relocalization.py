@@ -161,7 +161,7 @@ def measure_by_closures(
         protocol: the thresholds.
     """
     made = [_find_closure(closures, *span) for span in spans]
-    judged = judge_closures([each for each in made if each is not None], {}, truth, protocol)
+    judged = judge_closures([each for each in made if each is not None], truth, protocol)
     errors = zip(judged["error_m"], np.rad2deg(judged["rotation_rad"]), judged["decided"], strict=True)
     found = iter((float(m), float(deg)) if decided else None for m, deg, decided in errors)
     return [None if each is None else next(found) for each in made]
