@@ -51,7 +51,6 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
     T_world_claimed = T_world_reference @ np.array(T_reference_query).reshape(-1, 4, 4)
     error_m = np.linalg.norm(T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3], axis=1)
     rotation_rad = rotation_angle_rad(invert(T_world_query) @ T_world_claimed)
-    turned_alike = rotation_rad <= np.deg2rad(protocol.closure_rotation_deg)
     return pd.DataFrame(
         {
             "record": pd.Series(candidates, dtype=object),
@@ -62,7 +61,7 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
             "stage": pd.Series([c.stage for c in candidates], dtype=object),
             "score": np.array([c.score for c in candidates], dtype=np.float64),
             "decided": decided,
-            "true": decided & (error_m <= protocol.closure_translation_m) & turned_alike,
+            "true": decided & protocol.is_true(error_m, rotation_rad),
             "error_m": np.where(decided, error_m, 0.0),
             "rotation_rad": np.where(decided, rotation_rad, 0.0),
             "travelled_m": truth.travelled_at_m(query_ns) if len(truth) else np.zeros(count),
