@@ -174,15 +174,6 @@ def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_pa
         further("further", start=tmp_path / "ruined" / WEIGHTS)
 
 
-def test_epochs_that_find_fewer_objects_in_exact_views_do_not_compete():
-    def epoch(number: int, top_5: float, exact_top_5: float) -> Epoch:
-        return Epoch(number, 1.0, {"validation_top_5": top_5, "exact_top_5": exact_top_5}, 1.0)
-
-    further = [epoch(0, 0.6, 0.90), epoch(1, 0.8, 0.89), epoch(2, 0.7, 0.90), epoch(3, 0.7, 0.95)]
-    assert best_of(further).epoch == 2
-    assert best_of([epoch(1, 0.6, 0.9), epoch(2, 0.8, 0.8)]).epoch == 2
-
-
 def test_network_that_does_not_exist_is_refused():
     assert default_architecture("descriptellation") == DescriptellationArchitecture()
     with pytest.raises(DescriptorError, match=r"unknown network 'transformer'; choose descriptellation"):

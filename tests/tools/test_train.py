@@ -24,7 +24,7 @@ Called = dict[str, Any]
 
 
 def epoch(number: int, top_5: float) -> Epoch:
-    metrics = {"validation_loss": 0.3 / number, "validation_top_5": top_5, "exact_top_5": 1.0}
+    metrics = {"validation_loss": 0.3 / number, "validation_top_5": top_5}
     return Epoch(number, 0.2 / number, metrics, 1.5)
 
 
