@@ -67,8 +67,7 @@ def evaluate(
 
 def protocol_of(records: EvaluationRecords) -> Protocol:
     """The protocol with lengths in proportion to the sensor range of the run."""
-    range_m = records.sensor_range_m
-    return Protocol() if range_m is None else Protocol().for_range(range_m)
+    return Protocol().for_range(records.sensor_range_m)
 
 
 class _Evaluator:

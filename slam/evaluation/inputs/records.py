@@ -9,8 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
@@ -30,10 +28,12 @@ from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
-from slam.common.errors import EvaluationError
+from slam.common.config import Config
+from slam.common.errors import EvaluationError, SavedMapError
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
 from slam.evaluation.inputs.text_reference import TextReference
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
+from slam.provenance import recorded_config
 
 _ESTIMATED_KINDS = frozenset(
     {
@@ -58,8 +58,7 @@ _Record = TypeVar("_Record", bound=Record)
 class EvaluationRecords:
     """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 
-    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: the metadata of
-    the replay. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
+    ``provenance``: the metadata of the replay.
     """
 
     trajectory: TrajectoryRecord | None = None
@@ -73,9 +72,7 @@ class EvaluationRecords:
     closures: tuple[LoopClosureRecord, ...] = ()
     graph: FactorGraphRecord | None = None
     statuses: tuple[StatusRecord, ...] = ()
-    configuration: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
-    has_prior_map: bool = False
 
     @property
     def status(self) -> StatusRecord | None:
@@ -104,16 +101,17 @@ class EvaluationRecords:
         return series_of((pose.stamp_ns, pose.T_world_body) for pose in self.true_poses)
 
     @property
-    def sensor_range_m(self) -> float | None:
-        """The sensor range of the run, estimated or given; None if the log does not hold it."""
-        estimated = _read_tree(self.provenance.get("estimated", ""))
-        given = self.configuration.get("calibration", self.configuration).get("detection")
-        range_m = estimated.get("detection.sensor_range_m")
-        if range_m is None and isinstance(given, Mapping):
-            range_m = given.get("sensor_range_m")
-        if not isinstance(range_m, int | float):
-            return None
-        return float(range_m) if 0.0 < range_m < np.inf else None
+    def sensor_range_m(self) -> float:
+        """The sensor range of the run, estimated or given; that of the defaults if the log does not hold it."""
+        try:
+            return recorded_config(self.provenance).sensor_range_m
+        except SavedMapError:
+            return Config().sensor_range_m
+
+    @property
+    def has_prior_map(self) -> bool:
+        """Whether the robot was to find itself in the map of an earlier drive."""
+        return "map_drives" in self.provenance
 
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
         """These records with the truth of another log, kind by kind where that log has it.
@@ -221,12 +219,7 @@ def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> Eva
             if (kept := tuple(part for part in parts if part in kinds))
         }
         found = collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
-        return replace(
-            found,
-            configuration=_read_tree(provenance.get("configuration", "")),
-            provenance=provenance,
-            has_prior_map="map_drives" in provenance,
-        )
+        return replace(found, provenance=provenance)
 
 
 def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:

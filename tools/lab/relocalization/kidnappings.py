@@ -60,7 +60,7 @@ def benchmark_relocalization(
         on_progress: called with the fraction done, in [0, 1].
 
     Returns:
-        ``drive``, ``landmarks`` and ``map_ate_m``; ``everywhere``: :func:`figures` of the places in the map; ``outcomes``
+        ``drive``, ``landmarks`` and ``map_ate_m``; ``everywhere``: :func:`figures` of places in the map; ``outcomes``
         there and, far from the map, where any fix is false, ``elsewhere``.
 
     Raises:
