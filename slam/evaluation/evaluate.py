@@ -67,7 +67,8 @@ def evaluate(
 
 def protocol_of(records: EvaluationRecords) -> Protocol:
     """The protocol with lengths in proportion to the sensor range of the run."""
-    return Protocol().for_range(records.sensor_range_m)
+    range_m = records.sensor_range_m
+    return Protocol() if range_m is None else Protocol().for_range(range_m)
 
 
 class _Evaluator:

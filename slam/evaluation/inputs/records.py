@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
@@ -28,12 +30,11 @@ from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
-from slam.common.config import Config
-from slam.common.errors import EvaluationError, SavedMapError
+from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
 from slam.evaluation.inputs.text_reference import TextReference
+from slam.evaluation.report.figures import value_at
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
-from slam.provenance import recorded_config
 
 _ESTIMATED_KINDS = frozenset(
     {
@@ -101,12 +102,12 @@ class EvaluationRecords:
         return series_of((pose.stamp_ns, pose.T_world_body) for pose in self.true_poses)
 
     @property
-    def sensor_range_m(self) -> float:
-        """The sensor range of the run, estimated or given; that of the defaults if the log does not hold it."""
-        try:
-            return recorded_config(self.provenance).sensor_range_m
-        except SavedMapError:
-            return Config().sensor_range_m
+    def sensor_range_m(self) -> float | None:
+        """The sensor range of the run, estimated or given; None if the log, of any version, does not hold it."""
+        estimated, given = (_read_tree(self.provenance.get(name, "")) for name in ("estimated", "configuration"))
+        default = value_at(given, "calibration.detection.sensor_range_m")
+        range_m = estimated.get("detection.sensor_range_m", default)
+        return float(range_m) if isinstance(range_m, int | float) and 0.0 < range_m < np.inf else None
 
     @property
     def has_prior_map(self) -> bool:

@@ -25,9 +25,9 @@ def test_for_range_scales_only_lengths():
     [
         ('{"detection.sensor_range_m": 7.5}', 30.0, 7.5),
         ("{}", 60.0, 60.0),
-        ("", None, RANGE_M),
-        ('{"detection.sensor_range_m": "far"}', 60.0, RANGE_M),
-        ('{"detection.sensor_range_m": -1.0}', 60.0, RANGE_M),
+        ("", None, None),
+        ('{"detection.sensor_range_m": "far"}', 60.0, None),
+        ('{"detection.sensor_range_m": -1.0}', 60.0, None),
     ],
 )
 def test_sensor_range_is_estimated_or_given(estimated, given, expected):
@@ -35,7 +35,7 @@ def test_sensor_range_is_estimated_or_given(estimated, given, expected):
     made = {"configuration": json.dumps({"calibration": {"detection": detection}}), "estimated": estimated}
     records = EvaluationRecords(provenance=made)
     assert records.sensor_range_m == expected
-    assert protocol_of(records).revisit_m == pytest.approx(expected / RANGE_M * 100.0)
+    assert protocol_of(records).revisit_m == pytest.approx(100.0 if expected is None else expected / RANGE_M * 100.0)
 
 
 def test_with_thresholds_replaces_thresholds():
