@@ -55,9 +55,8 @@ def evaluate(
     Args:
         records: of the log.
         protocol: the thresholds; those of papers if None, with lengths in proportion to the sensor range of the run.
-        map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized, as
-            :func:`slam.evaluation.metrics.relocalization.locate_map` finds it. It is used for the errors of
-            relocalizations alone.
+        map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized. It is used for the
+            errors of relocalizations alone.
 
     Raises:
         EvaluationError: a pose is not finite.

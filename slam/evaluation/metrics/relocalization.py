@@ -9,12 +9,10 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord, StatusRecord
 from slam.common.arrays import FloatArray
-from slam.common.errors import EvaluationError
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
-from slam.evaluation.metrics.alignment import align_path
+from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import fraction, percentile
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
@@ -25,22 +23,6 @@ Span = tuple[int, int | None]
 """Stamps [ns] at which a robot was lost, and at which it knew again where it is; None if it never did."""
 PlacedPose = tuple[int, FloatArray]
 """A stamp [ns], and where the robot is in the world by a fix (4, 4)."""
-
-
-def locate_map(mapping: EvaluationRecords) -> FloatArray:
-    """``T_world_map`` (4, 4) of a map, from the drive that made it: its final trajectory laid on its truth.
-
-    Args:
-        mapping: records of the output log of the drive that saved the map.
-
-    Raises:
-        EvaluationError: that log has no final trajectory or no truth, or the two cannot be aligned.
-    """
-    if mapping.trajectory is None or not mapping.true_poses:
-        lacks = "final trajectory" if mapping.trajectory is None else "ground truth"
-        raise EvaluationError(f"the log of the drive that made the map has no {lacks}, so the map cannot be located")
-    poses = synchronize(mapping.final_path, mapping.true_path, max_gap_s=Protocol().max_truth_gap_s)
-    return align_path(poses.positions_est, poses.positions_gt).T_world_map
 
 
 def evaluate_relocalization(
