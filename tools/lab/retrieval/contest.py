@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
 from typing import Any
 
@@ -81,11 +81,11 @@ def run_contest(
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, random vectors of the first; one a row.
 
-    ``map_objects``, ``map_classes``; ``build_s``: time to make
-    the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose (4 m, 10
-    deg) among the first proposals. ``right``: share with a right pose after verification, ``wrong``: share whose
-    verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th
-    percentile. All times are of the processor.
+    The ``proposer``, the fields of the :class:`Scenario`, ``world``, ``map_objects``, ``map_classes``; ``build_s``: time
+    to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose
+    (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification, ``wrong``: share
+    whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and
+    95th percentile. All times are of the processor.
 
     Args:
         objects: in metres.
@@ -103,14 +103,12 @@ def run_contest(
     runs = list(product(contest.classes, sizes, contest.proposers))
     rows = list[dict[str, Any]]()
     with threadpool_limits(limits=1):
-        for done, (classes, size, proposer) in enumerate(runs, start=1):
-            about = {"world": objects.source, "proposer": proposer, "size": size, "most_classes": classes}
-            about |= {"queries": contest.queries, "seed": contest.seed}
+        for done, (classes, size, name) in enumerate(runs, start=1):
             world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], classes)
-            asked = contest.scenarios[: 1 if proposer == RandomVector.name else None]
-            rows += _measure(world, sizes[0], [about | asdict(scenario) for scenario in asked])
+            asked = contest.scenarios[: 1 if name == RandomVector.name else None]
+            rows += _measure(world, sizes[0], size, name, replace(contest, scenarios=asked))
             on_progress(done / len(runs))
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).assign(world=objects.source)
 
 
 def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
@@ -141,12 +139,13 @@ def verify(
     return best, bool(log_odds >= -logit(config.localization.error_probability))
 
 
-def _measure(world: LabelledMap, smallest: int, keys: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: Contest) -> list[dict[str, Any]]:
     """A proposer in a map, with the queries of each scenario, which are drawn in the ``smallest`` map."""
-    objects = world.first(keys[0]["size"])
+    objects = world.first(size)
     started = time.process_time()
-    proposer = make_proposer(keys[0]["proposer"], objects)
+    proposer = make_proposer(name, objects)
     about = {
+        "proposer": name,
         "map_objects": len(objects),
         "map_classes": len(objects.vocabulary),
         "build_s": time.process_time() - started,
@@ -154,10 +153,10 @@ def _measure(world: LabelledMap, smallest: int, keys: Sequence[dict[str, Any]]) 
     }
     tree = cKDTree(objects.positions[:, :2])
     rows = []
-    for key in keys:
-        rng = np.random.default_rng((key["seed"], 1))  # the same paths, whatever the classes
-        queries = draw_path_queries(world.first(smallest), key["queries"], rng=rng, scenario=scenario_of(key))
-        rows.append({**key, **about, **_ask(proposer, objects, tree, queries, key["range_m"])})
+    for scenario in contest.scenarios:
+        rng = np.random.default_rng((contest.seed, 1))  # the same paths, whatever the classes
+        queries = draw_path_queries(world.first(smallest), contest.queries, rng=rng, scenario=scenario)
+        rows.append({**about, **asdict(scenario), **_ask(proposer, objects, tree, queries, scenario.range_m)})
     return rows
 
 
