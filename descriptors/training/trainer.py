@@ -8,7 +8,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -34,15 +34,6 @@ OWN_SHARE = 0.5
 MAX_GRADIENT = 1.0
 """Norm to which gradients are clipped."""
 RANKS = (1, 5, 25)
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """How far a training is: the share done, the loss of this step, and how long the rest takes at this pace."""
-
-    done: float
-    loss: float
-    remaining_s: float
 
 
 class Recipe:
@@ -147,7 +138,7 @@ def train(
     folder: Path,
     *,
     threads: int = 2,
-    on_step: Callable[[Step], None] = lambda step: None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Epoch]:
     """Train, or resume an interrupted training of the same recipe.
 
@@ -158,7 +149,7 @@ def train(
         recipe: what is trained on what.
         folder: made if it does not exist.
         threads: of torch, on a CPU.
-        on_step: called after each step.
+        on_progress: called with the fraction done, in [0, 1], after each step.
 
     Returns:
         All epochs, those before an interruption too.
@@ -177,7 +168,7 @@ def train(
     first = (epochs[-1].epoch if epochs else 0) + 1
     for number in range(first, recipe.config.epochs + 1):
         started = time.perf_counter()
-        train_loss = _train_epoch(recipe, number, on_step)
+        train_loss = _train_epoch(recipe, number, on_progress)
         epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
         if best_of(epochs) is epochs[-1]:
             _save_weights(kept.weights, recipe, epochs[-1])
@@ -185,17 +176,13 @@ def train(
     return epochs
 
 
-def _train_epoch(recipe: Recipe, number: int, on_step: Callable[[Step], None]) -> float:
+def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], None]) -> float:
     """The mean loss of the steps of an epoch, counted from 1."""
-    started = time.perf_counter()
     recipe.network.train()
     losses: list[float] = []
-    steps = recipe.config.epochs * STEPS_PER_EPOCH
     while len(losses) < STEPS_PER_EPOCH:
         losses.append(recipe.step())
-        taken = (number - 1) * STEPS_PER_EPOCH + len(losses)
-        pace_s = (time.perf_counter() - started) / len(losses)
-        on_step(Step(taken / steps, losses[-1], (steps - taken) * pace_s))
+        on_progress((number - 1 + len(losses) / STEPS_PER_EPOCH) / recipe.config.epochs)
     return float(np.mean(losses))
 
 

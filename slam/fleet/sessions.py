@@ -28,8 +28,6 @@ from slam.sweeps.workers import Death, compute_all
 
 VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
-Progress = Callable[[float, str], None]
-"""Takes the fraction of a task that is done, and what was done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ _LEDGER = TypeAdapter(Session)
 
 
 def map_sessions(
-    logs: Sequence[FleetLog], folder: Path, config: Config, *, workers: int, progress: Progress
+    logs: Sequence[FleetLog], folder: Path, config: Config, *, workers: int, tell: Callable[[str], None]
 ) -> dict[str, Session]:
     """The sessions of logs by the digests of their content; each is mapped unless the folder of the fleet has it.
 
@@ -88,7 +86,7 @@ def map_sessions(
         session, seconds = outcome
         sessions[log.sha256] = session
         result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings" if session.is_mapped else "not mapped"
-        progress(finished / len(waiting), f"{finished}/{len(waiting)} {log.path.name}: {result}")
+        tell(f"{finished}/{len(waiting)} {log.path.name}: {result}")
     return sessions
 
 

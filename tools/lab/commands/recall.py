@@ -110,7 +110,7 @@ def recall(
         seed=seed,
     )
     world = side_by_side([read_object_table(path) for path in objects])
-    with console.progress_bar("measuring", "measuring") as move:
+    with console.progress_bar("measuring") as move:
         cells = run_contest(world, contest, on_progress=move)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

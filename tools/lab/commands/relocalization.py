@@ -74,7 +74,7 @@ def relocalization(
     given = map_until if map_log is None else load_prior_map(map_log)
     if not isinstance(given, ImportedMap | float):
         raise typer.BadParameter("this map was made by a drive; give that drive and --map-until.", param_hint="--map")
-    with console.progress_bar("relocalizing", "relocalizing") as move:
+    with console.progress_bar("relocalizing") as move:
         result = benchmark_relocalization(
             log,
             config,

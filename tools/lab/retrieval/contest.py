@@ -81,11 +81,11 @@ def run_contest(
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, random vectors of the first; one a row.
 
-    The ``proposer``, the fields of the :class:`Scenario`, ``world``, ``map_objects``, ``map_classes``; ``build_s``: time
-    to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose
-    (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification, ``wrong``: share
-    whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and
-    95th percentile. All times are of the processor.
+    Columns: ``proposer``, the fields of the :class:`Scenario`, ``world``, ``map_objects``, ``map_classes``;
+    ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries
+    with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification,
+    ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a
+    query, median and 95th percentile. All times are of the processor.
 
     Args:
         objects: in metres.
