@@ -15,6 +15,7 @@ from slam.common.errors import FleetError
 from slam.fleet.fleet import CityMap, Fleet
 from slam.fleet.logs import read_members
 from slam.fleet.presence import REPORTED
+from slam.object_map.map_summary import summarize_map
 
 REPORT_NAME = "report.json"
 STATES = ("joined", "alone", "not mapped", "repeated")
@@ -133,14 +134,13 @@ def _log_name(fleet: Fleet, digest: str) -> str:
 
 def _of_map(city_map: CityMap) -> dict[str, Any]:
     part = city_map.part
-    sigmas_m = np.sqrt(np.trace(part.objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
     return {
         "map": city_map.file,
         "logs": len(part.visits),
         "landmarks": len(part.objects.ids),
         "landmarks_of_logs": sum(len(visit.landmarks) for visit in part.visits.values()),
         "present": int(np.count_nonzero(city_map.presence.present >= REPORTED)),
-        "median_sigma_m": round(float(np.median(sigmas_m)), 3),
+        "median_sigma_m": round(summarize_map(part.saved)["median_sigma_m"], 3),
         "joins_rejected": len(part.rejected),
         "hazard_per_day": city_map.presence.hazard_per_day,
         "changes": len(city_map.changes),

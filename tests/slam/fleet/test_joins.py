@@ -30,7 +30,7 @@ def test_a_place_is_found_in_the_map_that_has_it_and_with_its_landmarks(maps: li
     T_first_second = invert(drive_poses(town(), *FIRST)[0]) @ drive_poses(town(), *SECOND)[0]
     for join in joins:
         assert (join.reference_map, join.query_map) == (1, 2)
-        assert np.linalg.norm((join.T_reference_query - T_first_second)[:2, 3]) < 1.0
+        assert np.linalg.norm((join.T_reference_query - T_first_second)[:2, 3]) < 0.5
         names = [(maps[1].objects.ids[query], maps[0].objects.ids[reference]) for query, reference in join.pairs]
         assert np.mean([query == reference for query, reference in names]) > 0.95
     write_joins(tmp_path / "joins.json", joins)
