@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
+from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.random_vector import RandomVector
 from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
@@ -28,11 +29,12 @@ from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_like
 from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
+from slam.place_recognition.landmark_pairs import Batch, VectorPairs
+from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.parameters import registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
-from tools.lab.retrieval.proposers import Proposer, make_proposer
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +118,23 @@ def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
     return Scenario(**{each.name: cell[each.name] for each in fields(Scenario)})
 
 
+def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
+    """The search of a map by a descriptor, by its name in the registry, and the bytes of its index without the map.
+
+    Raises:
+        DescriptorError: a descriptor that does not exist.
+    """
+    index = make_index(name)
+    pairs: PairIndex | VectorPairs
+    if isinstance(index, PairIndex):
+        pairs = index
+        pairs.add(objects.positions, objects.labels)
+    else:
+        pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
+        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
+    return PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary)), index.nbytes
+
+
 def verify(
     query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree, range_m: float
 ) -> tuple[FloatArray | None, bool]:
@@ -143,28 +162,28 @@ def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: C
     """A proposer in a map, with the queries of each scenario, which are drawn in the ``smallest`` map."""
     objects = world.first(size)
     started = time.process_time()
-    proposer = make_proposer(name, objects)
+    search, nbytes = make_search(name, objects)
     about = {
         "proposer": name,
         "map_objects": len(objects),
         "map_classes": len(objects.vocabulary),
         "build_s": time.process_time() - started,
-        "bytes_per_object": proposer.nbytes / len(objects),
+        "bytes_per_object": nbytes / len(objects),
     }
     tree = cKDTree(objects.positions[:, :2])
     rows = []
     for scenario in contest.scenarios:
         rng = np.random.default_rng((contest.seed, 1))  # the same paths, whatever the classes
         queries = draw_path_queries(world.first(smallest), contest.queries, rng=rng, scenario=scenario)
-        rows.append({**about, **asdict(scenario), **_ask(proposer, objects, tree, queries, scenario.range_m)})
+        rows.append({**about, **asdict(scenario), **_ask(search, objects, tree, queries, scenario.range_m)})
     return rows
 
 
 def _ask(
-    proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery], range_m: float
+    search: PlaceSearch, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery], range_m: float
 ) -> dict[str, float]:
     """Shares and times of a cell."""
-    answers = pd.DataFrame([_answer(proposer, objects, tree, query, range_m) for query in queries])
+    answers = pd.DataFrame([_answer(search, objects, tree, query, range_m) for query in queries])
     return {
         **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
         "right": float(answers["right"].mean()),
@@ -176,12 +195,12 @@ def _ask(
 
 
 def _answer(
-    proposer: Proposer, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
+    search: PlaceSearch, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
 ) -> dict[str, float]:
     """The rank of the first right proposal from 0, whether the verified pose is right, or accepted and wrong; times."""
     truth = query.T_map_query_gt[None]
     started = time.process_time()
-    poses = proposer.propose(query.submap, RECALL_AT[-1])
+    poses = search.find_poses(query.submap, map_sigma_m=SURVEYED_SIGMA_M, count=RECALL_AT[-1])
     proposed = time.process_time()
     T_verified, is_accepted = verify(
         query.submap, poses[: Config().loop_closure.max_candidates], objects, tree, range_m
