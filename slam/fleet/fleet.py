@@ -14,7 +14,7 @@ from slam.common.georeference import Georeference
 from slam.fleet.acceptance import MapPair, judge_pairs
 from slam.fleet.changes import Change, find_changes, write_changes
 from slam.fleet.condensed_map import stretch_length_m
-from slam.fleet.joins import PlaceIndex, read_joins, write_joins
+from slam.fleet.joins import Join, PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts, session_part
@@ -150,7 +150,9 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     maps = [part.saved for part in parts]
     joins = []
     for number in range(max(len(known), 1), len(parts)):
-        path = folder / "joins" / f"{content_key(*names[: number + 1])}.json"
+        # Of earlier versions, files of joins have other fields.
+        fields = Join.__dataclass_fields__
+        path = folder / "joins" / f"{content_key(*fields, *names[: number + 1])}.json"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             config = common_config(saved.metadata for saved in maps[: number + 1])
