@@ -86,23 +86,16 @@ def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), tit
 
 
 @contextmanager
-def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None]]:
+def progress_bar(doing: str, finishing: str = "") -> Iterator[Callable[[float], None]]:
     """A callback for the fraction done that moves a bar on a terminal."""
-    with progress_line(doing) as move:
-        yield lambda fraction: move(fraction, finishing if fraction >= 1.0 else "")
-
-
-@contextmanager
-def progress_line(doing: str) -> Iterator[Callable[[float, str], None]]:
-    """A callback for the fraction done and a word about it, which go to the terminal."""
     if not sys.stderr.isatty():
-        yield lambda fraction, word: None
+        yield lambda fraction: None
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(doing, total=1.0)
-        yield lambda fraction, word: progress.update(
-            task, completed=fraction, description=f"{doing}: {word}" if word else doing
+        yield lambda fraction: progress.update(
+            task, completed=fraction, description=f"{doing}: {finishing}" if finishing and fraction >= 1.0 else doing
         )

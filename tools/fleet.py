@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -70,7 +71,7 @@ def add(
         config,
         workers=jobs,
         georeference=georeference,
-        progress=lambda _done, doing: typer.echo(doing, err=True),
+        tell=partial(typer.echo, err=True),
     )
     write_report(city, result)
     _finish(city, fleet_report(result), require, json=json)

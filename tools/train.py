@@ -65,7 +65,7 @@ def train(
     Example: dslam train out/lr --maps town.csv
     """
     from descriptors.training.folder import WEIGHTS
-    from descriptors.training.trainer import Recipe, Step, best_of
+    from descriptors.training.trainer import Recipe, best_of
     from descriptors.training.trainer import train as train_recipe
     from tools import console
 
@@ -74,13 +74,8 @@ def train(
     start = _shipped(network) if maps and not anew else None
     config = _config(network, epochs, seed, is_further=start is not None)
     recipe = Recipe(config, [_load_map(path) for path in maps or ()], start, device=device)
-    with console.progress_line(f"training {network}") as tell:
-
-        def report(step: Step) -> None:
-            minutes, seconds = divmod(round(step.remaining_s), 60)
-            tell(step.done, f"loss {step.loss:.3f}, {minutes} min {seconds:02d} s left")
-
-        history = train_recipe(recipe, folder, threads=threads, on_step=report)
+    with console.progress_bar(f"training {network}") as move:
+        history = train_recipe(recipe, folder, threads=threads, on_progress=move)
     best = best_of(history)
     if json:
         console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})

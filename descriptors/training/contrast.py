@@ -81,12 +81,11 @@ def draw_sample(
     own_share: float,
     *,
     rng: np.random.Generator,
-    is_exact: bool = False,
 ) -> Sample | PairSample:
     """A map with views of it in which at least one object, or pair of objects, is seen as what it is.
 
-    ``own_share``: how often of a given map; ``is_exact``: neither map nor views have noise. For a network with an
-    embedding of classes, those of each map are dealt out anew among its rows.
+    ``own_share``: how often of a given map. For a network with an embedding of classes, those of each map are dealt out
+    anew among its rows.
 
     Raises:
         DescriptorError: the given maps have no place with objects enough.
@@ -95,9 +94,9 @@ def draw_sample(
         drawn = draw_map(given, own_share, rng=rng)
         sample: Sample | PairSample | None
         if isinstance(config.architecture, DescriptellationLRArchitecture):
-            sample = draw_pair_sample(drawn, config.architecture, views=config.views, rng=rng, is_exact=is_exact)
+            sample = draw_pair_sample(drawn, config.architecture, views=config.views, rng=rng)
         else:
-            sample = _draw_constellations(config, config.architecture, drawn, rng=rng, is_exact=is_exact)
+            sample = _draw_constellations(config, config.architecture, drawn, rng=rng)
         if sample is not None:
             return sample
     raise DescriptorError("no place in the maps has enough objects to train on")
@@ -109,15 +108,14 @@ def _draw_constellations(
     drawn: TrainingMap,
     *,
     rng: np.random.Generator,
-    is_exact: bool,
 ) -> Sample | None:
     """Views of a map; None if none shows an object as what it is."""
     drawn = with_classes_of(drawn, architecture.vocabulary_size, rng=rng)
     vocabulary, radius_m = tuple(map(str, range(drawn.classes))), architecture.radius_m
-    noise_m = rng.normal(0.0, 0.0 if is_exact else rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
+    noise_m = rng.normal(0.0, rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
     queries, objects = [], []
     for _ in range(config.views):
-        view = draw_view(drawn, rng=rng, is_exact=is_exact)
+        view = draw_view(drawn, rng=rng)
         seen = np.flatnonzero((view.objects >= 0) & (drawn.labels[view.objects] == view.labels))
         if len(view.labels) < MIN_SEEN or not len(seen):
             continue

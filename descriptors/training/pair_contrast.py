@@ -82,11 +82,10 @@ def draw_pair_sample(
     *,
     views: int,
     rng: np.random.Generator,
-    is_exact: bool = False,
 ) -> PairSample | None:
     """Views of a map; None if none of their pairs is one of the map."""
     unit_m = spacing_m(drawn.positions)
-    map_sigma = 0.0 if is_exact else rng.uniform(0.0, MAP_SIGMA)
+    map_sigma = rng.uniform(0.0, MAP_SIGMA)
     positions = drawn.positions[:, :2] / unit_m + rng.normal(0.0, map_sigma, (len(drawn), 2))
     tree = cKDTree(positions)
     ends = find_ends(positions, drawn.labels, tree, architecture.partners)
@@ -95,7 +94,7 @@ def draw_pair_sample(
     queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
         sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
-        view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m, is_exact=is_exact)
+        view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m)
         seen = view.positions[:, :2] / unit_m
         if len(seen) < MIN_SEEN:
             continue

@@ -8,7 +8,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -34,15 +34,6 @@ OWN_SHARE = 0.5
 MAX_GRADIENT = 1.0
 """Norm to which gradients are clipped."""
 RANKS = (1, 5, 25)
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """How far a training is: the share done, the loss of this step, and how long the rest takes at this pace."""
-
-    done: float
-    loss: float
-    remaining_s: float
 
 
 class Recipe:
@@ -115,49 +106,31 @@ class Recipe:
         return float(loss.detach())
 
     def validate(self) -> dict[str, float]:
-        """Mean loss, and the mean share of objects among the first 1, 5 and 25; top 5 of views without noise, too."""
+        """Mean loss, and the mean share of objects among the first 1, 5 and 25."""
         self.network.eval()
-        validation, exact = self._validation
-        loss, (top_1, top_5, top_25) = self._validate(validation)
-        return {
-            "validation_loss": loss,
-            "validation_top_1": top_1,
-            "validation_top_5": top_5,
-            "validation_top_25": top_25,
-            "exact_top_5": self._validate(exact)[1][1],
-        }
-
-    @cached_property
-    def _validation(self) -> tuple[list[Sample | PairSample], list[Sample | PairSample]]:
-        """Samples as they are trained on, and exact ones."""
-        rng = np.random.default_rng(2**31)
-        known, share = (self.given, 1.0) if self.is_trained_further else ((), 0.0)
-        count = range(self.config.validation_maps)
-        noisy = [draw_sample(self.config, known, share, rng=rng) for _ in count]
-        return noisy, [draw_sample(self.config, known, share, rng=rng, is_exact=True) for _ in count]
-
-    def _validate(self, samples: list[Sample | PairSample]) -> tuple[float, list[float]]:
         losses, shares = [], []
         with torch.no_grad():
-            for sample in samples:
+            for sample in self._validation:
                 scores = sample.scores(self.network, self.device).cpu()
                 objects = torch.as_tensor(sample.objects)
                 losses.append(float(sample.loss(scores)))
                 before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
                 shares.append([float((before < rank).float().mean()) for rank in RANKS])
-        return float(np.mean(losses)), np.mean(shares, axis=0).tolist()
+        of_ranks = {
+            f"validation_top_{rank}": share for rank, share in zip(RANKS, np.mean(shares, axis=0).tolist(), strict=True)
+        }
+        return {"validation_loss": float(np.mean(losses)), **of_ranks}
+
+    @cached_property
+    def _validation(self) -> list[Sample | PairSample]:
+        rng = np.random.default_rng(2**31)
+        known, share = (self.given, 1.0) if self.is_trained_further else ((), 0.0)
+        return [draw_sample(self.config, known, share, rng=rng) for _ in range(self.config.validation_maps)]
 
 
 def best_of(epochs: Sequence[Epoch]) -> Epoch:
-    """The epoch with the best top 5 on validation maps, of equals the first: its weights are kept.
-
-    Where weights were trained further, only epochs that find no fewer objects in exact views than these weights
-    compete: training on noisy views may cost what exact ones had.
-    """
-    first = epochs[0]
-    least = first.metrics["exact_top_5"] if first.epoch == 0 else 0.0
-    competing = [each for each in epochs if each is first or each.metrics["exact_top_5"] >= least]
-    return max(competing, key=lambda each: each.metrics["validation_top_5"])
+    """The epoch with the best top 5 on validation maps, of equals the first: its weights are kept."""
+    return max(epochs, key=lambda each: each.metrics["validation_top_5"])
 
 
 def train(
@@ -165,7 +138,7 @@ def train(
     folder: Path,
     *,
     threads: int = 2,
-    on_step: Callable[[Step], None] = lambda step: None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Epoch]:
     """Train, or resume an interrupted training of the same recipe.
 
@@ -176,7 +149,7 @@ def train(
         recipe: what is trained on what.
         folder: made if it does not exist.
         threads: of torch, on a CPU.
-        on_step: called after each step.
+        on_progress: called with the fraction done, in [0, 1], after each step.
 
     Returns:
         All epochs, those before an interruption too.
@@ -195,7 +168,7 @@ def train(
     first = (epochs[-1].epoch if epochs else 0) + 1
     for number in range(first, recipe.config.epochs + 1):
         started = time.perf_counter()
-        train_loss = _train_epoch(recipe, number, on_step)
+        train_loss = _train_epoch(recipe, number, on_progress)
         epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
         if best_of(epochs) is epochs[-1]:
             _save_weights(kept.weights, recipe, epochs[-1])
@@ -203,17 +176,13 @@ def train(
     return epochs
 
 
-def _train_epoch(recipe: Recipe, number: int, on_step: Callable[[Step], None]) -> float:
+def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], None]) -> float:
     """The mean loss of the steps of an epoch, counted from 1."""
-    started = time.perf_counter()
     recipe.network.train()
     losses: list[float] = []
-    steps = recipe.config.epochs * STEPS_PER_EPOCH
     while len(losses) < STEPS_PER_EPOCH:
         losses.append(recipe.step())
-        taken = (number - 1) * STEPS_PER_EPOCH + len(losses)
-        pace_s = (time.perf_counter() - started) / len(losses)
-        on_step(Step(taken / steps, losses[-1], (steps - taken) * pace_s))
+        on_progress((number - 1 + len(losses) / STEPS_PER_EPOCH) / recipe.config.epochs)
     return float(np.mean(losses))
 
 

@@ -25,11 +25,9 @@ class View:
     sigma_m: float
 
 
-def draw_view(
-    seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float | None = None, is_exact: bool = False
-) -> View:
-    """A view from a stretch of 0 to 40 m beside an object that is drawn; ``is_exact``: without noise and confusion.
-    ``sigma_m``: noise of a coordinate, drawn if None.
+def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float | None = None) -> View:
+    """A view from a stretch of 0 to 40 m beside an object that is drawn; ``sigma_m``: noise of a coordinate, drawn if
+    None.
 
     What is drawn: range and field of view; how likely an object is seen, which falls with its range; the noise of the
     positions, the same everywhere or growing with the range, to one side, or a scale; confused classes; clutter.
@@ -47,15 +45,12 @@ def draw_view(
     eye = path[nearest[seen]]
     positions = seen_map.positions[seen].copy()
     labels = seen_map.labels[seen]
-    if is_exact:
-        sigma_m = 0.0
-    elif sigma_m is None:
+    if sigma_m is None:
         sigma_m = float(np.exp(rng.uniform(np.log(0.03), np.log(0.7))))
-    if not is_exact:
-        positions[:, :2] = eye + _measured(positions[:, :2] - eye, sigma_m, rng=rng)
-        positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
-        wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
-        labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
+    positions[:, :2] = eye + _measured(positions[:, :2] - eye, sigma_m, rng=rng)
+    positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
+    wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
+    labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
     clutter = rng.poisson(rng.uniform(0.0, 0.3) * len(seen))
     middle = path[rng.integers(len(path), size=clutter)]
     at = middle + range_m * np.sqrt(rng.random(clutter))[:, None] * _directions(clutter, rng=rng)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-APPLICATION = "dslam"
 TIMELINE = "message_log_time"
 POSE, ROBOT, LOG = "/slam/pose", "/slam/robot", "/slam/log"
 ROBOT_COLOR = (1.0, 0.85, 0.1, 1.0)
@@ -40,7 +39,7 @@ _IMAGES = ("foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/Com
 _PIXELS = {LANDMARK_POINTS: 4.5, POINTS_TOPIC: 4.5, SUBMAP: 2.0, ROBOT: 7.0, PATH: 1.5, CLOSURES: 2.0}
 
 
-def blueprint_of(log: Path) -> rrb.Blueprint:
+def _blueprint_of(log: Path) -> rrb.Blueprint:
     """The layout for a log: its whole path or map from above, beside it the texts and a view for each image topic."""
     import rerun.blueprint as rrb
 
@@ -68,12 +67,21 @@ def blueprint_of(log: Path) -> rrb.Blueprint:
     )
 
 
-def send_log(log: Path, recording: rr.RecordingStream) -> None:
-    """Send all of a log to a recording.
+def write_recording(path: Path, log: Path) -> None:
+    """Write all of a log as a recording for Rerun, with the layout.
 
     Raises:
         ViewerError: Rerun cannot read the log, which is damaged.
     """
+    import rerun as rr
+
+    recording = rr.RecordingStream("dslam", recording_id=log.stem)
+    recording.save(path, default_blueprint=_blueprint_of(log))
+    _send_log(log, recording)
+    recording.disconnect()
+
+
+def _send_log(log: Path, recording: rr.RecordingStream) -> None:
     import rerun as rr
     from rerun.chunk import McapReader
 

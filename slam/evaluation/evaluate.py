@@ -55,9 +55,8 @@ def evaluate(
     Args:
         records: of the log.
         protocol: the thresholds; those of papers if None, with lengths in proportion to the sensor range of the run.
-        map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized, as
-            :func:`slam.evaluation.metrics.relocalization.locate_map` finds it. It is used for the errors of
-            relocalizations alone.
+        map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized. It is used for the
+            errors of relocalizations alone.
 
     Raises:
         EvaluationError: a pose is not finite.
@@ -187,12 +186,10 @@ class _Evaluator:
             "closures with keyframes of a given map have no truth in this log: see relocalization": is_own_map,
         }
         self._measure("closures", lambda: _require(there))
-        if graph is None or not is_own_map:
-            return judge_closures(find_final_decisions(records), {}, truth, self._protocol), None
-        ids, stamps_ns = graph.keyframe_ids, graph.keyframe_stamps_ns
-        stamp_of_keyframe = dict(zip(ids.tolist(), stamps_ns.tolist(), strict=True))
-        judged = judge_closures(find_final_decisions(records), stamp_of_keyframe, truth, self._protocol)
-        return judged, find_revisits(ids, stamps_ns, truth, self._protocol) if len(truth) and len(ids) else None
+        judged = judge_closures(find_final_decisions(records), truth, self._protocol)
+        if graph is None or not is_own_map or not len(truth) or not len(graph.keyframe_ids):
+            return judged, None
+        return judged, find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, self._protocol)
 
     def _evaluate_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any]:
         records = self._records

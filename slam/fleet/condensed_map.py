@@ -7,7 +7,7 @@ and the steps of the odometry between two places one edge.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,17 +25,6 @@ from slam.object_map.submap import gravity_frame
 
 MIN_DISTANCE_SHARE = 0.02
 """A landmark nearer to a place, in lengths of a stretch, has no bearing there; the places beside it observe it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stretches:
-    """``of`` (K,): stretch of each keyframe; ``middles`` (S,): row of the keyframe in the middle of each; ``steps``
-    (K,): edge of the odometry to each keyframe from the one before it, -1 where there is none.
-    """
-
-    of: IntArray
-    middles: IntArray
-    steps: IntArray
 
 
 def stretch_length_m(config: Config) -> float:
@@ -61,7 +50,7 @@ def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     drive = np.cumsum(steps < 0) - 1
     travel_m -= travel_m[begins][drive]
     stretch = np.unique(np.column_stack([drive, travel_m // stretch_m]), axis=0, return_inverse=True)[1].ravel()
-    return _condense(saved, _Stretches(stretch, _middles(stretch, travel_m[:, None]), steps), stretch_m)
+    return _condense(saved, stretch, travel_m[:, None], steps, stretch_m)
 
 
 def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
@@ -76,7 +65,7 @@ def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     outwards = np.argsort(np.linalg.norm(cells, axis=1), kind="stable")
     cell = np.argsort(outwards)[cell.ravel()]
     no_steps = np.full(len(cell), -1, dtype=np.int64)
-    return _condense(saved, _Stretches(cell, _middles(cell, positions), no_steps), stretch_m)
+    return _condense(saved, cell, positions, no_steps, stretch_m)
 
 
 def _rows(values: object, wanted: object) -> IntArray:
@@ -95,30 +84,37 @@ def _middles(stretch: IntArray, coordinates: FloatArray) -> IntArray:
     return np.array(middles, dtype=np.int64)
 
 
-def _condense(saved: SavedMap, stretches: _Stretches, stretch_m: float) -> SavedMap:
-    graph = saved.graph
-    T_map_place = gravity_frame(graph.T_map_body[stretches.middles])
+def _condense(
+    saved: SavedMap, stretch: IntArray, coordinates: FloatArray, steps: IntArray, stretch_m: float
+) -> SavedMap:
+    """The map by the ``stretch`` (K,) and the ``coordinates`` (K, D) of each keyframe, and the edge of the odometry to
+    it from the one before it, ``steps`` (K,), -1 where there is none.
+    """
+    graph, middles = saved.graph, _middles(stretch, coordinates)
+    T_map_place = gravity_frame(graph.T_map_body[middles])
     condensed = make_graph_record(
         graph.stamp_ns,
         np.arange(len(T_map_place)),
-        graph.keyframe_stamps_ns[stretches.middles],
+        graph.keyframe_stamps_ns[middles],
         T_map_place,
-        [*_edges(graph, stretches, T_map_place), *_observations(saved, stretches, T_map_place, stretch_m)],
+        [*_edges(graph, stretch, middles, steps, T_map_place), *_observations(saved, stretch, T_map_place, stretch_m)],
         saved.objects.ids.__getitem__,
         np.zeros((0, 6, 6)),
     )
     return replace(saved, graph=condensed)
 
 
-def _edges(graph: FactorGraphRecord, stretches: _Stretches, T_map_place: FloatArray) -> list[Edge]:
+def _edges(
+    graph: FactorGraphRecord, stretch: IntArray, middles: IntArray, steps: IntArray, T_map_place: FloatArray
+) -> list[Edge]:
     """Edges between places, numbered from 0: those of the odometry, and one for each two that other edges relate."""
     found: dict[tuple[int, int], tuple[FloatArray, EdgeKind]] = {}
-    for place, (first, last) in enumerate(pairwise(stretches.middles.tolist())):
-        steps = stretches.steps[first + 1 : last + 1]
-        if len(steps) and steps.min() >= 0:
-            found[place, place + 1] = _composed(graph, steps, last), EdgeKind.ODOMETRY
+    for place, (first, last) in enumerate(pairwise(middles.tolist())):
+        between = steps[first + 1 : last + 1]
+        if len(between) and between.min() >= 0:
+            found[place, place + 1] = _composed(graph, between, last), EdgeKind.ODOMETRY
     is_between = are_of_kind(graph, EdgeKind.ODOMETRY) | are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
-    ends = stretches.of[_rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel())].reshape(-1, 2)
+    ends = stretch[_rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel())].reshape(-1, 2)
     for edge in np.flatnonzero(is_between & (ends[:, 0] != ends[:, 1])).tolist():
         first, second = ends[edge].tolist()
         found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))
@@ -138,14 +134,12 @@ def _composed(graph: FactorGraphRecord, steps: IntArray, last: int) -> FloatArra
     return covariance_in_axes(P, T_map_body[:3, :3].T @ gravity_frame(T_map_body)[:3, :3])
 
 
-def _observations(
-    saved: SavedMap, stretches: _Stretches, T_map_place: FloatArray, stretch_m: float
-) -> list[Observation]:
+def _observations(saved: SavedMap, stretch: IntArray, T_map_place: FloatArray, stretch_m: float) -> list[Observation]:
     """One observation of each landmark from each place of which a keyframe saw it; landmarks by their rows."""
     graph, objects = saved.graph, saved.objects
     keyframes = _rows(graph.keyframe_ids, graph.observation_keyframe_ids)
     landmarks = _rows(objects.ids, graph.observation_landmark_ids)
-    places = stretches.of[keyframes]
+    places = stretch[keyframes]
     T_place_map = invert(T_map_place[places])
     R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[keyframes, :3, :3]
     positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[landmarks]) + T_place_map[:, :3, 3]

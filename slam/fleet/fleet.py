@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,14 +14,14 @@ from slam.common.georeference import Georeference
 from slam.fleet.acceptance import MapPair, judge_pairs
 from slam.fleet.changes import Change, find_changes, write_changes
 from slam.fleet.condensed_map import stretch_length_m
-from slam.fleet.joins import PlaceIndex, read_joins, write_joins
+from slam.fleet.joins import Join, PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts, session_part
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, seen_probabilities
 from slam.fleet.session_config import common_config
-from slam.fleet.sessions import MAP_NAME, VERSION, Progress, Session, content_key, map_sessions, session_folder
+from slam.fleet.sessions import MAP_NAME, VERSION, Session, content_key, map_sessions, session_folder
 from slam.object_map.map_io import load_map, of_rows
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 
@@ -78,7 +78,7 @@ def map_fleet(
     *,
     workers: int,
     georeference: Georeference | None = None,
-    progress: Progress = lambda done, doing: None,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> Fleet:
     """Map logs by themselves, find them in one another, and join them; write the maps and what changed.
 
@@ -88,17 +88,15 @@ def map_fleet(
         config: of each replay.
         workers: logs that are mapped at a time.
         georeference: where the map of most sessions lies on earth; without it, that of an earlier run stays.
-        progress: called with the fraction done and what was done.
+        tell: called with a line for each log that was mapped, and before all are joined.
 
     Raises:
         FleetError: no log could be mapped, or one has to be and is gone.
         LogError: a file that cannot be written.
     """
-    sessions = map_sessions(
-        logs, folder, config, workers=workers, progress=lambda done, doing: progress(0.8 * done, doing)
-    )
+    sessions = map_sessions(logs, folder, config, workers=workers, tell=tell)
     mapped = _drives_by_date(logs, sessions)
-    progress(0.8, f"joining {len(mapped)} maps")
+    tell(f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
     joined = _join_sessions([session_folder(folder, digest, config) / MAP_NAME for digest in order], folder)
     first = order[joined.parts[0].sessions[0]]
@@ -152,15 +150,16 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     maps = [part.saved for part in parts]
     joins = []
     for number in range(max(len(known), 1), len(parts)):
-        path = folder / "joins" / f"{content_key(*names[: number + 1])}.json"
+        # Of earlier versions, files of joins have other fields.
+        fields = Join.__dataclass_fields__
+        path = folder / "joins" / f"{content_key(*fields, *names[: number + 1])}.json"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             config = common_config(saved.metadata for saved in maps[: number + 1])
-            index = PlaceIndex(maps[:number], sigma_m=config.calibration.objects.landmark_sigma_m)
-            write_joins(path, index.find_joins(maps[number]))
+            write_joins(path, PlaceIndex(maps[:number], config).find_joins(maps[number]))
         joins += read_joins(path)
     config = common_config(saved.metadata for saved in maps)
-    pairs = judge_pairs(maps, joins, config)
+    pairs = judge_pairs(len(maps), joins, config)
     inputs = tuple(part.sessions for part in parts)
     return _Joined(inputs, tuple(pairs), join_parts(parts, pairs, config), config)
 

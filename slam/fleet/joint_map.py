@@ -119,9 +119,9 @@ def _chained(count: int, pairs: Sequence[MapPair]) -> FloatArray:
     costs[0, 1:] = 1.0  # so that maps that no pair relates are in the tree, where they are
     T_between: dict[tuple[int, int], FloatArray] = {}
     for pair in pairs:
-        costs[pair.first, pair.second] = -pair.log_odds
-        T_between[pair.first, pair.second] = pair.T_first_second
-        T_between[pair.second, pair.first] = invert(pair.T_first_second)
+        costs[pair.first, pair.second] = -pair.surest.log_odds
+        T_between[pair.first, pair.second] = pair.surest.T_reference_query
+        T_between[pair.second, pair.first] = invert(pair.surest.T_reference_query)
     order, previous = breadth_first_order(minimum_spanning_tree(costs), 0, directed=False)
     T_joint_map = np.tile(np.eye(4), (count, 1, 1))
     for row in order[1:].tolist():
@@ -176,7 +176,7 @@ def _moved(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tu
 def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mapping[int, IntArray]) -> None:
     """Merge the landmarks that joins matched, the surest first; two landmarks of one map are two objects."""
     maps_of = {row: {number} for number, rows in rows_of.items() for row in rows.tolist()}
-    for join in sorted(joins, key=lambda join: -join.llr):
+    for join in sorted(joins, key=lambda join: -join.log_odds):
         queries, references = join.pairs.T
         for ends in zip(rows_of[join.query_map][queries], rows_of[join.reference_map][references], strict=True):
             kept, dropped = sorted(object_map.canonical_id(int(end)) for end in ends)

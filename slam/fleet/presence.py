@@ -3,7 +3,7 @@
 A landmark is not there yet, then there, then gone: a hidden Markov chain over the sessions in the order of their
 dates, with one hazard for both changes (Rabiner, Proceedings of the IEEE 1989, for the forward and backward passes).
 A session is evidence about a landmark only where it passed: it observed the landmark, or missed it although it would
-have observed it with a probability that is learned from the fleet, by the length of path with the landmark in view.
+have observed it with a probability that is learned from the fleet, by its distance from the path.
 
 Landmarks differ: one of two signs beside each other has a landmark of its own in the maps of few sessions only. Each
 landmark has a detectability, the factor of that probability, constant in time, whose distribution is estimated from the
@@ -28,8 +28,10 @@ REPORTED = 0.5
 """States and changes of at least that probability are reported."""
 FALSE_SIGHTING = 1e-3
 """Probability that a session has a landmark where none stands any more."""
+REACH_QUANTILE = 0.99
+"""Share of the sightings that are nearer to the path than what is taken to be the reach of the sensors."""
 CELLS = 12
-"""Cells of the length in view, with equal numbers of sightings."""
+"""Cells of the distance, with equal numbers of sightings."""
 DETECTABILITIES = 0.5 ** np.arange(7)
 """Down to one sighting in 64 passes; what is seen more rarely says nothing."""
 PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
@@ -87,12 +89,12 @@ def seen_probabilities(passes: Passes) -> FloatArray:
     Learned from landmarks that an earlier and a later session saw, so that they certainly stood there; the sessions are
     in the order of their dates.
     """
-    seen, in_view_m = passes.seen, passes.in_view_m
-    passed = in_view_m > 0.0
-    if not (seen & passed).any():
-        return np.where(seen, PRIOR_SEEN / PRIOR_PASSED, 0.0)
-    limits_m = np.quantile(in_view_m[seen & passed], np.arange(1, CELLS) / CELLS)
-    cells = np.searchsorted(limits_m, in_view_m)
+    seen, distances_m = passes.seen, passes.distances_m
+    if not seen.any():
+        return np.zeros(seen.shape)
+    passed = distances_m <= np.quantile(distances_m[seen], REACH_QUANTILE)
+    limits_m = np.quantile(distances_m[seen & passed], np.arange(1, CELLS) / CELLS)
+    cells = np.searchsorted(limits_m, distances_m)
     before = np.cumsum(seen, axis=1) > seen
     after = np.cumsum(seen[:, ::-1], axis=1)[:, ::-1] > seen
     certain = before & after & passed

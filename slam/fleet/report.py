@@ -15,6 +15,7 @@ from slam.common.errors import FleetError
 from slam.fleet.fleet import CityMap, Fleet
 from slam.fleet.logs import read_members
 from slam.fleet.presence import REPORTED
+from slam.object_map.map_summary import summarize_map
 
 REPORT_NAME = "report.json"
 STATES = ("joined", "alone", "not mapped", "repeated")
@@ -98,7 +99,7 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
         "joined": [
-            {"log": _name(fleet, other), "places": len(pair.joins), "log_odds": round(pair.log_odds, 1)}
+            {"log": _name(fleet, other), "places": len(pair.joins), "log_odds": round(pair.surest.log_odds, 1)}
             for pair in fleet.pairs
             for other in {pair.first, pair.second} - {own}
             if pair.accepted and own in (pair.first, pair.second) and fleet.inputs[other][0] in city_map.part.visits
@@ -113,7 +114,7 @@ def _why_alone(fleet: Fleet, own: int) -> str:
     pairs = [pair for pair in fleet.pairs if own in (pair.first, pair.second)]
     if not pairs:
         return "none of its places was recognised in another log"
-    best = max(pairs, key=lambda pair: pair.log_odds)
+    best = max(pairs, key=lambda pair: pair.surest.log_odds)
     other = _name(fleet, best.first + best.second - own)
     if best.accepted:
         return f"its joins contradict those of other logs; the best match was {other}"
@@ -133,14 +134,13 @@ def _log_name(fleet: Fleet, digest: str) -> str:
 
 def _of_map(city_map: CityMap) -> dict[str, Any]:
     part = city_map.part
-    sigmas_m = np.sqrt(np.trace(part.objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
     return {
         "map": city_map.file,
         "logs": len(part.visits),
         "landmarks": len(part.objects.ids),
         "landmarks_of_logs": sum(len(visit.landmarks) for visit in part.visits.values()),
         "present": int(np.count_nonzero(city_map.presence.present >= REPORTED)),
-        "median_sigma_m": round(float(np.median(sigmas_m)), 3),
+        "median_sigma_m": round(summarize_map(part.saved)["median_sigma_m"], 3),
         "joins_rejected": len(part.rejected),
         "hazard_per_day": city_map.presence.hazard_per_day,
         "changes": len(city_map.changes),

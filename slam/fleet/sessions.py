@@ -20,16 +20,14 @@ from slam.common.config import Config
 from slam.common.errors import FleetError, SlamError
 from slam.fleet.condensed_map import condense_map, stretch_length_m
 from slam.fleet.logs import FleetLog
-from slam.fleet.session_config import session_config
 from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
+from slam.provenance import recorded_config
 from slam.replay import replay
 from slam.sweeps.workers import Death, compute_all
 
 VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
-Progress = Callable[[float, str], None]
-"""Takes the fraction of a task that is done, and what was done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ _LEDGER = TypeAdapter(Session)
 
 
 def map_sessions(
-    logs: Sequence[FleetLog], folder: Path, config: Config, *, workers: int, progress: Progress
+    logs: Sequence[FleetLog], folder: Path, config: Config, *, workers: int, tell: Callable[[str], None]
 ) -> dict[str, Session]:
     """The sessions of logs by the digests of their content; each is mapped unless the folder of the fleet has it.
 
@@ -88,7 +86,7 @@ def map_sessions(
         session, seconds = outcome
         sessions[log.sha256] = session
         result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings" if session.is_mapped else "not mapped"
-        progress(finished / len(waiting), f"{finished}/{len(waiting)} {log.path.name}: {result}")
+        tell(f"{finished}/{len(waiting)} {log.path.name}: {result}")
     return sessions
 
 
@@ -125,7 +123,7 @@ def _mapped(log: FleetLog, scratch: Path, config: Config) -> Session:
     """Map a log; the condensed map is in the scratch folder."""
     summary = replay(log.path, scratch / "replay.mcap", config, map_path=scratch / MAP_NAME)
     saved = load_map(scratch / MAP_NAME)
-    condensed = condense_map(saved, stretch_m=stretch_length_m(session_config(saved.metadata)))
+    condensed = condense_map(saved, stretch_m=stretch_length_m(recorded_config(saved.metadata)))
     write_map(scratch / MAP_NAME, condensed)
     return Session(
         sha256=log.sha256,

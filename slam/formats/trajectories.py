@@ -92,11 +92,7 @@ def format_numbers(values: FloatArray) -> str:
     return " ".join(map(repr, values.tolist()))
 
 
-def quaternions(poses: FloatArray) -> FloatArray:
-    """(N, 4) x y z w of poses (N, 4, 4); N = 0 gives (0, 4)."""
-    return Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.zeros((0, 4))
-
-
 def position_and_quaternion(poses: FloatArray) -> FloatArray:
     """(N, 7) x y z and quaternion x y z w of poses (N, 4, 4)."""
-    return np.hstack([poses[:, :3, 3], quaternions(poses)])
+    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.zeros((0, 4))
+    return np.hstack([poses[:, :3, 3], xyzw])

@@ -64,15 +64,10 @@ class MappedDrive:
         return value if isinstance(value, int | float) else None
 
 
-def map_drive(task: DriveTask, *, scratch: Path | None = None) -> MappedDrive:
-    """Degrade, map and evaluate; raises nothing, for one drive must not stop the others.
-
-    Args:
-        task: what to do.
-        scratch: folder in which a process that is killed may leave logs behind.
-    """
+def map_drive(task: DriveTask) -> MappedDrive:
+    """Degrade, map and evaluate; raises nothing, for one drive must not stop the others."""
     try:
-        with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             return _map(task, Path(folder))
     except (LogError, SlamError, OSError) as error:
         return MappedDrive(error=str(error))

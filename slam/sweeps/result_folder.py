@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
 import re
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +14,6 @@ from pydantic import TypeAdapter, ValidationError
 from logs.digest import file_sha256
 from logs.errors import UnwritableLogError
 from logs.storage.placement import write_text
-from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
 
@@ -28,33 +22,17 @@ class ResultFolder:
     """A JSON file for each drive, named by the SHA-256 of all that the result depends on."""
 
     def __init__(self, path: Path, log: Path) -> None:
-        self._cells = path / "cells"
-        self.scratch = self._cells / "unfinished"
-        self._input_sha256 = file_sha256(log)
-
-    @contextmanager
-    def opened(self) -> Iterator[ResultFolder]:
-        """The folder, made if need be, for this process alone; what a killed sweep left unfinished is removed.
+        """Make the folder if need be.
 
         Raises:
-            EvaluationError: another sweep is at it.
             UnwritableLogError: it cannot be made.
         """
+        self._cells = path / "cells"
+        self._input_sha256 = file_sha256(log)
         try:
             self._cells.mkdir(parents=True, exist_ok=True)
-            lock = os.open(self._cells, os.O_RDONLY)  # the system takes it back from a process that is killed
         except OSError as error:
             raise UnwritableLogError(f"cannot write into {self._cells}: {error.strerror}") from error
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(self.scratch, ignore_errors=True)
-            self.scratch.mkdir()
-            yield self
-            shutil.rmtree(self.scratch, ignore_errors=True)
-        except BlockingIOError as error:
-            raise EvaluationError(f"another sweep is writing into {self._cells}; give another folder") from error
-        finally:
-            os.close(lock)
 
     def path_of(self, task: DriveTask) -> Path:
         """The file of a drive: for people the faults and the seed, for the program the digest."""

@@ -10,7 +10,6 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +109,7 @@ def run_sweep(
     *,
     jobs: int,
     on_progress: Callable[[float], None] = lambda fraction: None,
-    compute: Callable[..., MappedDrive] = map_drive,
+    compute: Callable[[DriveTask], MappedDrive] = map_drive,
 ) -> Sweep:
     """Degrade, map and evaluate one log again and again.
 
@@ -126,19 +125,18 @@ def run_sweep(
 
     Raises:
         LogError: the input cannot be read or the folder cannot be written.
-        EvaluationError: another sweep is at the folder.
     """
-    with ResultFolder(folder, tasks[0].log).opened() as kept:
-        results = {task: result for task in tasks if (result := kept.finished(task)) is not None}
-        # Seed by seed, so that a sweep that is stopped has some results of each degradation.
-        new = sorted((task for task in tasks if task not in results), key=lambda task: task.seed)
-        with closing(compute_all(partial(compute, scratch=kept.scratch), new, jobs=jobs)) as outcomes:
-            for task, outcome in outcomes:
-                result = MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
-                kept.keep(task, result)
-                results[task] = result
-                _log.info("%s: %s", task.name, result.error or "done")
-                on_progress(len(results) / len(tasks))
+    kept = ResultFolder(folder, tasks[0].log)
+    results = {task: result for task in tasks if (result := kept.finished(task)) is not None}
+    # Seed by seed, so that a sweep that is stopped has some results of each degradation.
+    new = sorted((task for task in tasks if task not in results), key=lambda task: task.seed)
+    with closing(compute_all(compute, new, jobs=jobs)) as outcomes:
+        for task, outcome in outcomes:
+            result = MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
+            kept.keep(task, result)
+            results[task] = result
+            _log.info("%s: %s", task.name, result.error or "done")
+            on_progress(len(results) / len(tasks))
     return Sweep({task: results[task] for task in tasks}, len(new))
 
 

@@ -21,7 +21,7 @@ from descriptors.training import trainer
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.folder import CHECKPOINT, CURVES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
-from descriptors.training.trainer import Recipe, Step, best_of, train
+from descriptors.training.trainer import Recipe, best_of, train
 
 LIKELIHOOD = ContrastTraining(epochs=2, validation_maps=2, objects_per_map=30, views=1)
 NETWORK = replace(
@@ -82,13 +82,13 @@ def test_interrupted_training_ends_with_the_same_bytes(make, folder, tmp_path):
     torch.manual_seed(99)  # nothing outside decides
     steps: list[float] = []
 
-    def interrupt(step: Step) -> None:
-        steps.append(step.done)
+    def interrupt(fraction: float) -> None:
+        steps.append(fraction)
         if len(steps) == 3:
             raise InterruptionError
 
     with pytest.raises(InterruptionError):
-        train(make(), tmp_path, threads=1, on_step=interrupt)
+        train(make(), tmp_path, threads=1, on_progress=interrupt)
     train(make(), tmp_path, threads=1)
     assert (tmp_path / WEIGHTS).read_bytes() == (folder / WEIGHTS).read_bytes()
     assert curves(tmp_path) == curves(folder)
@@ -96,8 +96,8 @@ def test_interrupted_training_ends_with_the_same_bytes(make, folder, tmp_path):
 
 def test_complete_training_is_left_as_it_is(make, folder):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    steps: list[Step] = []
-    epochs = train(make(), folder, threads=1, on_step=steps.append)
+    steps: list[float] = []
+    epochs = train(make(), folder, threads=1, on_progress=steps.append)
     assert steps == []
     assert [each.epoch for each in epochs] == list(range(1, len(epochs) + 1))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
@@ -139,7 +139,7 @@ def test_damaged_checkpoint_is_refused(make, folder, tmp_path, spoil):
 def test_learning_rate_decays_as_a_cosine(tmp_path):
     recipe = Recipe(NETWORK)
     rates: list[float] = []
-    train(recipe, tmp_path, threads=1, on_step=lambda _: rates.append(recipe.schedule.get_last_lr()[0]))
+    train(recipe, tmp_path, threads=1, on_progress=lambda _: rates.append(recipe.schedule.get_last_lr()[0]))
     halves, first = 0.5 * (1.0 + np.cos(np.pi * np.arange(1, 5) / 4)), recipe.config.learning_rate
     assert rates == pytest.approx(3e-4 + (first - 3e-4) * halves)
 
@@ -172,15 +172,6 @@ def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_pa
     assert all(np.array_equal(kept[name], before[name]) for name in before)
     with pytest.raises(DescriptorError, match=r"another configuration \(start\)"):
         further("further", start=tmp_path / "ruined" / WEIGHTS)
-
-
-def test_epochs_that_find_fewer_objects_in_exact_views_do_not_compete():
-    def epoch(number: int, top_5: float, exact_top_5: float) -> Epoch:
-        return Epoch(number, 1.0, {"validation_top_5": top_5, "exact_top_5": exact_top_5}, 1.0)
-
-    further = [epoch(0, 0.6, 0.90), epoch(1, 0.8, 0.89), epoch(2, 0.7, 0.90), epoch(3, 0.7, 0.95)]
-    assert best_of(further).epoch == 2
-    assert best_of([epoch(1, 0.6, 0.9), epoch(2, 0.8, 0.8)]).epoch == 2
 
 
 def test_network_that_does_not_exist_is_refused():

@@ -12,7 +12,6 @@ from descriptors.training.maps import (
     draw_map,
     draw_pattern,
     draw_patterns,
-    draw_street,
     piece_of,
     with_classes_of,
 )
@@ -60,15 +59,6 @@ def test_drawn_maps_and_views_are_complete(seed):
         real = view.objects[view.objects != CLUTTER]
         assert len(np.unique(real)) == len(real)
         assert view.labels.max(initial=0) < drawn.classes
-
-
-def test_exact_view_has_objects_where_they_are():
-    drawn = draw_street(rng=np.random.default_rng(3))
-    for seed in range(5):
-        view = draw_view(drawn, rng=np.random.default_rng(seed), is_exact=True)
-        real = view.objects != CLUTTER
-        np.testing.assert_array_equal(view.positions[real], drawn.positions[view.objects[real]])
-        np.testing.assert_array_equal(view.labels[real], drawn.labels[view.objects[real]])
 
 
 def test_classes_are_dealt_out_among_the_rows_of_an_embedding():

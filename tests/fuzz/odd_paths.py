@@ -44,7 +44,6 @@ evaluate mapped.mcap --html ODD
 evaluate mapped.mcap --html ODD
 export mapped.mcap --tum ODD
 export mapped.mcap --csv ODD
-export mapped.mcap --ros2-bag ODD
 degrade drive.mcap --fault dropout=0.1 -o ODD
 import csv ODD --odometry trajectory.tum --detections detections.csv
 """.strip().splitlines()

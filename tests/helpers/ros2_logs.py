@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags import rosbag1 as ros1
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
@@ -16,12 +17,30 @@ from logs import messages as m
 from logs.storage.ros2_definitions import typestore
 from logs.topics import Channel, RawMessage, Schema
 from logs.validation import quaternion_xyzw
-from slam.formats.ros2_bag import make_message
 from tests.helpers.short_drives import Entry
 
 TYPES = typestore()
 Message = tuple[str, str, int, dict[str, Any]]
 """Topic, type, log time, fields; those left out are zero."""
+
+
+def make_message(type_name: str, values: Mapping[str, Any]) -> Any:
+    """A message from its fields by name, those of messages within it likewise; what is left out is 0 or empty."""
+    _, fields = TYPES.fielddefs[type_name]
+    return TYPES.types[type_name](**{name: _make_field(kind, values.get(name)) for name, kind in fields})
+
+
+def _make_field(kind: Any, value: Any) -> Any:
+    node, detail = kind
+    if node == Nodetype.NAME:
+        return make_message(detail, value or {})
+    if node == Nodetype.BASE:
+        return value if value is not None else "" if detail[0] == "string" else 0
+    (element, element_type), count = detail
+    if element == Nodetype.NAME:
+        return [make_message(element_type, each) for each in value or ()]
+    dtype = np.uint8 if element_type[0] in ("octet", "byte") else element_type[0]
+    return np.zeros(count, dtype) if value is None else np.array(value, dtype).ravel()
 
 
 def cdr(type_name: str, values: dict[str, Any]) -> bytes:

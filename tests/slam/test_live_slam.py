@@ -17,10 +17,10 @@ from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.evaluation.inputs.records import collect_records
 from slam.final_map import FinalMap
-from slam.fleet.session_config import session_config
 from slam.live_slam import LiveSlam
 from slam.localization.state import CALIBRATIONS
 from slam.object_map.map_io import confirmed, load_map
+from slam.provenance import recorded_config
 from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
@@ -109,7 +109,7 @@ def test_saved_map_holds_the_landmarks_and_the_calibration(tmp_path: Path):
     slam.save(tmp_path / "map.mcap", final)
     saved = load_map(tmp_path / "map.mcap")
     assert set(saved.objects.ids) == set(confirmed(final.object_map).ids)
-    assert session_config(saved.metadata).calibration == slam.calibration.config.calibration
+    assert recorded_config(saved.metadata).calibration == slam.calibration.config.calibration
     lost = LiveSlam(Config(), saved)
     with pytest.raises(SavedMapError, match="never relocalized"):
         lost.save(tmp_path / "extended.mcap", final)

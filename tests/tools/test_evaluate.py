@@ -75,7 +75,7 @@ class TestOneLog:
             for option in ((), ("--map-run", tmp_path / "first.mcap"))
         ]
         assert [each["method"] for each in told] == ["trajectory", "map"]
-        assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no final trajectory")
+        assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no estimated pose")
 
 
 class TestSeveralLogs:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-from rosbags.highlevel import AnyReader
 
 from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
-from logs.storage.ros2_definitions import typestore
 from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import EvaluationRecords, read_records
@@ -69,32 +66,6 @@ def test_landmarks_and_poses_on_earth(dslam: Run, mapped: Path, records: Evaluat
     assert package["label"].tolist() == layer["label"].tolist()
     assert_refused(dslam("export", mapped, "--geodetic", poses), "--origin")
     assert_refused(dslam("export", mapped, "--geojson", places, "--origin", "north"), "LAT,LON")
-
-
-def test_ros_reads_the_same_poses_and_landmarks(
-    dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
-) -> None:
-    assert dslam("export", mapped, "--ros2-bag", tmp_path / "bag").code == 0
-    found: dict[str, list[tuple[int, Any]]] = {}
-    with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
-        for connection, stamp_ns, data in reader.messages():
-            message = reader.deserialize(data, connection.msgtype)
-            found.setdefault(connection.topic, []).append((stamp_ns, message))
-    expected = records.trajectory
-    assert [stamp_ns for stamp_ns, _ in found["/slam/odometry"]] == expected.stamps_ns.tolist()
-    (_, path), *_ = found["/slam/path"]
-    for poses in (
-        [m.pose.pose.position for _, m in found["/slam/odometry"]],
-        [m.transforms[0].transform.translation for _, m in found["/tf"]],
-        [p.pose.position for p in path.poses],
-    ):
-        np.testing.assert_array_equal([[p.x, p.y, p.z] for p in poses], expected.T_map_body[:, :3, 3])
-    objects = confirmed(records.object_map)
-    _, detections = found["/slam/map"][0]
-    assert [d.results[0].hypothesis.class_id for d in detections.detections] == list(objects.labels)
-    centres = [d.results[0].pose.pose.position for d in detections.detections]
-    np.testing.assert_array_equal([[p.x, p.y, p.z] for p in centres], objects.positions)
-    assert_refused(dslam("export", mapped, "--ros2-bag", tmp_path / "bag"), "exists already")
 
 
 @pytest.mark.parametrize("of", ["estimate", "online", "odometry", "truth"])

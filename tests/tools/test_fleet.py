@@ -23,8 +23,8 @@ from tests.tools.runs import Run, assert_refused
 def test_fleet_exits_with_1_if_a_log_was_not_mapped(
     dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str
 ) -> None:
-    def map_nothing(logs: list[Any], *_: object, progress: Any, **__: object) -> Fleet:
-        progress(0.5, f"1/1 {logs[0].name}: not mapped")
+    def map_nothing(logs: list[Any], *_: object, tell: Any, **__: object) -> Fleet:
+        tell(f"1/1 {logs[0].name}: not mapped")
         sessions = {log.sha256: Session(log.sha256, reason) for log in logs}
         return Fleet(tuple(logs if reason else ()), sessions, (), (), (), ())
 

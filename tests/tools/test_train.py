@@ -17,14 +17,14 @@ from descriptors.registry import make_index
 from descriptors.training import contrast, trainer
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.folder import WEIGHTS, Epoch
-from descriptors.training.trainer import Recipe, Step
+from descriptors.training.trainer import Recipe
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
 
 
 def epoch(number: int, top_5: float) -> Epoch:
-    metrics = {"validation_loss": 0.3 / number, "validation_top_5": top_5, "exact_top_5": 1.0}
+    metrics = {"validation_loss": 0.3 / number, "validation_top_5": top_5}
     return Epoch(number, 0.2 / number, metrics, 1.5)
 
 
@@ -33,9 +33,9 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Called:
     """Arguments of a training that ends at once, the third of four epochs being the best."""
     called: Called = {}
 
-    def fake(recipe: Recipe, folder: Path, *, on_step: Callable[[Step], None], threads: int) -> list[Epoch]:
+    def fake(recipe: Recipe, folder: Path, *, on_progress: Callable[[float], None], threads: int) -> list[Epoch]:
         called.update(config=recipe.config, folder=folder, device=str(recipe.device), threads=threads)
-        on_step(Step(0.5, 0.3, 60.0))
+        on_progress(0.5)
         return [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
 
     monkeypatch.setattr(trainer, "train", fake)

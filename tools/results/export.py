@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 from tools.arguments import check_outputs, parse_origin
 
 if TYPE_CHECKING:
-    from logs.messages import TrajectoryRecord
+    from logs.messages import ObjectMapRecord, TrajectoryRecord
     from slam.common.georeference import Georeference
     from slam.evaluation.inputs.records import EvaluationRecords
 
@@ -35,7 +36,7 @@ def export(
         typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind."),
     ],
     of: Annotated[
-        Track, typer.Option(help="Poses for --tum, --kitti and --ros2-bag: of the final map, online, ...")
+        Track, typer.Option(help="Poses for --tum, --kitti and --geodetic: of the final map, online, ...")
     ] = Track.ESTIMATE,
     tum: Annotated[Path | None, _file("Trajectory: stamp x y z qx qy qz qw.")] = None,
     kitti: Annotated[Path | None, _file("Trajectory: 3 x 4 matrix of the body.")] = None,
@@ -44,9 +45,6 @@ def export(
     csv: Annotated[Path | None, _file("Landmarks: a table.")] = None,
     geojson: Annotated[Path | None, _file("Landmarks: places on earth (WGS 84).")] = None,
     gpkg: Annotated[Path | None, _file("The same as a GeoPackage; needs geopandas.")] = None,
-    ros2_bag: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="ROS 2 bag: Odometry, Path, detections, frames.")
-    ] = None,
     origin: Annotated[
         str | None,
         typer.Option(
@@ -57,92 +55,96 @@ def export(
 ) -> None:
     """Write trajectory, landmarks or graph for other programs.
 
-    Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv --ros2-bag bag
+    Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv
     """
     outputs = [tum, kitti, geodetic, g2o, csv, geojson, gpkg]
-    if not any([*outputs, ros2_bag]):
+    if not any(outputs):
         raise typer.BadParameter(
-            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson, --gpkg or --ros2-bag."
+            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson or --gpkg."
         )
     check_outputs(outputs, [log])
-    from slam.evaluation.inputs.records import read_records
     from slam.formats import landmark_tables as tables
     from slam.formats import trajectories as text
     from slam.formats.g2o import write_g2o
-    from slam.formats.ros2_bag import write_ros2_bag
-    from slam.library import read_map
     from tools import console
 
-    georeference = _georeference(log, origin) if geodetic or geojson or gpkg else None
-    if tum or kitti or geodetic or g2o or ros2_bag:
-        records = read_records(log)
-    if tum or kitti or geodetic or ros2_bag:
-        track = _track(log, records, of)
-        poses = f"{len(track.stamps_ns)} poses"
-    if csv or geojson or gpkg or ros2_bag:
-        objects = read_map(log)
-        landmarks = f"{len(objects.ids)} landmarks"
+    source = _Source(log, of, origin)
+    if geodetic:
+        text.write_geodetic(geodetic, source.track, source.georeference)
+    if geojson:
+        tables.write_geojson(geojson, source.objects, source.georeference)
+    if gpkg:
+        tables.write_geopackage(gpkg, source.objects, source.georeference)
     if tum:
-        text.write_tum(tum, track)
-        console.show(f"{tum}: {poses}")
+        text.write_tum(tum, source.track)
     if kitti:
-        text.write_kitti(kitti, track)
-        console.show(f"{kitti}: {poses}")
-    if geodetic and georeference:
-        text.write_geodetic(geodetic, track, georeference)
-        console.show(f"{geodetic}: {poses}")
+        text.write_kitti(kitti, source.track)
     if csv:
-        tables.write_csv(csv, objects)
-        console.show(f"{csv}: {landmarks}")
-    if geojson and georeference:
-        tables.write_geojson(geojson, objects, georeference)
-        console.show(f"{geojson}: {landmarks}")
-    if gpkg and georeference:
-        tables.write_geopackage(gpkg, objects, georeference)
-        console.show(f"{gpkg}: {landmarks}")
-    if ros2_bag:
-        body_frame = records.odometry[0].child_frame_id if records.odometry else "base_link"
-        write_ros2_bag(ros2_bag, track, objects, body_frame=body_frame)
-        console.show(f"{ros2_bag}: {poses}, {landmarks}")
+        tables.write_csv(csv, source.objects)
+    for path in filter(None, (tum, kitti, geodetic)):
+        console.show(f"{path}: {len(source.track.stamps_ns)} poses")
+    for path in filter(None, (csv, geojson, gpkg)):
+        console.show(f"{path}: {len(source.objects.ids)} landmarks")
     if g2o:
-        if records.graph is None:
+        graph = source.records.graph
+        if graph is None:
             raise _no_result(log)
-        write_g2o(g2o, records.graph, records.object_map)
-        console.show(f"{g2o}: {len(records.graph.edge_kinds)} edges, without robust kernels, which g2o cannot hold")
+        write_g2o(g2o, graph, source.records.object_map)
+        console.show(f"{g2o}: {len(graph.edge_kinds)} edges, without robust kernels, which g2o cannot hold")
 
 
-def _track(log: Path, records: EvaluationRecords, of: Track) -> TrajectoryRecord:
-    from logs.messages import TrajectoryRecord
-    from slam.common.errors import InputDataError
+class _Source:
+    """What is written of a log: each part is read once, where it is needed."""
 
-    if of == Track.ESTIMATE:
-        if records.trajectory is None or not len(records.trajectory.stamps_ns):
-            raise _no_result(log)
-        return records.trajectory
-    frame, path = {
-        Track.ONLINE: ("map", records.online_path),
-        Track.ODOMETRY: ("odom", records.odometry_path),
-        Track.TRUTH: ("world", records.true_path),
-    }[of]
-    if not len(path):
-        raise InputDataError(f"{log} has no poses of the {of}; choose another with --of")
-    return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
+    def __init__(self, log: Path, of: Track, origin: str | None) -> None:
+        self._log, self._of, self._origin = log, of, origin
 
+    @cached_property
+    def records(self) -> EvaluationRecords:
+        from slam.evaluation.inputs.records import read_records
 
-def _georeference(log: Path, origin: str | None) -> Georeference:
-    """Where the map is: as the option says, else as the log does."""
-    from logs.container.limits import RESULT_LIMITS
-    from logs.reader import LogReader
-    from slam.common.errors import InputDataError
-    from slam.common.georeference import Georeference
+        return read_records(self._log)
 
-    if origin is not None:
-        return parse_origin(origin)
-    with LogReader(log, RESULT_LIMITS) as reader:
-        for values in reader.metadata().values():
-            if "georeference" in values:
-                return Georeference.from_json(values["georeference"])
-    raise InputDataError(f"{log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
+    @cached_property
+    def objects(self) -> ObjectMapRecord:
+        from slam.library import read_map
+
+        return read_map(self._log)
+
+    @cached_property
+    def track(self) -> TrajectoryRecord:
+        from logs.messages import TrajectoryRecord
+        from slam.common.errors import InputDataError
+
+        final = self.records.trajectory
+        if self._of == Track.ESTIMATE:
+            if final is None or not len(final.stamps_ns):
+                raise _no_result(self._log)
+            return final
+        frame, path = {
+            Track.ONLINE: ("map", self.records.online_path),
+            Track.ODOMETRY: ("odom", self.records.odometry_path),
+            Track.TRUTH: ("world", self.records.true_path),
+        }[self._of]
+        if not len(path):
+            raise InputDataError(f"{self._log} has no poses of the {self._of}; choose another with --of")
+        return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
+
+    @cached_property
+    def georeference(self) -> Georeference:
+        """Where the map is: as the option says, else as the log does."""
+        from logs.container.limits import RESULT_LIMITS
+        from logs.reader import LogReader
+        from slam.common.errors import InputDataError
+        from slam.common.georeference import Georeference
+
+        if self._origin is not None:
+            return parse_origin(self._origin)
+        with LogReader(self._log, RESULT_LIMITS) as reader:
+            for values in reader.metadata().values():
+                if "georeference" in values:
+                    return Georeference.from_json(values["georeference"])
+        raise InputDataError(f"{self._log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
 
 
 def _no_result(log: Path) -> Exception:

@@ -57,21 +57,16 @@ def view(
         console.show(f"{save}: import it in Foxglove, with {log} open")
         return
     os.environ.setdefault("NO_COLOR", "1")  # messages of Rerun are plain text
-    import rerun as rr
-
-    recording = rr.RecordingStream(rerun_view.APPLICATION, recording_id=log.stem)
-    blueprint = rerun_view.blueprint_of(log)
     if save is not None:
         with replacing(save) as part:
-            recording.save(part, default_blueprint=blueprint)
-            rerun_view.send_log(log, recording)
-            recording.disconnect()
+            rerun_view.write_recording(part, log)
         console.show(f"{save}: open it with 'rerun {save}'")
         return
-    from slam.display.rerun_viewer import start_viewer
+    from tempfile import TemporaryDirectory
 
-    _, address = start_viewer()
-    recording.connect_grpc(address, default_blueprint=blueprint)
-    rerun_view.send_log(log, recording)
-    recording.disconnect()
-    console.show(f"{log} is shown in Rerun; the window stays open")
+    from slam.display.rerun_viewer import show_recording
+
+    with TemporaryDirectory() as folder:
+        recording = Path(folder) / f"{log.stem}.rrd"
+        rerun_view.write_recording(recording, log)
+        show_recording(recording)

@@ -45,9 +45,9 @@ def config(
 
 def _recorded(path: Path) -> Config:
     from logs.reader import LogReader
-    from slam.fleet.session_config import session_config
     from slam.object_map.map_io import METADATA
+    from slam.provenance import recorded_config
 
     with LogReader(path) as reader:
         found = reader.metadata()
-    return session_config(found.get("dslam") or found.get(METADATA) or {})
+    return recorded_config(found.get("dslam") or found.get(METADATA) or {})

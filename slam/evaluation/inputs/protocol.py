@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Self
 
+import numpy as np
 from pydantic import ConfigDict, PositiveFloat, PositiveInt, ValidationError
 from pydantic.dataclasses import dataclass
 
+from slam.common.arrays import BoolArray, FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.metrics.alignment import STRAIGHT_LINE_RATIO
 from slam.evaluation.metrics.statistics import CONFIDENCE
@@ -37,6 +39,10 @@ class Protocol:
     closure_rotation_deg: PositiveFloat = 10.0
     query_spacing_m: PositiveFloat = 2.0
     revisit_distance_m: PositiveFloat = 5.0
+
+    def is_true(self, error_m: FloatArray, rotation_rad: FloatArray) -> BoolArray:
+        """Whether errors (N,) of poses are those of true closures and right fixes."""
+        return (error_m <= self.closure_translation_m) & (np.rad2deg(rotation_rad) <= self.closure_rotation_deg)
 
     def for_range(self, sensor_range_m: float) -> Self:
         """The same with all lengths in proportion to a sensor range [m]."""

@@ -33,6 +33,7 @@ from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
 from slam.evaluation.inputs.text_reference import TextReference
+from slam.evaluation.report.figures import value_at
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
 
 _ESTIMATED_KINDS = frozenset(
@@ -58,8 +59,7 @@ _Record = TypeVar("_Record", bound=Record)
 class EvaluationRecords:
     """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 
-    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: the metadata of
-    the replay. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
+    ``provenance``: the metadata of the replay.
     """
 
     trajectory: TrajectoryRecord | None = None
@@ -73,9 +73,7 @@ class EvaluationRecords:
     closures: tuple[LoopClosureRecord, ...] = ()
     graph: FactorGraphRecord | None = None
     statuses: tuple[StatusRecord, ...] = ()
-    configuration: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
-    has_prior_map: bool = False
 
     @property
     def status(self) -> StatusRecord | None:
@@ -105,15 +103,16 @@ class EvaluationRecords:
 
     @property
     def sensor_range_m(self) -> float | None:
-        """The sensor range of the run, estimated or given; None if the log does not hold it."""
-        estimated = _read_tree(self.provenance.get("estimated", ""))
-        given = self.configuration.get("calibration", self.configuration).get("detection")
-        range_m = estimated.get("detection.sensor_range_m")
-        if range_m is None and isinstance(given, Mapping):
-            range_m = given.get("sensor_range_m")
-        if not isinstance(range_m, int | float):
-            return None
-        return float(range_m) if 0.0 < range_m < np.inf else None
+        """The sensor range of the run, estimated or given; None if the log, of any version, does not hold it."""
+        estimated, given = (_read_tree(self.provenance.get(name, "")) for name in ("estimated", "configuration"))
+        default = value_at(given, "calibration.detection.sensor_range_m")
+        range_m = estimated.get("detection.sensor_range_m", default)
+        return float(range_m) if isinstance(range_m, int | float) and 0.0 < range_m < np.inf else None
+
+    @property
+    def has_prior_map(self) -> bool:
+        """Whether the robot was to find itself in the map of an earlier drive."""
+        return "map_drives" in self.provenance
 
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
         """These records with the truth of another log, kind by kind where that log has it.
@@ -221,12 +220,7 @@ def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> Eva
             if (kept := tuple(part for part in parts if part in kinds))
         }
         found = collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
-        return replace(
-            found,
-            configuration=_read_tree(provenance.get("configuration", "")),
-            provenance=provenance,
-            has_prior_map="map_drives" in provenance,
-        )
+        return replace(found, provenance=provenance)
 
 
 def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:

@@ -9,14 +9,11 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord, StatusRecord
 from slam.common.arrays import FloatArray
-from slam.common.errors import EvaluationError
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
-from slam.evaluation.metrics.alignment import align_path
+from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import fraction, percentile
-from slam.evaluation.place_recognition.closures import judge_closures
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
 LOST = "LOST"
@@ -24,24 +21,8 @@ MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
 Method = Literal["closure", "map", "trajectory"]
 Span = tuple[int, int | None]
 """Stamps [ns] at which a robot was lost, and at which it knew again where it is; None if it never did."""
-FixError = tuple[float, float] | None
-"""Position error [m] and rotation error [deg] of a fix; None without a fix, or without a true pose at its time."""
-
-
-def locate_map(mapping: EvaluationRecords) -> FloatArray:
-    """``T_world_map`` (4, 4) of a map, from the drive that made it: its final trajectory laid on its truth.
-
-    Args:
-        mapping: records of the output log of the drive that saved the map.
-
-    Raises:
-        EvaluationError: that log has no final trajectory or no truth, or the two cannot be aligned.
-    """
-    if mapping.trajectory is None or not mapping.true_poses:
-        lacks = "final trajectory" if mapping.trajectory is None else "ground truth"
-        raise EvaluationError(f"the log of the drive that made the map has no {lacks}, so the map cannot be located")
-    poses = synchronize(mapping.final_path, mapping.true_path, max_gap_s=Protocol().max_truth_gap_s)
-    return align_path(poses.positions_est, poses.positions_gt).T_world_map
+PlacedPose = tuple[int, FloatArray]
+"""A stamp [ns], and where the robot is in the world by a fix (4, 4)."""
 
 
 def evaluate_relocalization(
@@ -72,11 +53,14 @@ def evaluate_relocalization(
         method: how the error is measured.
     """
     spans = find_losses(records.statuses)
-    if method == "closure":
-        errors = measure_by_closures(records.closures, spans, truth, protocol)
-    else:
-        errors = measure_by_poses(records.online_path, spans, truth, T_world_map, protocol)
-    losses = [_describe_loss(span, error, truth, odometry, protocol) for span, error in zip(spans, errors, strict=True)]
+    poses = records.online_path
+    placed = [
+        _place_by_closure(records.closures, span, truth, protocol)
+        if method == "closure"
+        else _place_by_pose(poses, span, T_world_map)
+        for span in spans
+    ]
+    losses = [_describe_loss(span, each, truth, odometry, protocol) for span, each in zip(spans, placed, strict=True)]
     fixes = [loss for loss in losses if loss["fix_ns"] is not None]
     right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
     undecided = len(fixes) - right - wrong
@@ -110,23 +94,19 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
 
 
 def _describe_loss(
-    span: Span, error: FixError, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol
+    span: Span, placed: PlacedPose | None, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol
 ) -> dict[str, Any]:
     """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
-    error_m, error_deg = error or (None, None)
-    is_right = None
-    if error_m is not None and error_deg is not None:
-        is_near = error_m <= protocol.closure_translation_m
-        is_right = is_near and error_deg <= protocol.closure_rotation_deg
+    error = _error(placed, truth, protocol)
     return {
         "lost_ns": lost_ns,
         "fix_ns": fix_ns,
         "seconds": None if fix_ns is None else (fix_ns - lost_ns) * 1e-9,
         "distance_m": None if fix_ns is None else _travel_m(lost_ns, fix_ns, truth, odometry),
-        "error_m": error_m,
-        "error_deg": error_deg,
-        "is_right": is_right,
+        "error_m": None if error is None else float(error[0]),
+        "error_deg": None if error is None else float(np.rad2deg(error[1])),
+        "is_right": None if error is None else bool(protocol.is_true(*error)),
     }
 
 
@@ -149,59 +129,37 @@ def _share_lost(records: EvaluationRecords, spans: Sequence[Span]) -> float | No
     return lost_ns / (last_ns - first_ns) if last_ns > first_ns else None
 
 
-def measure_by_closures(
-    closures: Sequence[LoopClosureRecord], spans: Sequence[Span], truth: PoseSeries, protocol: Protocol
-) -> list[FixError]:
-    """Errors of the closure of each fix: the last accepted one up to its stamp with a reference from before the loss.
-
-    Args:
-        closures: all records, in the order of the log.
-        spans: losses and fixes.
-        truth: may hold no pose.
-        protocol: the thresholds.
-    """
-    made = [_find_closure(closures, *span) for span in spans]
-    judged = judge_closures([each for each in made if each is not None], {}, truth, protocol)
-    errors = zip(judged["error_m"], np.rad2deg(judged["rotation_rad"]), judged["decided"], strict=True)
-    found = iter((float(m), float(deg)) if decided else None for m, deg, decided in errors)
-    return [None if each is None else next(found) for each in made]
+def _error(placed: PlacedPose | None, truth: PoseSeries, protocol: Protocol) -> FloatArray | None:
+    """Errors [m, rad] of a pose; None without it, or without a true pose at its time."""
+    if placed is None:
+        return None
+    stamp_ns, T_world_body = placed
+    known, T_world_body_gt = find_true_poses(truth, np.array([stamp_ns]), max_gap_s=protocol.max_truth_gap_s)
+    T_error = invert(T_world_body_gt[0]) @ T_world_body
+    return np.array([np.linalg.norm(T_error[:3, 3]), rotation_angle_rad(T_error)]) if known[0] else None
 
 
-def _find_closure(closures: Sequence[LoopClosureRecord], lost_ns: int, fix_ns: int | None) -> LoopClosureRecord | None:
-    """The closure across the break that ended a loss."""
+def _place_by_closure(
+    closures: Sequence[LoopClosureRecord], span: Span, truth: PoseSeries, protocol: Protocol
+) -> PlacedPose | None:
+    """Where the closure across the break that ended a loss puts its query keyframe in the world, at its stamp."""
+    lost_ns, fix_ns = span
     across = [
         c
         for c in closures
         if fix_ns is not None and c.accepted and lost_ns <= c.stamp_ns <= fix_ns and c.reference_stamp_ns < lost_ns
     ]
-    return max(across, key=lambda c: c.stamp_ns, default=None)
+    made = max(across, key=lambda c: c.stamp_ns, default=None)
+    if made is None or made.T_reference_query is None:
+        return None
+    at_ns = np.array([made.reference_stamp_ns])
+    known, T_world_reference = find_true_poses(truth, at_ns, max_gap_s=protocol.max_truth_gap_s)
+    return (made.stamp_ns, T_world_reference[0] @ made.T_reference_query) if known[0] else None
 
 
-def measure_by_poses(
-    poses: PoseSeries,
-    spans: Sequence[Span],
-    truth: PoseSeries,
-    T_world_map: FloatArray | None,
-    protocol: Protocol,
-) -> list[FixError]:
-    """Errors of the first pose at or after each fix, transformed by ``T_world_map`` (4, 4); None for all without it.
-
-    Args:
-        poses: as they were at their time.
-        spans: losses and fixes.
-        truth: may hold no pose.
-        T_world_map: where the truth has the map.
-        protocol: the thresholds.
-    """
-    errors: list[FixError] = [None] * len(spans)
-    if T_world_map is None or not len(poses):
-        return errors
-    fixed = [k for k, (_, fix_ns) in enumerate(spans) if fix_ns is not None and fix_ns <= poses.stamps_ns[-1]]
-    rows = np.searchsorted(poses.stamps_ns, np.array([spans[k][1] for k in fixed], dtype=np.int64))
-    known, T_world_body_gt = find_true_poses(truth, poses.stamps_ns[rows], max_gap_s=protocol.max_truth_gap_s)
-    T_world_body_est = T_world_map @ poses.T_world_body[rows]
-    errors_m = np.linalg.norm(T_world_body_est[:, :3, 3] - T_world_body_gt[:, :3, 3], axis=1)
-    errors_deg = np.rad2deg(rotation_angle_rad(invert(T_world_body_gt) @ T_world_body_est))
-    for k, error_m, error_deg, comparable in zip(fixed, errors_m, errors_deg, known, strict=True):
-        errors[k] = (float(error_m), float(error_deg)) if comparable else None
-    return errors
+def _place_by_pose(poses: PoseSeries, span: Span, T_world_map: FloatArray | None) -> PlacedPose | None:
+    """The first pose at or after a fix, in the world, and its stamp."""
+    row = len(poses) if span[1] is None else int(np.searchsorted(poses.stamps_ns, span[1]))
+    if T_world_map is None or row == len(poses):
+        return None
+    return int(poses.stamps_ns[row]), T_world_map @ poses.T_world_body[row]

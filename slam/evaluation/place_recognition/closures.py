@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -23,12 +23,7 @@ EDGES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
 SURE = 0.99
 
 
-def judge_closures(
-    candidates: Sequence[LoopClosureRecord],
-    stamp_of_keyframe: Mapping[int, int],
-    truth: PoseSeries,
-    protocol: Protocol,
-) -> pd.DataFrame:
+def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
     """Compare each candidate with the relative pose that the truth gives its keyframes.
 
     A candidate is right if its transform is within ``closure_translation_m`` and ``closure_rotation_deg``, both
@@ -36,21 +31,18 @@ def judge_closures(
 
     Args:
         candidates: final decisions, by query stamp; there may be none.
-        stamp_of_keyframe: for logs whose candidates do not have the stamp of their reference (0).
         truth: may hold no pose.
         protocol: the thresholds.
 
     Returns:
-        A row a candidate: the ``record``; of it ``query`` (id), ``stamp_ns``, ``reference_stamp_ns`` (0 if unknown),
+        A row a candidate: the ``record``; of it ``query`` (id), ``stamp_ns``, ``reference_stamp_ns``,
         ``accepted``, ``stage``, ``score``; ``decided``, ``true`` (false where undecided); errors of where it puts the
         query keyframe, 0 where undecided: ``error_m``, ``rotation_rad``; ``travelled_m``: true path up to the query
         keyframe.
     """
     count = len(candidates)
     query_ns = np.array([c.stamp_ns for c in candidates], dtype=np.int64)
-    reference_ns = np.array(
-        [c.reference_stamp_ns or stamp_of_keyframe.get(c.reference_keyframe_id, 0) for c in candidates], dtype=np.int64
-    )
+    reference_ns = np.array([c.reference_stamp_ns for c in candidates], dtype=np.int64)
     known, poses = find_true_poses(truth, np.concatenate([query_ns, reference_ns]), max_gap_s=protocol.max_truth_gap_s)
     T_world_query, T_world_reference = poses[:count], poses[count:]
     registered = np.array([c.T_reference_query is not None for c in candidates], dtype=np.bool_)
@@ -59,7 +51,6 @@ def judge_closures(
     T_world_claimed = T_world_reference @ np.array(T_reference_query).reshape(-1, 4, 4)
     error_m = np.linalg.norm(T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3], axis=1)
     rotation_rad = rotation_angle_rad(invert(T_world_query) @ T_world_claimed)
-    turned_alike = rotation_rad <= np.deg2rad(protocol.closure_rotation_deg)
     return pd.DataFrame(
         {
             "record": pd.Series(candidates, dtype=object),
@@ -70,7 +61,7 @@ def judge_closures(
             "stage": pd.Series([c.stage for c in candidates], dtype=object),
             "score": np.array([c.score for c in candidates], dtype=np.float64),
             "decided": decided,
-            "true": decided & (error_m <= protocol.closure_translation_m) & turned_alike,
+            "true": decided & protocol.is_true(error_m, rotation_rad),
             "error_m": np.where(decided, error_m, 0.0),
             "rotation_rad": np.where(decided, rotation_rad, 0.0),
             "travelled_m": truth.travelled_at_m(query_ns) if len(truth) else np.zeros(count),
@@ -112,7 +103,7 @@ def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol) -> dict[str
     A closure that retrieval found is a discovery; those that it predicts for the keyframes after it and before it are
     checks of the same discovery. So a precision is as sure as its discoveries are many. The independent ones are runs
     of found closures that the truth decides; a run ends where the next query is a submap's length further on.
-    ``proposer_counts``: accepted closures by what proposed their place; none in logs of earlier versions.
+    ``proposer_counts``: accepted closures by what proposed their place.
 
     Args:
         accepted: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.

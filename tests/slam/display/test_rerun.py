@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,8 +23,8 @@ pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptell
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+from slam.display import rerun_viewer
 from slam.display.rerun_view import TIMELINE
-from slam.display.rerun_viewer import start_viewer
 from tools.cli import run
 
 pytestmark = [
@@ -32,6 +33,7 @@ pytestmark = [
 ]
 SETTLE_FRAMES = 2
 PATIENCE_S = 60.0
+PORT = "9877"
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +45,28 @@ def output(tmp_path_factory) -> Path:
 
 @contextmanager
 def opened(path: Path) -> Iterator[ViewerClient]:
-    viewer, address = start_viewer(["--headless"])
+    viewer = subprocess.Popen(
+        [rerun_viewer._executable(), "--headless", "--bind", rerun_viewer.LOOPBACK, "--port", PORT]
+    )
     try:
-        client = ViewerClient.connect(address)
+        client = connect()
         client.open(str(path))
         yield client
     finally:
         viewer.kill()
         viewer.wait()
+
+
+def connect() -> ViewerClient:
+    """To the viewer, once it answers."""
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            return ViewerClient.connect(f"rerun+http://{rerun_viewer.LOOPBACK}:{PORT}/proxy")
+        except Exception:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.1)
 
 
 def screenshot(client: ViewerClient, at_ns: int, is_drawn: Callable[[np.ndarray], bool]) -> np.ndarray:
@@ -113,4 +129,4 @@ def test_a_log_that_was_not_mapped_is_refused(output, tmp_path, capsys):
 def test_a_viewer_that_cannot_start_is_told(monkeypatch):
     monkeypatch.setattr("slam.display.rerun_viewer._executable", lambda: shutil.which("false"))
     with pytest.raises(ViewerError, match="ended with code 1"):
-        start_viewer()
+        rerun_viewer.show_recording(Path("drive.rrd"))

@@ -27,14 +27,13 @@ def session_parts(maps: Iterable[SavedMap]) -> list[Part]:
 
 
 def find_joins(maps: Sequence[SavedMap]) -> list[Join]:
-    sigma_m = CONFIG.calibration.objects.landmark_sigma_m
     counts = range(1, len(maps))
-    return [join for count in counts for join in PlaceIndex(maps[:count], sigma_m=sigma_m).find_joins(maps[count])]
+    return [join for count in counts for join in PlaceIndex(maps[:count], CONFIG).find_joins(maps[count])]
 
 
 def find_pairs(parts: Sequence[Part]) -> list[MapPair]:
     maps = [part.saved for part in parts]
-    return judge_pairs(maps, find_joins(maps), CONFIG)
+    return judge_pairs(len(maps), find_joins(maps), CONFIG)
 
 
 def joined(parts: Sequence[Part]) -> list[Part]:

@@ -21,7 +21,7 @@ STAYS, GOES, COMES, MOVES, MOVED = range(30), 30, 31, 32, 33
 
 def positions() -> np.ndarray:
     """Lamps along both kerbs; a tree goes, another one comes far from there, and a bench moves by 4 m."""
-    lamps = [[3.0 * row, 5.0 * (-1.0) ** row, 0.0] for row in STAYS]
+    lamps = [[3.0 * row, (5.0 + row % 5) * (-1.0) ** row, 0.0] for row in STAYS]
     return np.array([*lamps, [10.0, 7.0, 0.0], [80.0, 7.0, 0.0], [40.0, 8.0, 0.0], [44.0, 8.0, 0.0]])
 
 

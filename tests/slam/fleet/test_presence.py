@@ -78,17 +78,17 @@ def test_what_half_of_the_sessions_see_is_no_change_where_most_are_seen_by_all()
     assert (result.detectability[60:] < 0.6).all()
 
 
-def test_probabilities_are_learned_by_the_length_in_view_from_what_certainly_stood_there() -> None:
+def test_probabilities_are_learned_by_the_distance_from_what_certainly_stood_there() -> None:
     rng = np.random.default_rng(1)
-    in_view_m = rng.uniform(1.0, 60.0, (300, 8))
-    seen = rng.random((300, 8)) < np.where(in_view_m > 30.0, 0.95, 0.5)
+    distances_m = rng.uniform(1.0, 30.0, (300, 8))
+    seen = rng.random((300, 8)) < np.where(distances_m < 15.0, 0.95, 0.5)
     seen[:, [0, -1]] = True
-    in_view_m[:, 1] = 0.0
+    distances_m[:, 1] = 60.0
     seen[:, 1] = False
-    probabilities = seen_probabilities(Passes(seen, in_view_m))
+    probabilities = seen_probabilities(Passes(seen, distances_m))
     middle = slice(2, 7)
     missed = ~seen[:, middle]
-    length_m = in_view_m[:, middle]
-    assert abs(np.median(probabilities[:, middle][missed & (length_m > 36.0)]) - 0.95) < 0.05
-    assert abs(np.median(probabilities[:, middle][missed & (length_m < 20.0)]) - 0.5) < 0.1
+    away_m = distances_m[:, middle]
+    assert abs(np.median(probabilities[:, middle][missed & (away_m < 12.0)]) - 0.95) < 0.05
+    assert abs(np.median(probabilities[:, middle][missed & (away_m > 18.0)]) - 0.5) < 0.1
     assert (probabilities[:, 1] == 0.0).all()

@@ -6,7 +6,8 @@ import pytest
 
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
-from slam.fleet.session_config import common_config, session_config
+from slam.fleet.session_config import common_config
+from slam.provenance import recorded_config
 
 
 def metadata(sigma_m: float) -> dict[str, str]:
@@ -17,7 +18,7 @@ def metadata(sigma_m: float) -> dict[str, str]:
 
 
 def test_what_was_estimated_from_the_log_is_in_force() -> None:
-    config = session_config(metadata(0.2))
+    config = recorded_config(metadata(0.2))
     assert (config.calibration.objects.landmark_sigma_m, config.sensor_range_m) == (0.2, 60.0)
 
 
@@ -29,4 +30,4 @@ def test_maps_are_compared_by_the_less_exact_of_them_but_not_by_an_outlier() -> 
 
 def test_metadata_of_another_version_are_refused_with_the_remedy() -> None:
     with pytest.raises(SavedMapError, match="again"):
-        session_config({"configuration": "{", "estimated": "{}"})
+        recorded_config({"configuration": "{", "estimated": "{}"})

@@ -33,7 +33,7 @@ def test_why_a_log_has_no_map_is_told_by_the_same_bytes_each_time(
 
 def test_map_sessions_refuses_log_that_is_gone_before_it_was_mapped(tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="remove it with --only"):
-        map_sessions([LOG], tmp_path, Config(), workers=1, progress=lambda done, doing: None)
+        map_sessions([LOG], tmp_path, Config(), workers=1, tell=print)
 
 
 def die(log: FleetLog, folder: Path, config: Config) -> Session:
@@ -48,6 +48,6 @@ def test_log_whose_process_dies_is_not_mapped(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "a.mcap").write_bytes(b"a")
     logs = [FleetLog(name, tmp_path / "a.mcap", name) for name in ("a", "b")]
     lines = []
-    sessions = map_sessions(logs, tmp_path, Config(), workers=2, progress=lambda done, doing: lines.append(doing))
+    sessions = map_sessions(logs, tmp_path, Config(), workers=2, tell=lines.append)
     assert lines == ["1/2 a.mcap: not mapped", "2/2 a.mcap: not mapped"]
     assert all("add it again" in session.reason and not session.is_mapped for session in sessions.values())

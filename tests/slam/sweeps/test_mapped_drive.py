@@ -22,9 +22,9 @@ def log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> P
     return write_log(tmp_path_factory.mktemp("tiny") / "tiny.mcap", keep_until(noisy_drive, 5.0))
 
 
-def test_faults_are_applied_to_the_drive_and_its_truth(log: Path, tmp_path: Path) -> None:
+def test_faults_are_applied_to_the_drive_and_its_truth(log: Path) -> None:
     tasks = [DriveTask(log, Config(), faults) for faults in ("", "heading_jump=90", "lengths_scaled=20")]
-    clean, turned, scaled = (map_drive(task, scratch=tmp_path) for task in tasks)
+    clean, turned, scaled = map(map_drive, tasks)
     assert not clean.error + turned.error + scaled.error
     assert clean.figure("trajectory.ate_m") < 0.5
     odometry_m = clean.figure("trajectory.odometry_ate_m")
@@ -35,13 +35,14 @@ def test_faults_are_applied_to_the_drive_and_its_truth(log: Path, tmp_path: Path
 
 
 def test_failure_is_a_result(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "no_such_fault" in map_drive(DriveTask(log, Config(), "no_such_fault"), scratch=tmp_path).error
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert "no_such_fault" in map_drive(DriveTask(log, Config(), "no_such_fault")).error
 
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("broken")
 
     monkeypatch.setattr(mapped_drive, "replay", fail)
-    failed = map_drive(DriveTask(log, Config()), scratch=tmp_path)
+    failed = map_drive(DriveTask(log, Config()))
     assert failed.error == "this should not happen: ZeroDivisionError: broken"
     assert not list(tmp_path.iterdir())
 

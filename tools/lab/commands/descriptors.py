@@ -66,7 +66,7 @@ def descriptors(
     world = load_or_generate(objects, trajectory, seed=0)
     objects_of_map = labelled_map(world)
     methods = list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name]))
-    with console.progress_bar("localizing", "localizing") as move:
+    with console.progress_bar("localizing") as move:
         cells = benchmark_descriptors(
             objects_of_map,
             world.tour,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -48,8 +49,8 @@ def fleet(
 
     plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
     jobs = workers or os.cpu_count() or 1
-    with console.progress_line("fleet") as progress:
-        figures = benchmark_fleet(folder, city or [], plan, workers=jobs, seed=seed, progress=progress)
+    tell = partial(typer.echo, err=True)
+    figures = benchmark_fleet(folder, city or [], plan, workers=jobs, seed=seed, tell=tell)
     if json:
         console.show_json(figures)
     else:

@@ -14,7 +14,7 @@ from tools.lab.tables import Descriptors, Markdown, report, row_of
 if TYPE_CHECKING:
     from tools.lab.retrieval.path_queries import Scenario
 
-RESULTS, PICTURE = "contest.csv", "contest.png"
+RESULTS = "contest.csv"
 COLUMNS = {
     "descriptor": "{proposer}",
     "map": "{map_objects} of {map_classes}",
@@ -78,7 +78,7 @@ def recall(
             "--output",
             "-o",
             metavar="FOLDER",
-            help="Folder of a table and a picture, to which the measurements are added.",
+            help="Folder of a CSV file, to which the measurements are added.",
         ),
     ] = None,
     markdown: Markdown = False,
@@ -98,8 +98,7 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, add_results, run_contest, scenario_of, side_by_side
-    from tools.lab.retrieval.contest_picture import draw_contest
+    from tools.lab.retrieval.contest import Contest, run_contest, scenario_of, side_by_side
 
     proposers = dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])
     contest = Contest(
@@ -111,11 +110,12 @@ def recall(
         seed=seed,
     )
     world = side_by_side([read_object_table(path) for path in objects])
-    with console.progress_bar("measuring", "measuring") as move:
+    with console.progress_bar("measuring") as move:
         cells = run_contest(world, contest, on_progress=move)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        draw_contest(output / PICTURE, add_results(output / RESULTS, cells))
+        path = output / RESULTS
+        cells.to_csv(path, mode="a", header=not path.exists(), index=False, lineterminator="\n")
     found = cells.to_dict("records")
     report(
         [row_of(COLUMNS, {**each, "query": scenario_of(each).describe(contest.scenarios[0])}) for each in found],

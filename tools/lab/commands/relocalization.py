@@ -11,7 +11,7 @@ from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
 from tools.lab.tables import report, row_of
 
 COLUMNS = {
-    "where": "{where}",
+    "where": "everywhere",
     "drives": "{kidnaps}",
     "found": "{success_rate:.1%}",
     "late": "{late_rate:.1%}",
@@ -74,7 +74,7 @@ def relocalization(
     given = map_until if map_log is None else load_prior_map(map_log)
     if not isinstance(given, ImportedMap | float):
         raise typer.BadParameter("this map was made by a drive; give that drive and --map-until.", param_hint="--map")
-    with console.progress_bar("relocalizing", "relocalizing") as move:
+    with console.progress_bar("relocalizing") as move:
         result = benchmark_relocalization(
             log,
             config,
@@ -84,10 +84,9 @@ def relocalization(
             topics=parse_topics(topics),
             on_progress=move,
         )
-    rows = [row_of(COLUMNS, {"where": where, **found}) for where, found in result["groups"].items()]
     elsewhere = [each["is_right"] is not None for each in result["elsewhere"]]
     report(
-        rows,
+        [row_of(COLUMNS, result["everywhere"])],
         "found, late, wrong and lost: per cent of the drives",
         f"outside the map: {sum(elsewhere)} false fixes in {len(elsewhere)} drives",
         title=f"{result['drive']}: {result['landmarks']} landmarks, map ATE {result['map_ate_m']:.2f} m",

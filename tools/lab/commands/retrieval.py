@@ -47,7 +47,7 @@ def retrieval(
     names = descriptor or list(DESCRIPTOR_NAMES)
     figures: list[dict[str, Any]] = []
     for log in logs:
-        with console.progress_bar(f"mapping {log.name}", "mapping") as move:
+        with console.progress_bar(f"mapping {log.name}") as move:
             figures += measure_revisits(log, names, config, topics=parse_topics(topics), on_progress=move)
     report(
         [row_of(COLUMNS, each) for each in figures],

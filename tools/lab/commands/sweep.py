@@ -75,7 +75,7 @@ def sweep(
     variants = {name: load_config(config_file, [*(settings or ()), *more]) for name, more in changed.items()}
     wanted = degrade or [COPIES] if parts else ["", *(degrade or DEFAULT_DEGRADATIONS)]
     tasks = plan_sweep(log, wanted, variants, seeds=seeds, topics=parse_topics(topics))
-    with console.progress_bar("sweeping", "sweeping") as progress:
+    with console.progress_bar("sweeping") as progress:
         swept = run_sweep(tasks, folder, jobs=jobs or os.cpu_count() or 1, on_progress=progress, compute=map_without)
     comparison = swept.compare()
     first = {task.name: result for task, result in swept.results.items() if task.seed == 0}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -83,9 +82,9 @@ PARTS: dict[str, Part] = {
 """By name, in the order of the table."""
 
 
-def map_without(task: DriveTask, *, scratch: Path) -> MappedDrive:
+def map_without(task: DriveTask) -> MappedDrive:
     """Map a drive, with the part off that its variant names, if any."""
     with ExitStack() as stack:
         for name, value in PARTS.get(task.variant, Part()).replaced.items():
             stack.enter_context(patch(f"{_PREFIX}{name}", value))
-        return map_drive(task, scratch=scratch)
+        return map_drive(task)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from slam.common.config import Config
 from slam.fleet.fleet import map_fleet
 from slam.fleet.report import write_report
-from slam.fleet.sessions import MAP_NAME, Progress, session_folder
+from slam.fleet.sessions import MAP_NAME, session_folder
 from slam.object_map.map_io import load_map
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import load_world
@@ -27,7 +27,7 @@ def benchmark_fleet(
     *,
     workers: int,
     seed: int = 0,
-    progress: Progress = lambda done, doing: None,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> dict[str, float]:
     """Simulate a fleet in the generated town and in cities, map it, and compare it with the truth.
 
@@ -40,7 +40,7 @@ def benchmark_fleet(
         plan: how many drives, and what changes.
         workers: logs that are mapped at a time.
         seed: of the simulation.
-        progress: called with the fraction done and what is being done.
+        tell: called with a line for each log that was mapped.
 
     Raises:
         SimulationError, SlamError, LogError: a city that cannot be used, or a file that cannot be written.
@@ -50,7 +50,7 @@ def benchmark_fleet(
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     truth = simulate_fleet(folder / "logs", worlds, plan, seed=seed)
     started, used_s = time.perf_counter(), _processor_s()
-    fleet = map_fleet(truth.logs, folder, Config(), workers=workers, progress=progress)
+    fleet = map_fleet(truth.logs, folder, Config(), workers=workers, tell=tell)
     wall_s, processor_s = time.perf_counter() - started, _processor_s() - used_s
     write_report(folder, fleet)
     maps = [load_map(session_folder(folder, digest, Config()) / MAP_NAME) for digest in fleet.order]

@@ -33,8 +33,6 @@ from tools.lab.relocalization.known_map import KnownMap, known_imported, map_dri
 
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
-OBJECTS = (0, 5, 10, 20)
-"""Places are grouped by the number of objects in the first scan, from these numbers on."""
 _KINDS = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
 _Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
 
@@ -62,8 +60,8 @@ def benchmark_relocalization(
         on_progress: called with the fraction done, in [0, 1].
 
     Returns:
-        ``drive``, ``landmarks`` and ``map_ate_m``; ``groups``: :func:`figures` of places in the map, everywhere and by
-        the number of objects in view; ``outcomes`` there and, far from the map, where any fix is false, ``elsewhere``.
+        ``drive``, ``landmarks`` and ``map_ate_m``; ``everywhere``: :func:`figures` of places in the map; ``outcomes``
+        there and, far from the map, where any fix is false, ``elsewhere``.
 
     Raises:
         LogError: the log cannot be read.
@@ -97,15 +95,11 @@ def benchmark_relocalization(
             first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()
             outcomes.append(put_down(known, _between(records, first_ns, last_ns), config))
             on_progress(len(outcomes) / (len(inside) + len(outside)))
-    found = pd.DataFrame(outcomes[: len(inside)], dtype=object)
-    names = [f"{number}+ objects" for number in OBJECTS]
-    numbers = pd.cut(found["objects"], [*OBJECTS, np.inf], right=False, labels=names)
-    groups = {str(name): figures(group) for name, group in found.groupby(numbers, observed=True)}
     return {
         "drive": path.stem,
         "landmarks": known.landmark_count,
         "map_ate_m": known.ate_m,
-        "groups": {"everywhere": figures(found), **groups},
+        "everywhere": figures(pd.DataFrame(outcomes[: len(inside)], dtype=object)),
         "outcomes": outcomes[: len(inside)],
         "elsewhere": outcomes[len(inside) :],
     }

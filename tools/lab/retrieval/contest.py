@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,10 +18,10 @@ from scipy.spatial import cKDTree
 from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
+from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.random_vector import RandomVector
 from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
-from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
@@ -30,15 +29,12 @@ from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_like
 from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
+from slam.place_recognition.landmark_pairs import Batch, VectorPairs
+from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.parameters import registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
-from tools.lab.retrieval.proposers import Proposer, make_proposer
-
-KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "range_m"]
-KEY += ["queries", "seed"]
-"""Columns that tell one row from all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +83,11 @@ def run_contest(
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, random vectors of the first; one a row.
 
-    ``KEY`` has the columns that tell one from all others. ``map_objects``, ``map_classes``; ``build_s``: time to make
-    the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose (4 m, 10
-    deg) among the first proposals. ``right``: share with a right pose after verification, ``wrong``: share whose
-    verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th
-    percentile. All times are of the processor.
+    Columns: ``proposer``, the fields of the :class:`Scenario`, ``world``, ``map_objects``, ``map_classes``;
+    ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries
+    with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification,
+    ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a
+    query, median and 95th percentile. All times are of the processor.
 
     Args:
         objects: in metres.
@@ -109,31 +105,34 @@ def run_contest(
     runs = list(product(contest.classes, sizes, contest.proposers))
     rows = list[dict[str, Any]]()
     with threadpool_limits(limits=1):
-        for done, (classes, size, proposer) in enumerate(runs, start=1):
-            about = {"world": objects.source, "proposer": proposer, "size": size, "most_classes": classes}
-            about |= {"queries": contest.queries, "seed": contest.seed}
+        for done, (classes, size, name) in enumerate(runs, start=1):
             world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], classes)
-            asked = contest.scenarios[: 1 if proposer == RandomVector.name else None]
-            rows += _measure(world, sizes[0], [about | asdict(scenario) for scenario in asked])
+            asked = contest.scenarios[: 1 if name == RandomVector.name else None]
+            rows += _measure(world, sizes[0], size, name, replace(contest, scenarios=asked))
             on_progress(done / len(runs))
-    return pd.DataFrame(rows)
-
-
-def add_results(path_csv: Path, cells: pd.DataFrame) -> pd.DataFrame:
-    """Add rows to those that a CSV file has, in place of earlier ones with the same :data:`KEY`; returns all of them.
-
-    Raises:
-        UnwritableLogError: it cannot be written.
-    """
-    known = [pd.read_csv(path_csv)] if path_csv.exists() else []
-    every = pd.concat([*known, cells], ignore_index=True).drop_duplicates(KEY, keep="last")
-    write_text(path_csv, every.to_csv(index=False, lineterminator="\n"))
-    return every
+    return pd.DataFrame(rows).assign(world=objects.source)
 
 
 def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
     """The scenario of a row."""
     return Scenario(**{each.name: cell[each.name] for each in fields(Scenario)})
+
+
+def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
+    """The search of a map by a descriptor, by its name in the registry, and the bytes of its index without the map.
+
+    Raises:
+        DescriptorError: a descriptor that does not exist.
+    """
+    index = make_index(name)
+    pairs: PairIndex | VectorPairs
+    if isinstance(index, PairIndex):
+        pairs = index
+        pairs.add(objects.positions, objects.labels)
+    else:
+        pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
+        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
+    return PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary)), index.nbytes
 
 
 def verify(
@@ -159,31 +158,32 @@ def verify(
     return best, bool(log_odds >= -logit(config.localization.error_probability))
 
 
-def _measure(world: LabelledMap, smallest: int, keys: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: Contest) -> list[dict[str, Any]]:
     """A proposer in a map, with the queries of each scenario, which are drawn in the ``smallest`` map."""
-    objects = world.first(keys[0]["size"])
+    objects = world.first(size)
     started = time.process_time()
-    proposer = make_proposer(keys[0]["proposer"], objects)
+    search, nbytes = make_search(name, objects)
     about = {
+        "proposer": name,
         "map_objects": len(objects),
         "map_classes": len(objects.vocabulary),
         "build_s": time.process_time() - started,
-        "bytes_per_object": proposer.nbytes / len(objects),
+        "bytes_per_object": nbytes / len(objects),
     }
     tree = cKDTree(objects.positions[:, :2])
     rows = []
-    for key in keys:
-        rng = np.random.default_rng((key["seed"], 1))  # the same paths, whatever the classes
-        queries = draw_path_queries(world.first(smallest), key["queries"], rng=rng, scenario=scenario_of(key))
-        rows.append({**key, **about, **_ask(proposer, objects, tree, queries, key["range_m"])})
+    for scenario in contest.scenarios:
+        rng = np.random.default_rng((contest.seed, 1))  # the same paths, whatever the classes
+        queries = draw_path_queries(world.first(smallest), contest.queries, rng=rng, scenario=scenario)
+        rows.append({**about, **asdict(scenario), **_ask(search, objects, tree, queries, scenario.range_m)})
     return rows
 
 
 def _ask(
-    proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery], range_m: float
+    search: PlaceSearch, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery], range_m: float
 ) -> dict[str, float]:
     """Shares and times of a cell."""
-    answers = pd.DataFrame([_answer(proposer, objects, tree, query, range_m) for query in queries])
+    answers = pd.DataFrame([_answer(search, objects, tree, query, range_m) for query in queries])
     return {
         **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
         "right": float(answers["right"].mean()),
@@ -195,12 +195,12 @@ def _ask(
 
 
 def _answer(
-    proposer: Proposer, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
+    search: PlaceSearch, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
 ) -> dict[str, float]:
     """The rank of the first right proposal from 0, whether the verified pose is right, or accepted and wrong; times."""
     truth = query.T_map_query_gt[None]
     started = time.process_time()
-    poses = proposer.propose(query.submap, RECALL_AT[-1])
+    poses = search.find_poses(query.submap, map_sigma_m=SURVEYED_SIGMA_M, count=RECALL_AT[-1])
     proposed = time.process_time()
     T_verified, is_accepted = verify(
         query.submap, poses[: Config().loop_closure.max_candidates], objects, tree, range_m

@@ -48,8 +48,6 @@ def labelled_map(world: World) -> LabelledMap:
 
 def is_right(poses: FloatArray, truth: FloatArray) -> BoolArray:
     """Which poses (H, 4, 4) are within 4 m and 10 deg of a true one (R, 4, 4), as in the protocol of closures: (H,)."""
-    protocol = Protocol()
     T_error = invert(truth)[None] @ poses[:, None]
-    near = np.linalg.norm(T_error[..., :3, 3], axis=2) <= protocol.closure_translation_m
-    near &= rotation_angle_rad(T_error) <= np.deg2rad(protocol.closure_rotation_deg)
-    return np.asarray(near.any(axis=1))
+    is_near = Protocol().is_true(np.linalg.norm(T_error[..., :3, 3], axis=2), rotation_angle_rad(T_error))
+    return np.asarray(is_near.any(axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, replace
 
 import pytest
@@ -25,13 +26,14 @@ def test_for_range_scales_only_lengths():
         ('{"detection.sensor_range_m": 7.5}', 30.0, 7.5),
         ("{}", 60.0, 60.0),
         ("", None, None),
-        ('{"detection.sensor_range_m": "far"}', 30.0, None),
-        ('{"detection.sensor_range_m": -1.0}', 30.0, None),
+        ('{"detection.sensor_range_m": "far"}', 60.0, None),
+        ('{"detection.sensor_range_m": -1.0}', 60.0, None),
     ],
 )
 def test_sensor_range_is_estimated_or_given(estimated, given, expected):
-    configuration = {} if given is None else {"detection": {"sensor_range_m": given}}
-    records = EvaluationRecords(configuration=configuration, provenance={"estimated": estimated})
+    detection = {} if given is None else {"sensor_range_m": given}
+    made = {"configuration": json.dumps({"calibration": {"detection": detection}}), "estimated": estimated}
+    records = EvaluationRecords(provenance=made)
     assert records.sensor_range_m == expected
     assert protocol_of(records).revisit_m == pytest.approx(100.0 if expected is None else expected / RANGE_M * 100.0)
 

@@ -170,9 +170,6 @@ def rolled(record: LoopClosureRecord, degrees: float) -> LoopClosureRecord:
             {"average_precision": 1.0, "recall_at_full_precision": 1.0, "missed_by_stage": {"acceptance": COUNT}},
             id="the curve includes rejected candidates",
         ),
-        pytest.param(
-            [replace(loop(200), reference_stamp_ns=0)], TRUTH, {"true_count": 1}, id="no stamp of the reference"
-        ),
     ],
 )
 def test_figures(records: list[LoopClosureRecord], truth: PoseSeries, expected: Mapping[str, object]) -> None:
@@ -210,10 +207,6 @@ def test_two_keyframes_with_one_stamp() -> None:
     found = evaluate_closures([replace(loop(200), query_keyframe_id=999)], TRUTH, ids, stamps_ns)
     figures = found.to_json_dict()["closures"]
     assert (figures["precision"], figures["recall"], figures["revisit_count"]) == (1.0, 0.0, 1)
-
-
-def test_a_reference_without_stamp_and_keyframe_is_undecided() -> None:
-    assert judge([replace(loop(200), reference_stamp_ns=0)], TRUTH, [200])["undecided_count"] == 1
 
 
 def test_a_drive_that_starts_at_zero() -> None:

@@ -62,10 +62,13 @@ def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
         ("random", 50, 3),
     ]
     missing = ("--missing", 0.1, "--missing", 0.2)
-    again = dslam(*asked, "--descriptor", "descriptellation_lr", *missing, "--markdown", "-o", tmp_path)
+    asking = (*asked, "--descriptor", "descriptellation_lr", *missing, "--markdown", "-o", tmp_path)
+    again = dslam(*asking)
     rows = [line.split(" | ")[:3] for line in again.out.splitlines() if line.startswith("| descriptellation_lr")]
     assert [row[2] for row in rows if row[1] == "50 of 1"][1] == "20% missing"
     assert again.out.count("| random |") == 2  # random vectors in each map, with the first values
-    assert (tmp_path / "contest.csv").is_file()
-    assert (tmp_path / "contest.png").is_file()
+    before = pd.read_csv(tmp_path / "contest.csv")
+    dslam(*asking)
+    added = pd.read_csv(tmp_path / "contest.csv")
+    assert added["at_1"].tolist() == 2 * before["at_1"].tolist()
     assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")

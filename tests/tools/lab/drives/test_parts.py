@@ -15,24 +15,24 @@ from tools.lab.drives.parts import PARTS, map_without
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_settings_and_functions_of_each_part_exist(part: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_settings_and_functions_of_each_part_exist(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     off = PARTS[part]
     assert (load_config(None, off.settings) != Config()) == bool(off.settings)
     assert off.settings or off.replaced
 
-    def map_nothing(task: DriveTask, *, scratch: Path) -> MappedDrive:
+    def map_nothing(task: DriveTask) -> MappedDrive:
         replaced = [pkgutil.resolve_name(name) is value for name, value in PARTS[part].replaced.items()]
         return MappedDrive(log_s=float(all(replaced) if task.variant else any(replaced)))
 
     monkeypatch.setattr(parts, "map_drive", map_nothing)
     task = DriveTask(SAMPLE, Config(), variant=part)
-    assert map_without(task, scratch=tmp_path).log_s == 1.0
-    assert map_without(DriveTask(SAMPLE, Config()), scratch=tmp_path).log_s == 0.0
+    assert map_without(task).log_s == 1.0
+    assert map_without(DriveTask(SAMPLE, Config())).log_s == 0.0
 
 
 def test_sweep_compares_with_the_whole_method(dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figures = {"trajectory": {"ate_m": 0.5}}
-    monkeypatch.setattr(parts, "map_drive", lambda task, scratch: MappedDrive(figures, ("optimised",)))
+    monkeypatch.setattr(parts, "map_drive", lambda task: MappedDrive(figures, ("optimised",)))
     command = ("sweep", SAMPLE, "-o", tmp_path / "out", "--jobs", 1, "--seeds", 2)
     result = dslam(*command, "--part", "calibration", "--part", "labels", "--markdown")
     assert (result.code, result.err) == (0, "")

@@ -1,10 +1,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from descriptors.errors import DescriptorError
@@ -12,7 +10,7 @@ from logs.importers.maps.map_objects import MapObjects
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
-from tools.lab.retrieval.contest import Contest, add_results, run_contest, side_by_side
+from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
 
 
 def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
@@ -48,18 +46,6 @@ def test_the_same_paths_are_asked_with_any_classes() -> None:
     after_another = run_contest(town(600, 400.0), replace(contest, classes=(1, 6))).iloc[1]
     same = ["map_classes", "at_1", "right"]
     assert alone[same].tolist() == after_another[same].tolist()
-
-
-def test_results_are_added_to_those_in_file(tmp_path: Path) -> None:
-    path = tmp_path / "contest.csv"
-    first = run_contest(town(600, 400.0), Contest(("random",), sizes=(300,), queries=1))
-    assert len(add_results(path, first)) == 1
-    both = add_results(path, pd.concat([first.assign(right=0.5), first.assign(proposer="gosmatch_vertex")]))
-    assert both[["proposer", "right"]].to_numpy().tolist() == [
-        ["random", 0.5],
-        ["gosmatch_vertex", first["right"].iloc[0]],
-    ]
-    assert len(pd.read_csv(path)) == 2
 
 
 def test_maps_side_by_side_do_not_meet() -> None:
