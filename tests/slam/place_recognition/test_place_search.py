@@ -157,3 +157,21 @@ def test_objects_are_met_no_farther_than_the_next_object_of_the_map() -> None:
     asked = _query(positions, np.zeros(2, dtype=np.int64), np.full(2, 5.0))
     apart_m, _ = search._met(_Poses(np.array([asked.middle]), np.ones(1, dtype=complex)), asked, np.full(2, 5.0))
     np.testing.assert_allclose(apart_m, [[1.0, np.inf]], atol=1e-6)
+
+
+def test_objects_near_a_place_are_of_all_classes() -> None:
+    positions, labels = town(500, classes=3)
+    search = searched(positions, labels, 3)
+    for place in positions[[0, 100], :2] + 3.0:
+        apart_m = np.linalg.norm(positions[:, :2] - place, axis=1)
+        np.testing.assert_array_equal(search.near(place, 40.0), np.flatnonzero(apart_m <= 40.0))
+    assert len(search.near(np.array([-1e4, 0.0]), 40.0)) == 0
+
+
+def test_an_object_meets_another_of_its_class_only() -> None:
+    positions, labels = town(500, classes=2)
+    search = searched(positions, labels, 2)
+    near = query(positions[:20], labels[:20])
+    exchanged = query(positions[:20], 1 - labels[:20])
+    assert search.count_met(near, np.eye(4)[None]).tolist() == [20]
+    assert search.count_met(exchanged, np.eye(4)[None])[0] < 5
