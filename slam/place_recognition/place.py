@@ -16,7 +16,8 @@ class Place:
     of a ``segment``.
 
     ``proposer``: one of :data:`logs.messages.PROPOSERS`;
-    ``rank``: from 1, among the places retrieved for a query, 0 for a place that was not retrieved.
+    ``rank``: from 1, among the places retrieved for a query, 0 for a place that was not retrieved;
+    ``predicted_by``: the keyframe whose closure predicts the pose, None if none does.
     """
 
     T_local_query: FloatArray
@@ -24,6 +25,7 @@ class Place:
     segment: int
     proposer: str
     rank: int = 0
+    predicted_by: int | None = None
 
 
 def traversal_of(object_map: ObjectMap, rows: IntArray, *, extent_m: float) -> tuple[int, float]:

@@ -138,10 +138,6 @@ class PlaceRetriever:
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
         return Place(T_local_query, travel_m, segment, "descriptor")
 
-    def first_seen_travels_m(self, submap: Submap) -> FloatArray:
-        """Travel [m] at which each landmark (N,) of a submap was first seen."""
-        return np.asarray(self._map.rows["first_seen_travel_m"][submap.rows])
-
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         """The landmarks around a place from its traversal, in the odometry frame.
 
