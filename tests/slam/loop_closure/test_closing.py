@@ -197,9 +197,13 @@ def test_a_retrieved_closure_predicts_those_after_it(parts):
     assert accepted(drive.close(FIRST + 2)) == {}
 
 
-@pytest.mark.parametrize(("count", "is_known"), [(MIN_INLIERS - 1, False), (MIN_INLIERS, True)])
-def test_a_place_is_known_where_landmarks_of_an_earlier_traversal_are_still_associated(parts, count, is_known):
+@pytest.mark.parametrize(
+    ("objects", "count", "is_known"),
+    [(10, 5, False), (10, 6, True), (MIN_INLIERS, MIN_INLIERS - 1, False), (MIN_INLIERS, MIN_INLIERS, True)],
+)
+def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts, objects, count, is_known):
     drive = Drive(parts)
+    parts.objects = objects
     parts.llrs = dict.fromkeys((FIRST, FIRST + 1), SURE_LLR)
     assert accepted(drive.close(FIRST)) == {FIRST: None}
     drive.map.rows["first_seen_travel_m"][:count] = 10.0
