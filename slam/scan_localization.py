@@ -27,7 +27,6 @@ from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, TRAVEL_M
-from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 
 Verified = Candidate | LoopClosureRecord
@@ -122,12 +121,8 @@ class ScanLocalizer:
         return len(query.submap) >= MIN_OBJECTS
 
     def propose(self, query: Query) -> list[Verified]:
-        """The candidates that retrieval proposes, as for a drive."""
+        """The candidates at the places that retrieval proposes, as for a drive, or the reasons why there is none."""
         places = self._retriever.propose(query.submap, before_m=query.before_m)
-        return self.verify(query, places)
-
-    def verify(self, query: Query, places: Sequence[Place]) -> list[Verified]:
-        """The candidates at places of the map, or the reasons why there is none."""
         return [self._verifier.verify(query, place) for place in places]
 
     def decide(self, query: Query, verified: Sequence[Verified]) -> Decision:

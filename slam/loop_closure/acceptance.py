@@ -19,7 +19,6 @@ fits.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,7 +28,6 @@ from scipy.special import expit, logit
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.verification import Verifier
@@ -49,7 +47,6 @@ class Acceptance:
     """Accepts the candidate that is wrong with a probability below ``error_probability``."""
 
     def __init__(self, config: Config, verifier: Verifier) -> None:
-        self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -float(logit(config.localization.error_probability))
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
@@ -57,12 +54,6 @@ class Acceptance:
     def is_acceptable(self, candidate: Candidate) -> bool:
         """Whether a candidate would be accepted if there was no other."""
         return candidate.score >= self._least_log_odds
-
-    def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
-        """Whether landmarks, seen on some travel first, make a predicted pose less likely than a failure of the
-        odometry there.
-        """
-        return log_likelihood_ratio < math.log(failure_probability(self._failures_per_km, travel_m))
 
     def decide(self, query: Query, verified: Sequence[Candidate | LoopClosureRecord]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.

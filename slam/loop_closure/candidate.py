@@ -84,22 +84,14 @@ class Candidate:
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
     ) -> LoopClosureRecord:
         """The candidate with its decision, as a record of a log."""
-        return LoopClosureRecord(
-            stamp_ns=self.query.odometry.stamp_ns,
-            query_keyframe_id=self.query.id,
-            reference_keyframe_id=self.reference.id,
-            accepted=stage == Stage.ACCEPTED,
-            stage=stage.value,
-            reason=reason,
+        return replace(
+            _record(self.query, stage, reason, self.reference, self.place),
             inlier_count=len(self.pairs),
             inlier_fraction=self.matched_fraction,
             score=self.score,
             T_reference_query=self.T_reference_query,
             covariance=self.covariance,
-            reference_stamp_ns=self.reference.odometry.stamp_ns,
             inserted=inserted,
-            rank=self.place.rank,
-            proposer=self.place.proposer,
             log_likelihood_ratio=self.log_likelihood_ratio,
             odometry_penalty=self.odometry_penalty,
             posterior_log_odds=self.posterior_log_odds,
@@ -142,14 +134,20 @@ class Query:
         self, stage: Stage, reason: str, reference: Keyframe | None = None, *, place: Place | None = None
     ) -> LoopClosureRecord:
         """The record of a candidate that was rejected before it had a pose."""
-        return LoopClosureRecord(
-            stamp_ns=self.keyframe.odometry.stamp_ns,
-            query_keyframe_id=self.keyframe.id,
-            reference_keyframe_id=reference.id if reference else -1,
-            accepted=False,
-            stage=stage.value,
-            reason=reason,
-            reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
-            rank=place.rank if place else 0,
-            proposer=place.proposer if place else "",
-        )
+        return _record(self.keyframe, stage, reason, reference, place)
+
+
+def _record(
+    query: Keyframe, stage: Stage, reason: str, reference: Keyframe | None, place: Place | None
+) -> LoopClosureRecord:
+    return LoopClosureRecord(
+        stamp_ns=query.odometry.stamp_ns,
+        query_keyframe_id=query.id,
+        reference_keyframe_id=reference.id if reference else -1,
+        accepted=stage == Stage.ACCEPTED,
+        stage=stage.value,
+        reason=reason,
+        reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
+        rank=place.rank if place else 0,
+        proposer=place.proposer if place else "",
+    )

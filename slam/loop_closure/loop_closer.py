@@ -19,6 +19,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
+from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
@@ -197,7 +198,9 @@ class LoopCloser:
         return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
-        """Whether the landmarks that came into view on the last sensor range of travel contradict a predicted place."""
+        """Whether landmarks that came into view on the last sensor range of travel make a predicted place less likely than
+        a failure of the odometry there.
+        """
         if isinstance(predicted.verified, Candidate):
             ratios = predicted.verified.log_likelihood_ratios
         else:
@@ -206,7 +209,8 @@ class LoopCloser:
         is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
             landmarks["first_seen_travel_m"] <= query.travel_m - self._sensor_range_m
         )
-        return self._acceptance.is_contradicted(changed_log_likelihood_ratio(ratios[~is_old]), self._sensor_range_m)
+        failed = failure_probability(self._config.localization.failures_per_km, self._sensor_range_m)
+        return bool(changed_log_likelihood_ratio(ratios[~is_old]) < np.log(failed))
 
     def _is_elsewhere(self, predicted: Predicted, candidate: Candidate) -> bool:
         """Whether a candidate is farther than registration reaches from a predicted place."""

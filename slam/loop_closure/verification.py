@@ -70,8 +70,6 @@ class Verifier:
 
     def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
-        if self._nearest(place, query, within_m=self._sensor_range_m + self.reach_m) is None:
-            return self._out_of_reach(query, place)
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
         registration = register(query.submap, submap, place.T_local_query, self._registration)
         if registration.T_reference_query is None:
@@ -80,7 +78,8 @@ class Verifier:
         registered = replace(place, T_local_query=registration.T_reference_query)
         reference = self._nearest(registered, query, within_m=self._sensor_range_m)
         if reference is None:
-            return self._out_of_reach(query, place)
+            reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
+            return query.refusal(Stage.REGISTRATION, reason, place=place)
         return self._candidate(query, place, submap, registration, reference)
 
     def unmatched(self, query: Query, place: Place) -> FloatArray:
@@ -169,10 +168,6 @@ class Verifier:
     def _ratio(self, query: Query, submap: Submap, T_local_query: FloatArray, pairs: IntArray) -> LikelihoodRatio:
         shares = self._retriever.class_shares()
         return compute_log_likelihood_ratio(query.submap, submap, T_local_query, pairs, self._sensor_range_m, shares)
-
-    def _out_of_reach(self, query: Query, place: Place) -> LoopClosureRecord:
-        reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
-        return query.refusal(Stage.REGISTRATION, reason, place=place)
 
     def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
         """The nearest keyframe of the reference traversal, if it is so near.

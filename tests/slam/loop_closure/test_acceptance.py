@@ -90,13 +90,6 @@ def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns):
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
 
 
-def test_a_predicted_place_is_contradicted_once_a_failure_of_the_odometry_is_likelier(acceptance):
-    """One failure in 1,000 km: on 100 m one in 10,000, which are 9.2 nats."""
-    assert not acceptance.is_contradicted(-9.2, 100.0)
-    assert acceptance.is_contradicted(-9.3, 100.0)
-    assert acceptance.is_contradicted(-9.2, 200.0)
-
-
 def test_posterior_odds_are_against_somewhere_new_and_all_that_cannot_be_true_too(acceptance, patterns):
     assert acceptance._posterior_log_odds([candidate(0.0, 18.0)]) == pytest.approx([18.0 - PENALTY])
     both = [candidate(0.0, 40.0), candidate(50.0, 38.0)]
