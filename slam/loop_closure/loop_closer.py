@@ -198,8 +198,8 @@ class LoopCloser:
         return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
-        """Whether landmarks that came into view on the last sensor range of travel make a predicted place less likely than
-        a failure of the odometry there.
+        """Whether landmarks that came into view on the last sensor range of travel make a predicted place less likely
+        than a failure of the odometry there.
         """
         if isinstance(predicted.verified, Candidate):
             ratios = predicted.verified.log_likelihood_ratios
