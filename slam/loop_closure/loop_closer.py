@@ -116,12 +116,12 @@ class LoopCloser:
         if self._has_prior_map and predicted is not None and self._is_contradicted(query, predicted):
             record = query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")
             return Outcome([record], query.travel_m - self._sensor_range_m)
+        if (propagated := self._confirmed(predicted)) is not None:
+            return Outcome([self._accept(propagated)])
         # 2. Where landmarks of an earlier traversal are still associated there is no loop to close.
         if (tracked := self._tracked_reference(query)) is not None:
             self.closures.add_tracked(keyframe, tracked)
             return Outcome([query.tracked(tracked)])
-        if (propagated := self._confirmed(predicted)) is not None:
-            return Outcome([self._accept(propagated)])
         # 3. Elsewhere retrieval proposes places.
         if (alike := self._looked_up_alike(query)) is not None:
             return Outcome([query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")])
@@ -169,13 +169,12 @@ class LoopCloser:
         return query
 
     def _tracked_reference(self, query: Query) -> Keyframe | None:
-        """The nearest keyframe of the earlier traversal that most landmarks of the query are from, still associated.
+        """The nearest keyframe of an earlier traversal, landmarks of which are still associated.
 
         None if these are too few for a pose, or the robot is lost, so that they do not tell where it is.
         """
         first_seen_m = self._map.rows["first_seen_travel_m"][query.submap.rows]
-        tracked_count = np.count_nonzero(first_seen_m < query.before_m)
-        is_known = tracked_count >= MIN_INLIERS and 2 * tracked_count > len(first_seen_m)
+        is_known = np.count_nonzero(first_seen_m < query.before_m) >= MIN_INLIERS
         if not is_known or not self.closures.is_localized(query.keyframe):
             return None
         place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment
@@ -195,7 +194,9 @@ class LoopCloser:
             return None
         candidate = predicted.verified
         agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
-        return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
+        # A landmark that is still associated matches itself, which says nothing new.
+        is_new = 2 * np.count_nonzero(np.equal(*candidate.pairs.T)) <= len(candidate.pairs)
+        return candidate if agrees and is_new and self._acceptance.is_acceptable(candidate) else None
 
     def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
         """Whether landmarks that came into view on the last sensor range of travel make a predicted place less likely

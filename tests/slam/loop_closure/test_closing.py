@@ -49,6 +49,7 @@ class Parts(Patterns):
         self.places = [PLACE]
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
+        self.pairs: list[tuple[int, int]] = []
         self.kidnapped_after_m: float | None = None
         self.closed: dict[int, int] = {}
         self.recognised: list[tuple[int, int]] = []
@@ -71,6 +72,7 @@ class Parts(Patterns):
             reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
             T_local_query=at(query.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
+            pairs=self.pairs,
         )
         return replace(found, place=place)
 
@@ -195,14 +197,23 @@ def test_a_retrieved_closure_predicts_those_after_it(parts):
 
 
 @pytest.mark.parametrize(
-    ("objects", "count", "is_known"),
-    [(10, 5, False), (10, 6, True), (MIN_INLIERS, MIN_INLIERS - 1, False), (MIN_INLIERS, MIN_INLIERS, True)],
+    ("pairs", "predicts"), [([(1, 1), (2, 2), (3, 4)], False), ([(1, 1), (2, 2), (3, 4), (5, 6)], True)]
 )
-def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts, objects, count, is_known):
+def test_landmarks_that_match_themselves_confirm_no_predicted_closure(parts, pairs, predicts):
     drive = Drive(parts)
-    parts.objects = objects
-    parts.llrs = dict.fromkeys((FIRST, FIRST + 1), SURE_LLR)
-    assert accepted(drive.close(FIRST)) == {FIRST: None}
+    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
+    drive.close(FIRST)
+    parts.pairs = pairs
+    assert bool(accepted(drive.close(FIRST + 1))) == predicts
+
+
+@pytest.mark.parametrize(("count", "is_known"), [(MIN_INLIERS - 1, False), (MIN_INLIERS, True)])
+def test_a_place_is_known_where_landmarks_of_an_earlier_traversal_are_still_associated(parts, count, is_known):
+    drive = Drive(parts)
+    parts.llrs, parts.new_rows = {FIRST: WEAK_LLR, FIRST + 1: SURE_LLR}, 10
+    assert accepted(drive.close(FIRST)) == {}
+    parts.new_rows = 0
+    parts.first_row = 0
     drive.map.rows["first_seen_travel_m"][:count] = 10.0
     (record,) = drive.close(FIRST + 1)
     assert (record.stage, record.accepted) == (("association", False) if is_known else ("accepted", True))
