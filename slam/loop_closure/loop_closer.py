@@ -169,12 +169,13 @@ class LoopCloser:
         return query
 
     def _tracked_reference(self, query: Query) -> Keyframe | None:
-        """The nearest keyframe of an earlier traversal, landmarks of which are still associated.
+        """The nearest keyframe of the earlier traversal that most landmarks of the query are from, still associated.
 
         None if these are too few for a pose, or the robot is lost, so that they do not tell where it is.
         """
         first_seen_m = self._map.rows["first_seen_travel_m"][query.submap.rows]
-        is_known = np.count_nonzero(first_seen_m < query.before_m) >= MIN_INLIERS
+        tracked_count = np.count_nonzero(first_seen_m < query.before_m)
+        is_known = tracked_count >= MIN_INLIERS and 2 * tracked_count > len(first_seen_m)
         if not is_known or not self.closures.is_localized(query.keyframe):
             return None
         place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment

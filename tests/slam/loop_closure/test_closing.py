@@ -207,9 +207,13 @@ def test_landmarks_that_match_themselves_confirm_no_predicted_closure(parts, pai
     assert bool(accepted(drive.close(FIRST + 1))) == predicts
 
 
-@pytest.mark.parametrize(("count", "is_known"), [(MIN_INLIERS - 1, False), (MIN_INLIERS, True)])
-def test_a_place_is_known_where_landmarks_of_an_earlier_traversal_are_still_associated(parts, count, is_known):
+@pytest.mark.parametrize(
+    ("objects", "count", "is_known"),
+    [(10, 5, False), (10, 6, True), (MIN_INLIERS, MIN_INLIERS - 1, False), (MIN_INLIERS, MIN_INLIERS, True)],
+)
+def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts, objects, count, is_known):
     drive = Drive(parts)
+    parts.objects = objects
     parts.llrs, parts.new_rows = {FIRST: WEAK_LLR, FIRST + 1: SURE_LLR}, 10
     assert accepted(drive.close(FIRST)) == {}
     parts.new_rows = 0
