@@ -8,7 +8,7 @@ prior is uniform over the map, and the alternatives are the other candidates and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from slam.common.errors import InputDataError
 from slam.localization.prior_map import restore_map_frame
 from slam.loop_closure.acceptance import Acceptance, Decision
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.verification import MIN_OBJECTS, Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
@@ -28,7 +27,6 @@ from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, TRAVEL_M
-from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 
 Verified = Candidate | LoopClosureRecord
@@ -116,30 +114,20 @@ class ScanLocalizer:
         distances_m = np.hypot(positions[:, 0], positions[:, 1])
         sigmas = np.hypot(self._objects.landmark_sigma_m, self._objects.landmark_sigma_per_m * distances_m)
         labels = np.array([self._number[scan.labels[row]] for row in known.tolist()], dtype=np.int64)
-        return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4))
+        return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4), before_m=0.0)
 
     def has_enough_objects(self, query: Query) -> bool:
         """Whether it has enough objects for a pose."""
         return len(query.submap) >= MIN_OBJECTS
 
     def propose(self, query: Query) -> list[Verified]:
-        """The candidates that retrieval proposes, as for a drive."""
-        places = self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query))
-        return self.verify(query, places)
-
-    def verify(self, query: Query, places: Sequence[Place]) -> list[Verified]:
-        """The candidates at places of the map, or the reasons why there is none."""
+        """The candidates at the places that retrieval proposes, as for a drive, or the reasons why there is none."""
+        places = self._retriever.propose(query.submap, before_m=query.before_m)
         return [self._verifier.verify(query, place) for place in places]
 
     def decide(self, query: Query, verified: Sequence[Verified]) -> Decision:
         """The accepted candidate, if there is one; the reason of the likeliest one comes last."""
-        refused = tuple(each for each in verified if isinstance(each, LoopClosureRecord))
-        found = [each for each in verified if isinstance(each, Candidate)]
-        if not found:
-            return Decision(refused)
-        candidates = suppress_non_maxima(found, sensor_range_m=self._sensor_range_m)
-        decision = self._acceptance.decide(query, candidates)
-        return replace(decision, rejected=(*refused, *decision.rejected))
+        return self._acceptance.decide(query, verified)
 
 
 def _not_found(reason: str) -> ScanLocalization:

@@ -42,7 +42,7 @@ from slam.localization.gnss import GnssPrior
 from slam.localization.pose_output import PoseOutput
 from slam.localization.prior_map import PriorMap, relocalizations, restore_prior_map, with_heights_of
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
-from slam.loop_closure.loop_closer import LoopCloser
+from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
@@ -86,7 +86,7 @@ class Slam:
         track = OdometryTrack(self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m)
         self._frontend = Frontend(config.calibration.detection, self._frames, track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
-        self._closer.initial_pose = initial_pose
+        self._initial_pose = None if prior_map is None else initial_pose
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
@@ -127,7 +127,7 @@ class Slam:
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
             if self._gnss is not None and self._path.latest is not None:
-                self._closer.initial_pose = self._gnss.add(record, self._path.latest.travel_m)
+                self._initial_pose = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
             self._frontend.add_detections(record)
         elif isinstance(record, Odometry):
@@ -185,7 +185,6 @@ class Slam:
         ):
             self.counters["covariances_missing"] = unknown
         self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
-        self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
         graph, object_map = self._graph.to_record(stamp_ns, stamps_ns), self._object_map.to_record(stamp_ns)
         trajectory = final_trajectory(self._path, own, T_map_body, stamp_ns)
@@ -232,9 +231,10 @@ class Slam:
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
-        closures, began = self._close_loops(keyframe), DISCONTINUITY if breaks else ""
-        if self._closer.lost_after_m is not None:
-            revoked, is_kidnapped = self._declare_lost(keyframe, self._closer.lost_after_m)
+        outcome, began = self._close_loops(keyframe), DISCONTINUITY if breaks else ""
+        closures = outcome.records
+        if outcome.lost_after_m is not None:
+            revoked, is_kidnapped = self._declare_lost(keyframe, outcome.lost_after_m)
             closures += revoked
             began = KIDNAPPED if is_kidnapped else began
             keyframe = self._mapper.keyframes[-1]
@@ -285,13 +285,13 @@ class Slam:
             self.counters["relocalizations"] += 1
         return [self._status(change.state, change.message, level=change.level) for change in changes]
 
-    def _close_loops(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
+    def _close_loops(self, keyframe: Keyframe) -> Outcome:
         if not self._config.loop_closure.enabled:
-            return []
+            return Outcome([])
         started = time.perf_counter()
-        closures = self._closer.close(keyframe)
+        outcome = self._closer.close(keyframe, self._initial_pose)
         self.closing_seconds.append(time.perf_counter() - started)
-        return closures
+        return outcome
 
     def _status(self, state: State, message: str, *, level: str) -> StatusRecord:
         counters = {key: int(value) for key, value in sorted(self.counters.items())}

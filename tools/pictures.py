@@ -15,6 +15,8 @@ def draw_drive(log: Path, picture: Path, known: PriorMap | None = None) -> None:
     """Draw what a replay mapped; in a ``known`` map the path over the landmarks of that map."""
     from dataclasses import replace
 
+    import numpy as np
+
     from slam.display.map_picture import draw_map
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
@@ -23,7 +25,7 @@ def draw_drive(log: Path, picture: Path, known: PriorMap | None = None) -> None:
     records = read_records(log)
     whole = compose_picture(records, evaluate(records), title=log.stem)
     if known is not None:
-        positions = known.positions_around(whole.estimate)
+        positions = known.positions_around(np.concatenate([whole.estimate, whole.landmarks]))
         whole = replace(whole, landmarks=positions[:0], labels=(), known=positions)
     draw_map(picture, whole)
 

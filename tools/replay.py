@@ -118,7 +118,7 @@ def describe(summary: ReplaySummary) -> dict[str, str]:
         "keyframes": f"{counters['keyframes']}" + (f", {condensed} condensed into earlier ones" if condensed else ""),
         "landmarks": ", ".join(f"{counters[f'landmarks_{state}']} {state}" for state in _LANDMARK_STATES),
         "loops": f"{accepted} loop closures accepted ({retrieved} retrieved, {accepted - retrieved} propagated), "
-        f"{counters['closures_inserted']} factors" + _odometry_note(counters["closures_rejected_by_odometry"]),
+        f"{counters['closures_inserted']} factors",
         "found": ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes),
         "warnings": "; ".join([*noted_counters(counters), *summary.notes]) or "none",
         "trajectory": str(summary.trajectory_check),
@@ -134,9 +134,3 @@ def noted_counters(counters: Mapping[str, int]) -> list[str]:
         for name, count in counters.items()
         if count and not name.startswith(_SHOWN) and name not in _USED
     ]
-
-
-def _odometry_note(count: int) -> str:
-    """A large number means that the odometry drifts more than it is configured to."""
-    settings = "calibration.odometry.yaw_sigma, translation_sigma"
-    return f"; {count} more rejected by the odometry penalty ({settings})" if count else ""

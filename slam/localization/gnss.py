@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from logs.messages import GeodeticFix, TrajectoryRecord
 from slam.common.arrays import FloatArray
@@ -14,8 +15,8 @@ from slam.place_recognition.initial_pose import GATE_SIGMAS, InitialPose
 RECENT = 50
 """Latest fixes that are compared with one another."""
 LEAST_FIXES = 5
-HYPOTHESES = 300
-ITERATIONS = 20
+HEADINGS = 12
+"""Headings from which a fit begins."""
 LEAST_EXTENT = 3.0
 """Least extent of a path that determines the heading of the map, in errors of a fix."""
 
@@ -52,9 +53,8 @@ def _agree(a: InitialPose, b: InitialPose) -> bool:
 def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) -> Georeference | None:
     """Georeference of a trajectory: the heading and position that fit the fixes best.
 
-    Pairs of fixes propose poses; that with the least sum of absolute residuals, which up to half of the fixes may be
-    outliers of, is refined by weighted least squares with Cauchy's weights (Holland and Welsch, 1977). Fixes weigh by
-    their covariances; those without have the median variance of the others.
+    Least squares with Cauchy's loss (Holland and Welsch, 1977), the best of several headings to begin with. Fixes weigh
+    by their covariances; those without have the median variance of the others.
 
     Returns:
         The georeference, its origin that of the map; None for fewer than five fixes during the drive, or a path too
@@ -89,22 +89,16 @@ def _sigmas(fixes: list[GeodeticFix]) -> FloatArray:
 
 def _fit(xy: np.ndarray, places: np.ndarray, sigmas: FloatArray) -> tuple[complex, complex, float]:
     """Rotation and translation of points (N,), complex, onto others, and the median residual [m]."""
-    rng = np.random.default_rng(0)
-    a, b = rng.integers(len(xy), size=(2, HYPOTHESES))
-    turns = (places[b] - places[a]) * np.conj(xy[b] - xy[a])
-    turns = turns[np.abs(turns) > 0.0]
-    turns = np.append(turns / np.abs(turns), 1.0)
-    offsets = places[None] - turns[:, None] * xy[None]  # (hypotheses, N)
-    shifts = np.median(offsets.real, axis=1) + 1j * np.median(offsets.imag, axis=1)
-    best = int(np.argmin((np.abs(offsets - shifts[:, None]) / sigmas).sum(axis=1)))
-    turn, shift = complex(turns[best]), complex(shifts[best])
-    for _ in range(ITERATIONS):
-        residuals = np.abs(places - turn * xy - shift) / sigmas
-        scale = max(float(np.median(residuals)), 1e-9)
-        weights = 1.0 / (sigmas**2 * (1.0 + (residuals / scale) ** 2))
-        weights = weights / weights.sum()
-        centre, middle = complex(weights @ xy), complex(weights @ places)
-        product = complex(weights @ ((places - middle) * np.conj(xy - centre)))
-        turn = product / abs(product) if product else turn
-        shift = middle - turn * centre
+
+    def residuals(motion: FloatArray) -> FloatArray:
+        yaw_rad, x, y = motion
+        off = (np.exp(1j * yaw_rad) * xy + x + 1j * y - places) / sigmas
+        return np.concatenate([off.real, off.imag])
+
+    fits = []
+    for yaw_rad in np.linspace(-np.pi, np.pi, HEADINGS, endpoint=False):
+        off = places - np.exp(1j * yaw_rad) * xy
+        fits.append(least_squares(residuals, [yaw_rad, np.median(off.real), np.median(off.imag)], loss="cauchy"))
+    yaw_rad, x, y = min(fits, key=lambda fit: fit.cost).x
+    turn, shift = complex(np.exp(1j * yaw_rad)), complex(x, y)
     return turn, shift, float(np.median(np.abs(places - turn * xy - shift)))

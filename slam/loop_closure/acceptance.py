@@ -19,7 +19,6 @@ fits.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,32 +28,25 @@ from scipy.special import expit, logit
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.verification import Verifier
 
-TRACKED = "its landmarks are still associated: there is no loop to close"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """``accepted``: the closure of a query, None if there is none. ``rejected``: records of the other candidates.
-    ``tracked``: the candidate that is accepted without a closure, by landmarks that are still associated.
-    ``contradicts_odometry``: whether a candidate would be accepted if the odometry predicted nothing.
+    """``accepted``: the closure of a query, None if there is none. ``rejected``: records of the other candidates, the
+    likeliest one last.
     """
 
     rejected: tuple[LoopClosureRecord, ...]
     accepted: Candidate | None = None
-    tracked: Candidate | None = None
-    contradicts_odometry: bool = False
 
 
 class Acceptance:
     """Accepts the candidate that is wrong with a probability below ``error_probability``."""
 
     def __init__(self, config: Config, verifier: Verifier) -> None:
-        self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -float(logit(config.localization.error_probability))
         self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
@@ -63,34 +55,25 @@ class Acceptance:
         """Whether a candidate would be accepted if there was no other."""
         return candidate.score >= self._least_log_odds
 
-    def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
-        """Whether landmarks, seen on some travel first, make a predicted pose less likely than a failure of the
-        odometry there.
-        """
-        return log_likelihood_ratio < math.log(failure_probability(self._failures_per_km, travel_m))
-
-    def decide(self, query: Query, candidates: Sequence[Candidate]) -> Decision:
+    def decide(self, query: Query, verified: Sequence[Candidate | LoopClosureRecord]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
-
-        If it is the pose of landmarks that are still associated, the place is recognised and needs no closure.
 
         Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern
         of objects fits as well.
 
         Args:
             query: of the candidates.
-            candidates: one at least, by falling score, of which no two agree.
+            verified: its candidates, or the reasons why there is none at a place.
         """
+        refused = tuple(each for each in verified if isinstance(each, LoopClosureRecord))
+        candidates = self._distinct([each for each in verified if isinstance(each, Candidate)])
+        if not candidates:
+            return Decision(refused)
         best, *others = candidates
-        posterior = self._posterior_log_odds(candidates)
-        own = 0
-        rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
+        rejected = (*refused, *(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others))
+        posterior, own = self._posterior_log_odds(candidates), 0
         if posterior[0] >= self._least_log_odds:
-            if best.is_tracked:
-                best = replace(best, posterior_log_odds=float(posterior[0]))
-                return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
-            rivals = self._verifier.rivals(query, best)
-            compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
+            compared = self._distinct([*candidates, *self._verifier.rivals(query, best)])
             own = next(
                 i for i, each in enumerate(compared) if self._verifier.agree(each.T_local_query, best.T_local_query)
             )
@@ -104,11 +87,10 @@ class Acceptance:
         fits = best.log_likelihood_ratio >= self._least_log_odds
         doubt = f"wrong with probability {expit(-posterior[0]):.2g}"
         reason = doubt if own == 0 else f"ambiguous: another pose is likelier, {doubt}"
-        record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
-        unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
-        return Decision(
-            (*rejected, record), contradicts_odometry=own == 0 and unpredicted >= self._least_log_odds > best.score
-        )
+        return Decision((*rejected, best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)))
+
+    def _distinct(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        return suppress_non_maxima(candidates, sensor_range_m=self._sensor_range_m)
 
     def _posterior_log_odds(self, candidates: Sequence[Candidate]) -> FloatArray:
         """Log odds (K,) of each candidate against "somewhere new" and all that cannot be true together with it; those

@@ -92,7 +92,7 @@ class AcceptedClosures:
             near.update(members[distances_m <= self._propagation_distance_m].tolist())
         return {row for row in near if self.is_localized(self._keyframes[row])}
 
-    def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+    def add(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one within ``INSERT_RANGES`` represents it."""
         nearest = min(self._factors, key=lambda each: abs(each.candidate.travel_m - candidate.travel_m), default=None)
         if nearest is None or abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m:
@@ -102,11 +102,13 @@ class AcceptedClosures:
         self._accepted.append(accepted)
         self._closed[candidate.query.id] = candidate.reference.id
         is_new, represented_by = accepted.factor is not None, accepted.represented_by
+        seed = candidate.place.predicted_by
+        reason = "" if seed is None else f"propagated from the closure of keyframe {seed}"
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
 
-    def add_tracked(self, candidate: Candidate) -> None:
+    def add_tracked(self, query: Keyframe, reference: Keyframe) -> None:
         """Remember a place that was recognised by landmarks still associated: there is no loop to close."""
-        self._tracked[candidate.query.id] = candidate.reference.id
+        self._tracked[query.id] = reference.id
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+
+import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import invert
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
-
-NOWHERE = -1
 
 
 class Stage(StrEnum):
@@ -36,10 +37,9 @@ class Candidate:
     ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`.
-    ``place``: what proposed it; ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found
-    it.
+    ``place``: what proposed it.
     ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
-    computed. ``is_tracked``: most inliers are one landmark on both sides, which data association never lost.
+    computed.
     """
 
     query: Keyframe
@@ -53,10 +53,8 @@ class Candidate:
     matched_fraction: float
     odometry_penalty: float
     unpredicted_penalty: float
-    seed_closure: int = NOWHERE
     posterior_log_odds: float | None = None
     best_rival_llr: float | None = None
-    is_tracked: bool = False
 
     @property
     def travel_m(self) -> float:
@@ -86,56 +84,70 @@ class Candidate:
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
     ) -> LoopClosureRecord:
         """The candidate with its decision, as a record of a log."""
-        return LoopClosureRecord(
-            stamp_ns=self.query.odometry.stamp_ns,
-            query_keyframe_id=self.query.id,
-            reference_keyframe_id=self.reference.id,
-            accepted=stage == Stage.ACCEPTED,
-            stage=stage.value,
-            reason=reason,
+        return replace(
+            _record(self.query, stage, reason, self.reference, self.place),
             inlier_count=len(self.pairs),
             inlier_fraction=self.matched_fraction,
             score=self.score,
             T_reference_query=self.T_reference_query,
             covariance=self.covariance,
-            reference_stamp_ns=self.reference.odometry.stamp_ns,
             inserted=inserted,
-            rank=self.place.rank,
-            proposer=self.place.proposer,
             log_likelihood_ratio=self.log_likelihood_ratio,
             odometry_penalty=self.odometry_penalty,
             posterior_log_odds=self.posterior_log_odds,
             best_rival_log_likelihood_ratio=self.best_rival_llr,
-            seed_query_keyframe_id=self.seed_closure if self.seed_closure >= 0 else None,
+            seed_query_keyframe_id=self.place.predicted_by,
             represented_by_keyframe_id=represented_by,
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
-    """A keyframe and the landmarks around it, in its gravity frame."""
+    """A keyframe and the landmarks around it, in its gravity frame.
+
+    ``before_m``: travel up to which landmarks and keyframes may be the reference of a loop closure.
+    """
 
     keyframe: Keyframe
     submap: Submap
     T_local_gravity: FloatArray
+    before_m: float
 
     @property
     def travel_m(self) -> float:
         """Travel up to the keyframe."""
         return self.keyframe.odometry.travel_m
 
+    @property
+    def T_gravity_body(self) -> FloatArray:
+        """The tilt (4, 4) of the keyframe, by the odometry."""
+        return np.asarray(invert(self.T_local_gravity) @ self.keyframe.T_local_body)
+
+    def tracked(self, reference: Keyframe) -> LoopClosureRecord:
+        """The record of a place that landmarks of the traversal of ``reference`` tell, which are still associated."""
+        reason = "its landmarks are still associated: there is no loop to close"
+        T_reference_query = invert(reference.T_local_body) @ self.keyframe.T_local_body
+        refusal = self.refusal(Stage.ASSOCIATION, reason, reference)
+        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
+
     def refusal(
         self, stage: Stage, reason: str, reference: Keyframe | None = None, *, place: Place | None = None
     ) -> LoopClosureRecord:
         """The record of a candidate that was rejected before it had a pose."""
-        return LoopClosureRecord(
-            stamp_ns=self.keyframe.odometry.stamp_ns,
-            query_keyframe_id=self.keyframe.id,
-            reference_keyframe_id=reference.id if reference else NOWHERE,
-            accepted=False,
-            stage=stage.value,
-            reason=reason,
-            reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
-            rank=place.rank if place else 0,
-            proposer=place.proposer if place else "",
-        )
+        return _record(self.keyframe, stage, reason, reference, place)
+
+
+def _record(
+    query: Keyframe, stage: Stage, reason: str, reference: Keyframe | None, place: Place | None
+) -> LoopClosureRecord:
+    return LoopClosureRecord(
+        stamp_ns=query.odometry.stamp_ns,
+        query_keyframe_id=query.id,
+        reference_keyframe_id=reference.id if reference else -1,
+        accepted=stage == Stage.ACCEPTED,
+        stage=stage.value,
+        reason=reason,
+        reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
+        rank=place.rank if place else 0,
+        proposer=place.proposer if place else "",
+    )

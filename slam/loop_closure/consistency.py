@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,21 +30,13 @@ def poses_agree(T_a: FloatArray, T_b: FloatArray, *, sensor_range_m: float) -> b
 
 
 def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: float) -> list[Candidate]:
-    """Of the candidates of one query that agree on its pose, the one with the highest score, with the best rank of
-    them; sorted by falling score.
-    """
+    """Of the candidates of one query that agree on its pose, the one with the highest score; by falling score."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score):
-        same = (
-            i
-            for i, better in enumerate(kept)
-            if poses_agree(candidate.T_local_query, better.T_local_query, sensor_range_m=sensor_range_m)
-        )
-        index = next(same, None)
-        if index is None:
+        if not any(
+            poses_agree(candidate.T_local_query, better.T_local_query, sensor_range_m=sensor_range_m) for better in kept
+        ):
             kept.append(candidate)
-        elif candidate.place.rank < kept[index].place.rank:
-            kept[index] = replace(kept[index], place=replace(kept[index].place, rank=candidate.place.rank))
     return kept
 
 

@@ -130,10 +130,7 @@ def _clutter_densities(
     clutter_m, coverage_m = CLUTTER_RANGES * sensor_range_m, COVERAGE_RANGES * sensor_range_m
     disc_area = np.pi * clutter_m**2
     in_disc = np.sum(others & (distances < clutter_m), axis=0) / disc_area
-    clutter = _Clutter.of(offsets, others)
-    headings = np.broadcast_to([np.cos(heading_rad), np.sin(heading_rad)], (len(query), 2))
-    along_track = _strip_densities(clutter, headings, sensor_range_m)
-    row = _row_densities(clutter, offsets, distances, others, sensor_range_m)
+    row = _row_densities(offsets, distances, others, heading_rad, sensor_range_m)
     # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
     area = np.full(len(query), disc_area)
     if class_shares is not None:
@@ -142,57 +139,34 @@ def _clutter_densities(
         density = np.sum(near, axis=0) / (np.pi * coverage_m**2)
         least_density = LEAST_COUNT / coverage_m**2
         area += 0.5 / np.maximum(density * class_shares[query.labels], least_density)
-    return np.asarray(np.maximum.reduce([in_disc, along_track, row, 0.5 / area]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Clutter:
-    """Pairs (P,) of a landmark and an object of its class that it is not matched with, and where it is from the object,
-    ``offsets`` (P, 2) m.
-    """
-
-    landmarks: IntArray
-    objects: IntArray
-    offsets: FloatArray
-
-    @staticmethod
-    def of(offsets: FloatArray, others: BoolArray) -> _Clutter:
-        """The pairs ``others`` (M, N) of landmarks and objects, among the ``offsets`` (M, N, 2) m of all."""
-        landmarks, objects = np.nonzero(others)
-        return _Clutter(landmarks, objects, offsets[landmarks, objects])
-
-    def chosen(self, which: BoolArray) -> _Clutter:
-        """Some of the pairs, by a mask (P,)."""
-        return _Clutter(self.landmarks[which], self.objects[which], self.offsets[which])
+    return np.asarray(np.maximum.reduce([in_disc, row, 0.5 / area]))
 
 
 def _row_densities(
-    clutter: _Clutter, offsets: FloatArray, distances: FloatArray, others: BoolArray, sensor_range_m: float
+    offsets: FloatArray, distances: FloatArray, others: BoolArray, heading_rad: float, sensor_range_m: float
 ) -> FloatArray:
-    """Densities (N,) along the line through each object and its nearest other landmark of the class, that one left out.
+    """Largest density (N,) of ``others`` (M, N) along the direction of travel, and along the line through each object
+    and one of its nearest, that one left out: a row need not run along the heading, as that before a corner.
 
-    A row that does not run along the heading, as that of the street before a corner, is a row all the same.
+    ``offsets`` (M, N, 2) m and ``distances`` (M, N) m are from the objects to the landmarks. Densities are Gaussian
+    across the line.
     """
-    rows = np.full(distances.shape[1], 0.0)
-    apart = np.where(others, distances, np.inf)
-    columns = np.arange(distances.shape[1])
+    along_m, sigma_m = ALONG_TRACK_RANGES * sensor_range_m, CROSS_TRACK_RANGES * sensor_range_m
+    area = 2.0 * along_m * sigma_m * np.sqrt(2.0 * np.pi)
+    count = distances.shape[1]
+    columns, apart = np.arange(count), np.where(others, distances, np.inf)
+    lines = [(np.tile([np.cos(heading_rad), np.sin(heading_rad)], (count, 1)), np.full(count, -1))]
     for _ in range(min(NEAREST, len(apart))):
         nearest = np.argmin(apart, axis=0)
-        found = np.isfinite(apart[nearest, columns])
         direction = offsets[nearest, columns] / np.maximum(distances[nearest, columns], 1e-9)[:, None]
-        left = clutter.chosen(clutter.landmarks != nearest[clutter.objects])
-        rows = np.maximum(rows, np.where(found, _strip_densities(left, direction, sensor_range_m), 0.0))
+        lines.append((np.where(np.isfinite(apart[nearest, columns])[:, None], direction, np.nan), nearest))
         apart[nearest, columns] = np.inf
-    return rows
-
-
-def _strip_densities(clutter: _Clutter, directions: FloatArray, sensor_range_m: float) -> FloatArray:
-    """Densities (N,) of the landmarks along the ``directions`` (N, 2) from the objects, Gaussian across them."""
-    along_m, sigma_m = ALONG_TRACK_RANGES * sensor_range_m, CROSS_TRACK_RANGES * sensor_range_m
-    dx, dy = directions[clutter.objects].T
-    x, y = clutter.offsets.T
-    inside = np.flatnonzero(np.abs(x * dx + y * dy) < along_m)
-    across = (y * dx - x * dy)[inside]
-    area = 2.0 * along_m * sigma_m * np.sqrt(2.0 * np.pi)
-    profile = np.exp(-0.5 * (across / sigma_m) ** 2)
-    return np.asarray(np.bincount(clutter.objects[inside], profile, len(directions)) / area)
+    landmarks, objects = np.nonzero(others)
+    x, y = offsets[landmarks, objects].T
+    largest = np.zeros(count)
+    for direction, left_out in lines:
+        dx, dy = direction[objects].T
+        inside = (landmarks != left_out[objects]) & (np.abs(x * dx + y * dy) < along_m)
+        profile = np.exp(-0.5 * ((y * dx - x * dy)[inside] / sigma_m) ** 2)
+        largest = np.maximum(largest, np.bincount(objects[inside], profile, count) / area)
+    return largest

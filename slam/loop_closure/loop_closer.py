@@ -1,13 +1,16 @@
 """Loop closing: from a keyframe to accepted loop closures, with a record and a reason for every candidate.
 
-``LoopCloser.close`` is where to begin reading.
+``LoopCloser.close`` is where to begin reading: places are proposed, by an accepted closure or by retrieval, a candidate
+is registered at each of them, and its posterior probability decides.
 """
 
 from __future__ import annotations
 
 import logging
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,18 +19,18 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
+from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.consistency import suppress_non_maxima
-from slam.loop_closure.propagation import Predicted, Propagation
+from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.missing_landmarks import MissingLandmarks
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.imported_places import ImportedPlaces
+from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
@@ -37,6 +40,24 @@ logger = logging.getLogger(__name__)
 
 CHANGED_SHARE = 0.2
 """A query is looked up if that share of its landmarks and those of the last one looked up are in one of them only."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What a keyframe found: ``records`` of all candidates, revised ones included; ``lost_after_m``: the travel after
+    which the robot is inconsistent with the map, None if it is not.
+    """
+
+    records: list[LoopClosureRecord]
+    lost_after_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """The place of a query that an accepted closure predicts, and the candidate there, or why there is none."""
+
+    place: Place
+    verified: Candidate | LoopClosureRecord
 
 
 class LoopCloser:
@@ -50,9 +71,8 @@ class LoopCloser:
         keyframes: Sequence[Keyframe],
         imported: ImportedPlaces | None = None,
     ) -> None:
-        self._calibration = config.calibration
+        self._config = config
         self._sensor_range_m = config.sensor_range_m
-        self._propagation_distance_m = config.propagation_distance_m
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.calibration.odometry)
@@ -61,117 +81,63 @@ class LoopCloser:
         self._retriever = PlaceRetriever(config, object_map, imported)
         mapped = None if imported is None else imported.positions
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
+        self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self.missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
-        self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
+        self._continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
-        self.initial_pose: InitialPose | None = None
-        """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
-        self.lost_after_m: float | None = None
-        """Travel after which the robot is inconsistent with the map, once it is lost; None while it is not."""
+        self._seed: Candidate | None = None  # the last accepted closure, which predicts the next ones
+        self._recent: deque[Query] = deque()  # those that a closure may predict
         self._looked_up: Query | None = None
-        self._rejected_by_odometry: set[int] = set()
-        self._acceptance = Acceptance(config, self._verifier)
-        self._propagation = Propagation(config, self._verifier, self._acceptance, object_map)
-
-    @property
-    def rejected_by_odometry_count(self) -> int:
-        """Keyframes with a candidate that would have been accepted with a uniform prior."""
-        return sum(not self.closures.is_closed(each) for each in self._rejected_by_odometry)
 
     @property
     def kidnapping_probability(self) -> float:
         """Probability of a recent kidnapping, by the landmarks around."""
         return self._continuity.kidnapping_probability
 
-    def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
-        """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
+    def close(self, keyframe: Keyframe, initial_pose: InitialPose | None = None) -> Outcome:
+        """Look for loops at the newest keyframe.
+
+        ``initial_pose``: where in the prior map the robot is said to be; places elsewhere in it are left out.
+        """
         self._track.add(keyframe)
         self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
         seen = recent_landmarks(self._map, keyframe.odometry, self._continuity.memory_m)
-        self.lost_after_m = self._continuity.update(keyframe, seen)
-        if self.lost_after_m is not None:
-            return [query.refusal(Stage.CONSISTENCY, "kidnapped: other landmarks are in view than a moment ago")]
-        if self._verifier.latest_m(query) < self._keyframes[0].odometry.travel_m:
-            return []
+        kidnapped_after_m = self._continuity.update(keyframe, seen)
+        if kidnapped_after_m is not None:
+            reason = "kidnapped: other landmarks are in view than a moment ago"
+            return Outcome([query.refusal(Stage.CONSISTENCY, reason)], kidnapped_after_m)
+        if query.before_m < self._keyframes[0].odometry.travel_m:
+            return Outcome([])
         # 1. Near an accepted closure the pose is predicted, and only verified.
-        predicted = self._propagation.predict(query)
-        if self._has_prior_map and self._propagation.is_contradicted(query, predicted):
-            self.lost_after_m = query.travel_m - self._sensor_range_m
-            return [query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")]
-        propagated = self._propagation.confirmed(predicted)
-        if propagated is not None:
-            return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
-        alike = self._looked_up_alike(query)
-        if alike is not None:
-            return [query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")]
+        predicted = self._predict(self._seed, query)
+        if self._has_prior_map and predicted is not None and self._is_contradicted(query, predicted):
+            record = query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")
+            return Outcome([record], query.travel_m - self._sensor_range_m)
+        if (propagated := self._confirmed(predicted)) is not None:
+            return Outcome([self._accept(propagated)])
+        # 2. Where landmarks of an earlier traversal are still associated there is no loop to close.
+        if (tracked := self._tracked_reference(query)) is not None:
+            self.closures.add_tracked(keyframe, tracked)
+            return Outcome([query.tracked(tracked)])
+        # 3. Elsewhere retrieval proposes places.
+        if (alike := self._looked_up_alike(query)) is not None:
+            return Outcome([query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")])
         self._looked_up = query
-        # 2. Elsewhere landmarks that are still associated, or retrieval by descriptors, propose candidates.
-        verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
-        # 3. If the robot is lost and none of them is acceptable, landmarks that are not confirmed yet are used, too.
-        if not self.closures.is_localized(keyframe) and not self._any_acceptable(verified):
-            confirmed, submap = query, recent_submap_with_unconfirmed(self._map, keyframe, self._calibration)
-            query = replace(query, submap=submap)
-            if self._has_enough_objects(query) and len(query.submap) > len(confirmed.submap):
-                verified += self._verify_retrieved(query)
+        query, verified = self._look_up(query, initial_pose)
         if not verified:
-            return [query.refusal(Stage.RETRIEVAL, self._why_nothing(query))]
+            return Outcome([query.refusal(Stage.RETRIEVAL, _why_nothing(query))])
         # 4. The candidate with the highest score is accepted or rejected.
-        refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
-        candidates = suppress_non_maxima(
-            [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
-        )
-        return refused + self._decide(query, candidates, predicted)
-
-    def _looked_up_alike(self, query: Query) -> Query | None:
-        """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
-        last = self._looked_up
-        if last is None or not self._has_enough_objects(query) or not self.closures.is_localized(query.keyframe):
-            return None
-        common = len(np.intersect1d(query.submap.rows, last.submap.rows, assume_unique=True))
-        all_of_both = len(query.submap) + len(last.submap) - common
-        is_alike = common > (1.0 - CHANGED_SHARE) * all_of_both
-        is_near = query.travel_m - last.travel_m < self._propagation_distance_m
-        return last if is_alike and is_near else None
-
-    def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
-        """The candidates at the places that landmarks still followed and retrieval propose."""
-        tracked = self._verifier.tracked_place(query)
-        followed = [] if tracked is None else [self._verifier.verify(query, tracked)]
-        return [*followed, *self._verify_retrieved(query)]
-
-    def _verify_retrieved(self, query: Query) -> list[Candidate | LoopClosureRecord]:
-        """The candidates at the places that retrieval proposes."""
-        places = self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query))
-        return [
-            self._verifier.verify(query, place)
-            if self._is_plausible(query, place)
-            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
-            for place in places
-        ]
-
-    def _has_enough_objects(self, query: Query) -> bool:
-        return len(query.submap) >= MIN_INLIERS
-
-    def _why_nothing(self, query: Query) -> str:
-        if self._has_enough_objects(query):
-            return "no matches that agree on a place"
-        return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
-
-    def _is_plausible(self, query: Query, place: Place) -> bool:
-        """Whether a place is where the robot may be by what was said before."""
-        prior = self.initial_pose
-        if prior is None or place.segment != self._keyframes[0].odometry.segment or not self._has_prior_map:
-            return True
-        first = next(each for each in self._keyframes if not each.is_prior)
-        T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
-        return prior.allows(place.T_local_query, T_first_query, query.travel_m)
-
-    def _any_acceptable(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
-        """Whether a candidate would be accepted if there was no other."""
-        return any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified)
+        decision = self._acceptance.decide(query, verified)
+        records, best = list(decision.rejected), decision.accepted
+        if best is None:
+            return Outcome(records)
+        if self._has_prior_map and predicted is not None and self._is_elsewhere(predicted, best):
+            records.append(best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped"))
+            return Outcome(records, self._keyframes[keyframe.id - 1].odometry.travel_m)
+        return Outcome([*records, *self._accept_with_those_before(best)])
 
     def declare_lost(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Forget where the robot is, and revoke the closures from the keyframe ``since`` on.
@@ -179,44 +145,128 @@ class LoopCloser:
         Returns the records of the revoked closures, and whether the robot was kidnapped; see
         :meth:`slam.loop_closure.accepted_closures.AcceptedClosures.revoke_since`.
         """
-        revoked, is_kidnapped = self.closures.revoke_since(keyframe, since)
-        self.lost_after_m = None
-        self._looked_up = None
+        self._seed = self._looked_up = None
+        self._recent.clear()
         self._continuity.restart()
-        self._propagation.reset()
-        return revoked, is_kidnapped
+        return self.closures.revoke_since(keyframe, since)
 
     def begin_segment(self, first: int) -> None:
         """Follow the keyframes from ``first`` on to a segment of their own."""
         self._track.replace_since(self._keyframes[first:])
 
     def _take_query(self, keyframe: Keyframe) -> Query:
-        submap = recent_submap(self._map, keyframe, self._calibration)
-        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body))
-        self._propagation.remember(query)
+        """The query of the newest keyframe, which later closures may predict."""
+        pose = keyframe.odometry
+        first = bisect_left(self._keyframes, pose.segment, key=lambda each: each.odometry.segment)
+        # All of earlier segments may be the reference.
+        began_m = self._keyframes[first].odometry.travel_m if first else -np.inf
+        before_m = max(pose.travel_m - self._config.closure_travel_m, began_m)
+        submap = recent_submap(self._map, keyframe, self._config.calibration)
+        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before_m)
+        self._recent.append(query)
+        while self._recent[0].travel_m < pose.travel_m - self._config.propagation_distance_m:
+            self._recent.popleft()
         return query
 
-    def _decide(
-        self, query: Query, candidates: list[Candidate], predicted: Predicted | None
-    ) -> list[LoopClosureRecord]:
-        """Records of the candidates, given by falling score; ``predicted``: where the last closure leads."""
-        if not candidates:
-            return []
-        decision = self._acceptance.decide(query, candidates)
-        if decision.contradicts_odometry:
-            self._rejected_by_odometry.add(query.keyframe.id)
-        if decision.tracked is not None:
-            self.closures.add_tracked(decision.tracked)
-            self._looked_up = None  # it is no answer for the next keyframe, which may have let the landmarks go
-        best, records = decision.accepted, list(decision.rejected)
-        if best is None:
-            return records
-        if self._has_prior_map and self._propagation.is_elsewhere(predicted, best):
-            self.lost_after_m = self._keyframes[query.keyframe.id - 1].odometry.travel_m
-            return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
-        return [*records, *self._accept_and_propagate(best)]
+    def _tracked_reference(self, query: Query) -> Keyframe | None:
+        """The nearest keyframe of the earlier traversal that most landmarks of the query are from, still associated.
 
-    def _accept_and_propagate(self, candidate: Candidate) -> list[LoopClosureRecord]:
+        None if these are too few for a pose, or the robot is lost, so that they do not tell where it is.
+        """
+        first_seen_m = self._map.rows["first_seen_travel_m"][query.submap.rows]
+        tracked_count = np.count_nonzero(first_seen_m < query.before_m)
+        is_known = tracked_count >= MIN_INLIERS and 2 * tracked_count > len(first_seen_m)
+        if not is_known or not self.closures.is_localized(query.keyframe):
+            return None
+        place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment
+        found = self._track.nearest(place, segment=segment, from_m=-np.inf, to_m=query.before_m)
+        return None if found is None else self._keyframes[found[0]]
+
+    def _predict(self, seed: Candidate | None, query: Query) -> Predicted | None:
+        """What a closure predicts for a query; None without one that is near enough."""
+        if seed is None or abs(query.travel_m - seed.travel_m) > self._config.propagation_distance_m:
+            return None
+        place = self._verifier.predict(seed, query)
+        return None if place is None else Predicted(place, self._verifier.verify(query, place))
+
+    def _confirmed(self, predicted: Predicted | None) -> Candidate | None:
+        """The closure at a predicted place, if it is accepted there."""
+        if predicted is None or not isinstance(predicted.verified, Candidate):
+            return None
+        candidate = predicted.verified
+        agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
+        # A landmark that is still associated matches itself, which says nothing new.
+        is_new = 2 * np.count_nonzero(np.equal(*candidate.pairs.T)) <= len(candidate.pairs)
+        return candidate if agrees and is_new and self._acceptance.is_acceptable(candidate) else None
+
+    def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
+        """Whether landmarks that came into view on the last sensor range of travel make a predicted place less likely
+        than a failure of the odometry there.
+        """
+        if isinstance(predicted.verified, Candidate):
+            ratios = predicted.verified.log_likelihood_ratios
+        else:
+            ratios = self._verifier.unmatched(query, predicted.place)
+        landmarks = self._map.rows[query.submap.rows]
+        is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
+            landmarks["first_seen_travel_m"] <= query.travel_m - self._sensor_range_m
+        )
+        failed = failure_probability(self._config.localization.failures_per_km, self._sensor_range_m)
+        return bool(changed_log_likelihood_ratio(ratios[~is_old]) < np.log(failed))
+
+    def _is_elsewhere(self, predicted: Predicted, candidate: Candidate) -> bool:
+        """Whether a candidate is farther than registration reaches from a predicted place."""
+        if predicted.place.segment != candidate.reference.odometry.segment:
+            return False
+        apart_m = float(np.linalg.norm((predicted.place.T_local_query - candidate.T_local_query)[:2, 3]))
+        return apart_m > self._verifier.reach_m
+
+    def _looked_up_alike(self, query: Query) -> Query | None:
+        """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
+        last = self._looked_up
+        if last is None or len(query.submap) < MIN_INLIERS or not self.closures.is_localized(query.keyframe):
+            return None
+        common = len(np.intersect1d(query.submap.rows, last.submap.rows, assume_unique=True))
+        all_of_both = len(query.submap) + len(last.submap) - common
+        is_alike = common > (1.0 - CHANGED_SHARE) * all_of_both
+        is_near = query.travel_m - last.travel_m < self._config.propagation_distance_m
+        return last if is_alike and is_near else None
+
+    def _look_up(
+        self, query: Query, initial_pose: InitialPose | None
+    ) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
+        """The query that was asked last, and the candidates at the proposed places, or the reasons why there is none.
+
+        If the robot is lost and no candidate is acceptable, landmarks that are not confirmed yet are used, too.
+        """
+        verified = self._retrieve(query, initial_pose)
+        is_found = any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified)
+        if is_found or self.closures.is_localized(query.keyframe):
+            return query, verified
+        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
+        with_unconfirmed = replace(query, submap=submap)
+        if len(submap) > len(query.submap):
+            verified += self._retrieve(with_unconfirmed, initial_pose)
+        return with_unconfirmed, verified
+
+    def _retrieve(self, query: Query, initial_pose: InitialPose | None) -> list[Candidate | LoopClosureRecord]:
+        """The candidates at the places that retrieval proposes."""
+        if len(query.submap) < MIN_INLIERS:
+            return []
+        return [
+            self._verifier.verify(query, place)
+            if initial_pose is None or self._is_allowed(query, place, initial_pose)
+            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
+            for place in self._retriever.propose(query.submap, before_m=query.before_m)
+        ]
+
+    def _is_allowed(self, query: Query, place: Place, initial_pose: InitialPose) -> bool:
+        """Whether a place is where the robot may be; in what it has mapped itself that is anywhere."""
+        first = next(each for each in self._keyframes if not each.is_prior)
+        T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
+        return place.segment != SEGMENT or initial_pose.allows(place.T_local_query, T_first_query, query.travel_m)
+
+    def _accept_with_those_before(self, candidate: Candidate) -> list[LoopClosureRecord]:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""
         logger.info(
             "closed a loop: keyframe %d is at keyframe %d (score %.1f)",
@@ -224,21 +274,25 @@ class LoopCloser:
             candidate.reference.id,
             candidate.score,
         )
-        records = [self._accept(candidate, "")]
-        seed = candidate
-        for query in self._propagation.queries_before(candidate.query.id):
-            if self.closures.is_closed(query.keyframe.id):
+        records, seed = [self._accept(candidate)], candidate
+        for query in reversed(self._recent):
+            if query.keyframe.id == candidate.query.id or self.closures.is_closed(query.keyframe.id):
                 continue
-            propagated = self._propagation.confirmed(self._propagation.predict_from(seed, query))
-            if propagated is not None:
-                records.append(self._accept(propagated, f"propagated from the closure of keyframe {seed.query.id}"))
+            if (propagated := self._confirmed(self._predict(seed, query))) is not None:
+                records.append(self._accept(propagated))
                 seed = propagated
-        self._propagation.seed = candidate
+        self._seed = candidate
         return records
 
-    def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+    def _accept(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure, which predicts the next ones."""
-        self._propagation.seed = candidate
+        self._seed = candidate
         if candidate.reference.is_prior:
             self.missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
-        return self.closures.add(candidate, reason)
+        return self.closures.add(candidate)
+
+
+def _why_nothing(query: Query) -> str:
+    if len(query.submap) >= MIN_INLIERS:
+        return "no matches that agree on a place"
+    return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"

@@ -1,8 +1,7 @@
-"""Verification: registers a query at a retrieved place and computes the log-likelihood ratio of the result."""
+"""Verification: registers a query at a proposed place and computes the log-likelihood ratio and prior of the result."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,10 +11,10 @@ from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.common.geometry import covariance_in_axes, invert
 from slam.localization.map_area import MapArea
 from slam.localization.pose_prior import PosePrior, failure_probability
-from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD, odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
@@ -25,7 +24,7 @@ from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.estimate import Registration
-from slam.registration.parameters import MIN_INLIERS, RegistrationConfig, registration_config
+from slam.registration.parameters import RegistrationConfig, registration_config
 from slam.registration.registration import refine
 
 MIN_OBJECTS = 2
@@ -33,7 +32,7 @@ MIN_OBJECTS = 2
 
 
 class Verifier:
-    """Registers queries at retrieved places and computes log-likelihood ratios."""
+    """Registers queries at proposed places and computes log-likelihood ratios; it remembers no query."""
 
     def __init__(
         self,
@@ -55,66 +54,38 @@ class Verifier:
         self._area = MapArea(cell_m=config.sensor_range_m)
         if mapped is not None:
             self._area.cover_positions(mapped)
+        self.reach_m = 2.0 * self._registration.search_radius_m
+        """How far registration can move a pose: its search radius, which halves from step to step."""
 
-    def latest_m(self, query: Query) -> float:
-        """Travel up to which landmarks and keyframes may be the reference of a loop closure.
-
-        Those of earlier segments of the odometry may all be.
-        """
-        segment = query.keyframe.odometry.segment
-        first = bisect_left(self._keyframes, segment, key=lambda keyframe: keyframe.odometry.segment)
-        began_m = self._keyframes[first].odometry.travel_m if first else -np.inf
-        return max(query.travel_m - self._config.closure_travel_m, began_m)
-
-    def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
-        """The pose that a closure predicts for another keyframe of its segment, by the odometry between the two."""
-        seed = seed_closure.query
-        if seed.odometry.segment != query.keyframe.odometry.segment:
+    def predict(self, seed: Candidate, query: Query) -> Place | None:
+        """The place that a closure predicts for another keyframe of its segment, by the odometry between the two."""
+        if seed.query.odometry.segment != query.keyframe.odometry.segment:
             return None
-        T_seed_query = invert(gravity_frame(seed.T_local_body)) @ query.T_local_gravity
-        T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
-        reference_pose = seed_closure.reference.odometry
-        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, "prediction")
+        T_seed_query = invert(gravity_frame(seed.query.T_local_body)) @ query.T_local_gravity
+        pose = seed.reference.odometry
+        T_local_query = np.asarray(seed.T_local_query @ T_seed_query)
+        place = Place(T_local_query, pose.travel_m, pose.segment, "prediction", predicted_by=seed.query.id)
         reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
-    def tracked_place(self, query: Query) -> Place | None:
-        """Pose of the query by the landmarks of an earlier traversal that are still associated.
-
-        They are in one map with those of the query, so that the pose is known; None if there are too few of them.
-        """
-        first_seen_m = self._retriever.first_seen_travels_m(query.submap)
-        if np.count_nonzero(first_seen_m < self.latest_m(query)) < MIN_INLIERS:
-            return None
-        segment, T_local_query = query.keyframe.odometry.segment, query.T_local_gravity
-        found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
-        if found is None:
-            return None
-        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, "association")
-
-    def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
+    def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
-        if self._nearest(place, query, within_m=self._sensor_range_m + self.reach_m) is None:
-            return self._out_of_reach(query, place)
-        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        registration = register(query.submap, reference_submap, place.T_local_query, self._registration)
+        submap = self._retriever.reference_submap(place, before_m=query.before_m)
+        registration = register(query.submap, submap, place.T_local_query, self._registration)
         if registration.T_reference_query is None:
             reference = self._nearest(place, query, within_m=self._sensor_range_m)
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, place=place)
         registered = replace(place, T_local_query=registration.T_reference_query)
         reference = self._nearest(registered, query, within_m=self._sensor_range_m)
         if reference is None:
-            return self._out_of_reach(query, place)
-        return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
+            reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
+            return query.refusal(Stage.REGISTRATION, reason, place=place)
+        return self._candidate(query, place, submap, registration, reference)
 
-    def unregistered(self, query: Query, place: Place) -> FloatArray:
-        """LLR (N,) of each object of the query at a place as it is, where the two cannot be registered.
-
-        Matches are mutually nearest objects of one class.
-        """
-        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        pairs = _mutually_nearest(query.submap, reference_submap, place.T_local_query)
-        return self._ratio(query, reference_submap, place.T_local_query, pairs).per_object
+    def unmatched(self, query: Query, place: Place) -> FloatArray:
+        """LLR (N,) of each object of the query at a place where it cannot be registered: none has a match."""
+        submap = self._retriever.reference_submap(place, before_m=query.before_m)
+        return self._ratio(query, submap, place.T_local_query, np.zeros((0, 2), dtype=np.int64)).per_object
 
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
@@ -137,9 +108,11 @@ class Verifier:
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
         reference = candidate.reference.odometry
-        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, candidate.place.proposer)
-        repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
-        found = [self.verify(query, replace(place, T_local_query=T)) for T in repeated]
+        repeated = candidate.T_local_query @ self._retriever.self_similar_poses(query.submap)
+        found = [
+            self.verify(query, Place(T, reference.travel_m, reference.segment, candidate.place.proposer))
+            for T in repeated
+        ]
         return [
             each
             for each in found
@@ -147,25 +120,17 @@ class Verifier:
         ]
 
     def _candidate(
-        self,
-        query: Query,
-        place: Place,
-        reference_submap: Submap,
-        registration: Registration,
-        reference: Keyframe,
-        seed_closure: int,
+        self, query: Query, place: Place, submap: Submap, registration: Registration, reference: Keyframe
     ) -> Candidate:
         T_local_gravity, covariance = registration.T_reference_query, registration.covariance
         assert T_local_gravity is not None
         assert covariance is not None
-        ratio = self._ratio(query, reference_submap, T_local_gravity, registration.pairs)
-        prior = self._prior(query, place, reference, seed_closure)
-        exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
-        confirmed = registration.pairs[exists[registration.pairs[:, 0]]]
-        seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
+        ratio = self._ratio(query, submap, T_local_gravity, registration.pairs)
+        prior = self._prior(query, place, reference)
+        seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
+        exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
         # The query's tilt is the odometry's; the registration is upright.
-        T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
-        T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ T_gravity_body
+        T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ query.T_gravity_body
         return Candidate(
             query=query.keyframe,
             reference=reference,
@@ -173,26 +138,23 @@ class Verifier:
             T_reference_query=T_reference_query,
             T_local_query=T_local_gravity,
             covariance=covariance_in_axes(
-                covariance + shared_covariance(self._config.calibration.objects), T_gravity_body[:3, :3]
+                covariance + shared_covariance(self._config.calibration.objects), query.T_gravity_body[:3, :3]
             ),
             log_likelihood_ratios=ratio.per_object,
-            pairs=np.column_stack([query.submap.rows[confirmed[:, 0]], reference_submap.rows[confirmed[:, 1]]]),
+            pairs=np.column_stack([seen, met])[exists],
             matched_fraction=ratio.matched_fraction,
             odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
-            seed_closure=seed_closure,
-            is_tracked=2 * int(np.sum(seen == met)) > len(seen),
         )
 
-    def _prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
-        """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""
+    def _prior(self, query: Query, place: Place, reference: Keyframe) -> PosePrior:
+        """The prior of the query's pose: by the odometry since the closure that predicts it, or since the reference."""
         self._area.cover(self._keyframes)
-        T_local_query, since = place.T_local_query, seed_closure
-        if seed_closure == NOWHERE:
+        T_local_query, since = place.T_local_query, place.predicted_by
+        if since is None:
             since = reference.id
-            T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
-            T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
-            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
+            T_predicted = invert(self._graph.pose(since)) @ self._graph.pose(query.keyframe.id)
+            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(query.T_gravity_body))
         sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
         travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
@@ -203,26 +165,9 @@ class Verifier:
             self._area.area_m2,
         )
 
-    def _ratio(
-        self, query: Query, reference_submap: Submap, T_local_query: FloatArray, pairs: IntArray
-    ) -> LikelihoodRatio:
-        return compute_log_likelihood_ratio(
-            query.submap,
-            reference_submap,
-            T_local_query,
-            pairs,
-            self._sensor_range_m,
-            self._retriever.class_shares(),
-        )
-
-    @property
-    def reach_m(self) -> float:
-        """How far registration can move a pose: its search radius, which halves from step to step."""
-        return 2.0 * self._registration.search_radius_m
-
-    def _out_of_reach(self, query: Query, place: Place) -> LoopClosureRecord:
-        reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
-        return query.refusal(Stage.REGISTRATION, reason, place=place)
+    def _ratio(self, query: Query, submap: Submap, T_local_query: FloatArray, pairs: IntArray) -> LikelihoodRatio:
+        shares = self._retriever.class_shares()
+        return compute_log_likelihood_ratio(query.submap, submap, T_local_query, pairs, self._sensor_range_m, shares)
 
     def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
         """The nearest keyframe of the reference traversal, if it is so near.
@@ -234,7 +179,7 @@ class Verifier:
             place.T_local_query[:3, 3],
             segment=place.segment,
             from_m=place.travel_m - extent_m,
-            to_m=min(place.travel_m + extent_m, self.latest_m(query)),
+            to_m=min(place.travel_m + extent_m, query.before_m),
         )
         if found is None:
             return None
@@ -249,28 +194,13 @@ def register(
 
     All objects of a query of fewer than ``min_inliers`` have to agree.
     """
-    if MIN_OBJECTS <= len(query) < config.min_inliers:
-        config = replace(config, min_inliers=len(query))
     return refine(
         query.positions,
         query.labels,
         reference.positions,
         reference.labels,
         T_reference_query,
-        config,
+        replace(config, min_inliers=min(max(len(query), MIN_OBJECTS), config.min_inliers)),
         query_sigmas=query.sigmas,
         reference_sigmas=reference.sigmas,
     )
-
-
-def _mutually_nearest(query: Submap, reference: Submap, T_reference_query: FloatArray) -> IntArray:
-    """Pairs (K, 2), as rows of query and reference, of objects of one class that are nearest to each other."""
-    if not len(query) or not len(reference):
-        return np.zeros((0, 2), dtype=np.int64)
-    placed = apply(T_reference_query, query.positions)
-    distances = np.linalg.norm(placed[:, None, :2] - reference.positions[None, :, :2], axis=2)
-    distances[query.labels[:, None] != reference.labels] = np.inf
-    nearest = np.argmin(distances, axis=1)
-    rows = np.arange(len(query))
-    is_mutual = (np.argmin(distances, axis=0)[nearest] == rows) & np.isfinite(distances[rows, nearest])
-    return np.asarray(np.column_stack([rows, nearest])[is_mutual])

@@ -1,7 +1,4 @@
-"""A map without a trajectory: objects of a city's open data, in a file that is mapped into memory and not read.
-
-The objects are sorted by tiles of a grid, so that those around a place are a few stretches of the file.
-"""
+"""A map without a trajectory: objects of a city's open data, in a file that is mapped into memory and not read."""
 
 from __future__ import annotations
 
@@ -33,17 +30,14 @@ from slam.place_recognition.place_search import PlaceSearch
 
 KIND = IMPORTED
 MAKE_IT = "import it again by 'dslam import'"
-TILE_SPACINGS = 10.0
-"""Edge of a tile, in median distances of an object to its nearest neighbour."""
 MIN_SPACING_M = 0.01
 """Median distance to the nearest neighbour below which positions cannot be metres."""
 MAX_EXTENT_M = 1e6
 """Extent above which they cannot be either, nor the plane of one map."""
-_CHECKED = ("positions", "classes", "ids", "tiles", "tile_starts")
+_CHECKED = ("positions", "classes", "ids")
 _OF_PAIRS = ("words", "ends", "lengths", "classes")
-_LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "tiles": ("iu", 1), "tile_starts": ("iu", 1),
-           "pair_words": ("u", 2), "pair_ends": ("u", 2), "pair_lengths": ("f", 1),
-           "pair_classes": ("u", 1)}  # fmt: skip
+_LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "pair_words": ("u", 2), "pair_ends": ("u", 2),
+           "pair_lengths": ("f", 1), "pair_classes": ("u", 1)}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,9 +45,7 @@ class ImportedMap:
     """Objects and the index of their pairs.
 
     ``positions`` (N, 3) m, z up; ``classes`` (N,) in ``vocabulary``; ``ids`` (N,) of the source, UTF-8;
-    ``sigma_m``: standard deviation of a coordinate; ``tile_m``: edge of a tile; ``tiles`` (T,): those with objects,
-    numbered row by row, ``columns`` in a row, from ``corner`` (2,) m; ``tile_starts`` (T + 1,): the first object of
-    each. ``georeference``: None where the source tells none.
+    ``sigma_m``: standard deviation of a coordinate. ``georeference``: None where the source tells none.
     """
 
     positions: FloatArray
@@ -61,11 +53,6 @@ class ImportedMap:
     ids: NDArray[np.bytes_]
     vocabulary: tuple[str, ...]
     sigma_m: float
-    tile_m: float
-    corner: FloatArray
-    columns: int
-    tiles: IntArray
-    tile_starts: IntArray
     pairs: PairIndex
     georeference: Georeference | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -98,25 +85,13 @@ class ImportedMap:
             observations=observations,
         )
 
-    def near(self, place: FloatArray, radius_m: float) -> IntArray:
-        """Rows (K,), ascending, of the objects in the tiles within ``radius_m`` of a place (2,) m along x and y."""
-        low = np.floor((place - radius_m - self.corner) / self.tile_m).astype(np.int64)
-        high = np.floor((place + radius_m - self.corner) / self.tile_m).astype(np.int64)
-        if high[0] < 0 or low[0] >= self.columns:
-            return np.zeros(0, dtype=np.int64)
-        first_column, last_column = np.clip([low[0], high[0]], 0, self.columns - 1)
-        rows = np.arange(max(low[1], 0), min(high[1], self.tiles[-1] // self.columns) + 1)
-        begins = np.searchsorted(self.tiles, rows * self.columns + first_column, side="left")
-        ends = np.searchsorted(self.tiles, rows * self.columns + last_column, side="right")
-        stretches = zip(self.tile_starts[begins].tolist(), self.tile_starts[ends].tolist(), strict=True)
-        found = [np.arange(begin, end) for begin, end in stretches]
-        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-
     def positions_around(self, path: FloatArray) -> FloatArray:
-        """Positions (K, 3) m of the landmarks in the tiles around a path (N, 3), one row at least."""
-        middle = 0.5 * (path[:, :2].min(axis=0) + path[:, :2].max(axis=0))
-        radius_m = float(np.abs(path[:, :2] - middle).max()) + self.tile_m
-        return np.asarray(self.positions[self.near(middle, radius_m)], dtype=np.float64)
+        """Positions (K, 3) m of the objects in a rectangle around a path (N, 3), one row at least."""
+        low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
+        margin_m = 0.5 * float((high - low).max())
+        plane = self.positions[:, :2]
+        inside = ((plane >= low - margin_m) & (plane <= high + margin_m)).all(axis=1)
+        return np.asarray(self.positions[inside], dtype=np.float64)
 
 
 def make_imported_map(
@@ -128,7 +103,7 @@ def make_imported_map(
     georeference: Georeference | None = None,
     source: Mapping[str, str] | None = None,
 ) -> ImportedMap:
-    """Sort objects into tiles and index their pairs.
+    """Index the pairs of objects.
 
     Args:
         positions: (N, 3) m, z up.
@@ -141,30 +116,16 @@ def make_imported_map(
     Raises:
         SavedMapError: fewer than four objects, or positions that cannot be metres in the plane of one map.
     """
-    spacing_m = _checked_spacing(positions)
-    tile_m = TILE_SPACINGS * spacing_m
-    corner = positions[:, :2].min(axis=0)
-    cells = np.floor((positions[:, :2] - corner) / tile_m).astype(np.int64)
-    columns = int(cells[:, 0].max()) + 1
-    tile = cells[:, 1] * columns + cells[:, 0]
-    order = np.argsort(tile, kind="stable")
-    tiles, starts = np.unique(tile[order], return_index=True)
+    _check_positions(positions)
     vocabulary, classes = np.unique(np.array(labels), return_inverse=True)
-    ordered = positions[order]
-    ordered_classes = classes[order].astype(np.uint16)
     pairs = PairIndex(shipped_likelihood())
-    pairs.add(ordered, ordered_classes.astype(np.int64))
+    pairs.add(positions, classes)
     return ImportedMap(
-        positions=ordered,
-        classes=ordered_classes,
-        ids=np.char.encode(np.array(ids), "utf-8")[order],
+        positions=positions,
+        classes=classes.astype(np.uint16),
+        ids=np.char.encode(np.array(ids), "utf-8"),
         vocabulary=tuple(vocabulary.tolist()),
         sigma_m=sigma_m,
-        tile_m=tile_m,
-        corner=corner,
-        columns=columns,
-        tiles=tiles,
-        tile_starts=np.append(starts, len(tile)),
         pairs=pairs,
         georeference=georeference,
         metadata=dict(source or {}),
@@ -188,15 +149,7 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
         "gravity": GRAVITY,
         "kind": KIND,
         "vocabulary": json.dumps(imported.vocabulary),
-        "grid": json.dumps(
-            {
-                "sigma_m": imported.sigma_m,
-                "tile_m": imported.tile_m,
-                "corner": imported.corner.tolist(),
-                "columns": imported.columns,
-                "unit_m": imported.pairs.unit_m,
-            }
-        ),
+        "grid": json.dumps({"sigma_m": imported.sigma_m, "unit_m": imported.pairs.unit_m}),
     }
     if imported.georeference is not None:
         about["georeference"] = imported.georeference.to_json()
@@ -245,18 +198,13 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
         ids=arrays["ids"],
         vocabulary=tuple(parse_json(about["vocabulary"])),
         sigma_m=float(grid["sigma_m"]),
-        tile_m=float(grid["tile_m"]),
-        corner=np.array(grid["corner"]),
-        columns=int(grid["columns"]),
-        tiles=arrays["tiles"],
-        tile_starts=arrays["tile_starts"],
         pairs=PairIndex.of(
             shipped_likelihood(), float(grid["unit_m"]), *(arrays[f"pair_{name}"] for name in _OF_PAIRS)
         ),
         georeference=None if georeference is None else Georeference.from_json(georeference),
         metadata=about,
     )
-    counts = {len(imported), len(imported.positions), len(imported.ids), int(imported.tile_starts[-1])}
+    counts = {len(imported), len(imported.positions), len(imported.ids)}
     if (
         len(counts) > 1
         or imported.pairs.ends.max(initial=0) >= len(imported)
@@ -266,8 +214,8 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
     return imported
 
 
-def _checked_spacing(positions: FloatArray) -> float:
-    """Median distance [m] of an object to its nearest neighbour, of positions that can be metres."""
+def _check_positions(positions: FloatArray) -> None:
+    """Refuse positions that cannot be metres in the plane of one map."""
     if len(positions) < 4:
         raise SavedMapError(f"{len(positions)} objects; a map for relocalization needs at least four")
     if not np.isfinite(positions).all():
@@ -282,4 +230,3 @@ def _checked_spacing(positions: FloatArray) -> float:
             f"the objects are {spacing_m:.2g} m apart; name the columns lat and lon if these are degrees, else remove "
             "repeated objects"
         )
-    return max(spacing_m, MIN_SPACING_M)

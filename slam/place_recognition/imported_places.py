@@ -1,7 +1,7 @@
 """Places of a query in an imported map, whose landmarks are loaded only around these.
 
-Quads of the query propose poses, the likelihood of its objects orders them. The landmarks of the map around a pose,
-where it is verified and while the robot is tracked there, become landmarks of the object map, tile by tile.
+The landmarks of the map around a pose, where it is verified and while the robot is tracked there, become landmarks of
+the object map.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ImportedPlaces:
 
     def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:
         """Add the objects of the map within ``radius_m`` of a place (3,) m as landmarks, each once."""
-        rows = self._imported.near(place[:2], radius_m)
+        rows = self._search.near(place[:2], radius_m)
         rows = rows[~self._is_loaded[rows]]
         if not len(rows):
             return

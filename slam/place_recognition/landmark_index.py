@@ -31,9 +31,9 @@ class LandmarkIndex:
         self._pairs.add(batch, vocabulary)
         self._search = None
 
-    def propose(self, query: Submap, allowed: BoolArray, count: int) -> list[tuple[FloatArray, IntArray]]:
-        """At most ``count`` poses (4, 4) of a query, the likeliest first, each with entries (K,) around it that are
-        ``allowed`` (M,).
+    def propose(self, query: Submap, allowed: BoolArray, count: int) -> list[tuple[FloatArray, int, IntArray]]:
+        """At most ``count`` poses (4, 4) of a query, the likeliest first, each with its segment and the entries (K,) of
+        that around it that are ``allowed`` (M,).
         """
         if not len(query) or not allowed.any():
             return []
@@ -52,7 +52,7 @@ class LandmarkIndex:
             offsets = self._positions[:, :2] - (T @ middle)[:2]
             near = np.flatnonzero(allowed & (self._segments == segment) & (np.hypot(*offsets.T) <= radius_m))
             if len(near):
-                places.append((T, near))
+                places.append((T, segment, near))
         return places
 
     def _side_by_side(self) -> PlaceSearch:

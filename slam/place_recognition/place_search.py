@@ -71,6 +71,12 @@ class _Poses:
     middles: ComplexArray
     turns: ComplexArray
 
+    @staticmethod
+    def of(T_map_query: FloatArray, middle: complex) -> _Poses:
+        """The poses (H, 4, 4) of a query whose middle is there, complex metres."""
+        turns = T_map_query[:, 0, 0] + 1j * T_map_query[:, 1, 0]
+        return _Poses(T_map_query[:, 0, 3] + 1j * T_map_query[:, 1, 3] + turns * middle, turns)
+
     def __getitem__(self, rows: IntArray) -> _Poses:
         return _Poses(self.middles[rows], self.turns[rows])
 
@@ -97,6 +103,18 @@ class PlaceSearch:
         self._tree = cKDTree(np.column_stack([plane, self._pitch_m * numbers]))
         shares = np.maximum(np.bincount(numbers, minlength=class_count), 1) / max(len(numbers), 1)
         self._densities = DENSITY / self._spacing_m**2 * shares
+
+    def near(self, place: FloatArray, radius_m: float) -> IntArray:
+        """Rows (K,), ascending, of the objects within ``radius_m`` of a place (2,) m."""
+        thirds = self._pitch_m * np.arange(len(self._densities))  # one a class
+        found = self._tree.query_ball_point(np.column_stack([np.tile(place, (len(thirds), 1)), thirds]), radius_m)
+        return np.sort(np.concatenate(found).astype(np.int64))
+
+    def count_met(self, query: Submap, T_map_query: FloatArray) -> IntArray:
+        """How many objects of a query, whose classes the map has, meet one of their class at each pose (H, 4, 4)."""
+        placed = _query(query.positions, query.labels, query.sigmas)
+        apart_m, _ = self._met(_Poses.of(T_map_query, placed.middle), placed, query.sigmas)
+        return np.asarray(np.isfinite(apart_m).sum(axis=1))
 
     def find_poses(
         self, query: Submap, *, count: int, map_sigma_m: float = 0.0, allowed: BoolArray | None = None
@@ -131,8 +149,7 @@ class PlaceSearch:
             count=max(count, COMPARED),
         )
         placed = _query(positions, labels, sigmas_m)
-        turns = T_voted[:, 0, 0] + 1j * T_voted[:, 1, 0]
-        voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * placed.middle, turns)
+        voted = _Poses.of(T_voted, placed.middle)
         scores = self._log_likelihood_ratios(voted, placed, placed.voted_sigmas_m)
         likeliest = _likeliest(scores)[: max(count, FITTED)]
         fitted = voted[likeliest]

@@ -20,7 +20,7 @@ from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.landmark_index import LandmarkIndex
 from slam.place_recognition.landmark_pairs import Batch
-from slam.place_recognition.place import Place, traversal_of
+from slam.place_recognition.place import Place
 from slam.place_recognition.place_search import PlaceSearch
 
 INACTIVE_RANGES = 2.0
@@ -38,7 +38,7 @@ class PlaceRetriever:
 
     def __init__(self, config: Config, object_map: ObjectMap, imported: ImportedPlaces | None = None) -> None:
         self._imported = imported
-        self._config = config.loop_closure
+        self._count = config.loop_closure.max_candidates
         self._calibration = config.calibration
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
@@ -110,16 +110,25 @@ class PlaceRetriever:
 
         Those by descriptors, among landmarks seen before that travel, come first, then those in the imported map.
         """
-        places = self._propose_by_descriptors(query, before_m)
-        if self._imported is not None:
-            places += self._imported.propose(query, count=self._config.max_candidates)
-        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
-
-    def _propose_by_descriptors(self, query: Submap, before_m: float) -> list[Place]:
         landmarks = self._map.rows
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
-        found = self._index.propose(query, usable[self._rows], self._config.max_candidates)
-        return [self._place(T_local_query, self._rows[entries]) for T_local_query, entries in found]
+        places = [
+            Place(T_local_query, self._traversal_m(self._rows[entries]), segment, "descriptor")
+            for T_local_query, segment, entries in self._index.propose(query, usable[self._rows], self._count)
+        ]
+        if self._imported is not None:
+            places += self._imported.propose(query, count=self._count)
+        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+
+    def _traversal_m(self, rows: IntArray) -> float:
+        """Middle travel [m] of the traversal that most of the landmarks ``rows`` (K,) of a segment are from.
+
+        A place that was passed several times has landmarks from each of the passes.
+        """
+        travels_m = np.sort(self._map.rows["first_seen_travel_m"][rows])
+        ends = np.searchsorted(travels_m, travels_m + 2.0 * self._extent_m, side="right")
+        start = int(np.argmax(ends - np.arange(len(ends))))
+        return float(np.median(travels_m[start : ends[start]]))
 
     def self_similar_poses(self, query: Submap) -> FloatArray:
         """Poses (H, 4, 4) of a query in itself at which its objects repeat; the first is the identity.
@@ -129,18 +138,9 @@ class PlaceRetriever:
         pairs = PairIndex(shipped_likelihood())
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
-        count = self._config.max_candidates + 1  # the identity is among them
-        poses = search.find_poses(query, map_sigma_m=self._calibration.objects.landmark_sigma_m, count=count)
+        sigma_m = self._calibration.objects.landmark_sigma_m
+        poses = search.find_poses(query, map_sigma_m=sigma_m, count=self._count + 1)  # the identity is among them
         return np.concatenate([np.eye(4)[None], poses])
-
-    def _place(self, T_local_query: FloatArray, rows: IntArray) -> Place:
-        """The place of a pose among the landmarks ``rows`` (K,)."""
-        segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
-        return Place(T_local_query, travel_m, segment, "descriptor")
-
-    def first_seen_travels_m(self, submap: Submap) -> FloatArray:
-        """Travel [m] at which each landmark (N,) of a submap was first seen."""
-        return np.asarray(self._map.rows["first_seen_travel_m"][submap.rows])
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         """The landmarks around a place from its traversal, in the odometry frame.

@@ -45,7 +45,8 @@ def part_of(submap: Submap, count: int) -> Submap:
 def make_query(keyframe: Keyframe, count: int = 0, *, first_row: int = 0) -> Query:
     """A query with so many objects."""
     submap = make_submap(np.zeros((count, 3)))
-    return Query(keyframe, replace(submap, rows=submap.rows + first_row), keyframe.T_local_body)
+    before_m = keyframe.odometry.travel_m - 100.0
+    return Query(keyframe, replace(submap, rows=submap.rows + first_row), keyframe.T_local_body, before_m)
 
 
 class Patterns:

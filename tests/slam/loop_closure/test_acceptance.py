@@ -10,7 +10,7 @@ from scipy.special import logit
 
 from slam.common.config import Config, LocalizationConfig
 from slam.loop_closure.acceptance import Acceptance
-from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.candidate import Candidate, Query, Stage
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
@@ -90,34 +90,6 @@ def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns):
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
 
 
-def test_a_pose_by_landmarks_never_let_go_is_recognised_and_not_closed(acceptance, patterns):
-    patterns.alike = [candidate(8.0, SURE_LLR + 20.0)]  # not asked for: nothing is accepted
-    tracked = replace(candidate(0.0, SURE_LLR + 10.0), is_tracked=True)
-    found = acceptance.decide(query(), [tracked, candidate(2.0, SURE_LLR - 5.0)])
-    assert found.accepted is None
-    assert found.tracked is not None
-    assert found.tracked.is_tracked
-    assert [each.stage for each in found.rejected] == ["acceptance", "association"]
-    patterns.alike = []
-    elsewhere = acceptance.decide(query(), [candidate(90.0, SURE_LLR + 40.0), tracked])
-    assert elsewhere.accepted is not None
-    assert not elsewhere.accepted.is_tracked
-
-
-def test_a_pose_by_landmarks_never_let_go_is_a_rival(acceptance):
-    tracked = replace(candidate(0.0, SURE_LLR), is_tracked=True)
-    shifted = candidate(2.5, SURE_LLR + 3.0)
-    found = acceptance.decide(query(), [shifted, tracked])
-    assert found.accepted is None
-
-
-def test_a_predicted_place_is_contradicted_once_a_failure_of_the_odometry_is_likelier(acceptance):
-    """One failure in 1,000 km: on 100 m one in 10,000, which are 9.2 nats."""
-    assert not acceptance.is_contradicted(-9.2, 100.0)
-    assert acceptance.is_contradicted(-9.3, 100.0)
-    assert acceptance.is_contradicted(-9.2, 200.0)
-
-
 def test_posterior_odds_are_against_somewhere_new_and_all_that_cannot_be_true_too(acceptance, patterns):
     assert acceptance._posterior_log_odds([candidate(0.0, 18.0)]) == pytest.approx([18.0 - PENALTY])
     both = [candidate(0.0, 40.0), candidate(50.0, 38.0)]
@@ -157,10 +129,10 @@ def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, 
     assert "another pose is likelier" in decision.rejected[0].reason
 
 
-def test_a_candidate_that_only_the_odometry_rules_out_contradicts_it(acceptance):
-    found = replace(candidate(0.0, 30.0), odometry_penalty=28.0)
-    for unpredicted, contradicts in ((20.0, True), (26.0, False)):
-        decision = acceptance.decide(query(), [replace(found, unpredicted_penalty=unpredicted)])
-        assert decision.accepted is None
-        assert decision.contradicts_odometry is contradicts
-        assert not acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).contradicts_odometry
+def test_candidates_that_agree_are_one_and_places_without_a_candidate_keep_their_reasons(acceptance):
+    refused = query().refusal(Stage.REGISTRATION, "nothing fits")
+    decision = acceptance.decide(query(), [candidate(0.5, SURE_LLR), refused, candidate(0.0, SURE_LLR + 1.0)])
+    assert decision.accepted is not None
+    assert decision.accepted.T_local_query[0, 3] == 0.0
+    assert decision.rejected == (refused,)
+    assert acceptance.decide(query(), [refused]).rejected == (refused,)

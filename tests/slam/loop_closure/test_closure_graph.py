@@ -85,7 +85,7 @@ class Street:
             sigma=0.3,
             pairs=pairs,
         )
-        assert self.closures.add(candidate, "").inserted
+        assert self.closures.add(candidate).inserted
         self.graph.update()
 
     def merge_in_view(self, kept: int, dropped: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,7 +12,7 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.localization.pose_prior import failure_probability
-from slam.loop_closure.candidate import NOWHERE, Query
+from slam.loop_closure.candidate import Query
 from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD
 from slam.loop_closure.verification import Verifier
 from slam.odometry.drift import KeyframeTrack
@@ -54,9 +55,10 @@ def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure(
     keyframes: list[Keyframe], query: Query
 ) -> None:
     priors = make_priors(keyframes, bent_m=5.0)
-    followed = priors._prior(query, PLACE, keyframes[3], NOWHERE)
+    followed = priors._prior(query, PLACE, keyframes[3])
     np.testing.assert_allclose(followed.T_local_query, at(LATEST_M + 5.0), atol=1e-12)
-    np.testing.assert_array_equal(priors._prior(query, PLACE, keyframes[3], 20).T_local_query, PLACE.T_local_query)
+    predicted = priors._prior(query, replace(PLACE, predicted_by=20), keyframes[3])
+    np.testing.assert_array_equal(predicted.T_local_query, PLACE.T_local_query)
 
 
 @pytest.mark.parametrize("since", [3, 60])
@@ -70,8 +72,8 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(
     sigma_m, sigma_rad = track.drift_sigmas(since, COUNT - 1)
     landmark_sigma_m = CONFIG.calibration.objects.landmark_sigma_m
     for prior in (
-        priors._prior(query, PLACE, keyframes[since], NOWHERE),
-        priors._prior(query, PLACE, keyframes[0], since),
+        priors._prior(query, PLACE, keyframes[since]),
+        priors._prior(query, replace(PLACE, predicted_by=since), keyframes[0]),
     ):
         assert prior.sigma_m == pytest.approx(np.hypot(SLIP_INFLATION * sigma_m, landmark_sigma_m))
         assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))

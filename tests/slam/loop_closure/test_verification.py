@@ -16,7 +16,7 @@ from slam.common.geometry import apply, covariance_in_axes, invert, make_transfo
 from slam.loop_closure import consistency
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
-from slam.loop_closure.verification import Verifier, _mutually_nearest
+from slam.loop_closure.verification import Verifier
 from slam.object_map.submap import Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -57,7 +57,6 @@ class Landmarks:
     def __init__(self, reference: Submap) -> None:
         self.reference = reference
         self.repeated = [np.eye(4)]
-        self.first_seen_m = np.full(len(reference), 1e3)
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         return self.reference
@@ -67,9 +66,6 @@ class Landmarks:
 
     def self_similar_poses(self, query: Submap) -> FloatArray:
         return np.stack(self.repeated)
-
-    def first_seen_travels_m(self, submap: Submap) -> FloatArray:
-        return self.first_seen_m[: len(submap)]
 
 
 class Scene:
@@ -89,16 +85,17 @@ class Scene:
         self.verifier = Verifier(self.config, self.landmarks, track, graph, self.keyframes)  # type: ignore[arg-type]
         T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
         seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
-        self.query = Query(self.keyframes[QUERY], seen, T_local_gravity)
+        before_m = STEP_M * QUERY - self.config.closure_travel_m
+        self.query = Query(self.keyframes[QUERY], seen, T_local_gravity, before_m)
         self.place = Place(T_local_gravity, STEP_M * HERE, 0, "descriptor", rank=1)
 
-    def verified(self, place: Place | None = None, **more: int) -> Candidate:
-        found = self.verifier.verify(self.query, place or self.place, **more)
+    def verified(self, place: Place | None = None) -> Candidate:
+        found = self.verifier.verify(self.query, place or self.place)
         assert isinstance(found, Candidate), found.reason
         return found
 
-    def refusal(self, place: Place | None = None, **more: int) -> str:
-        found = self.verifier.verify(self.query, place or self.place, **more)
+    def refusal(self, place: Place | None = None) -> str:
+        found = self.verifier.verify(self.query, place or self.place)
         assert not isinstance(found, Candidate)
         return found.reason
 
@@ -122,18 +119,12 @@ def test_the_relative_pose_is_that_of_the_bodies_tilt_included():
     assert len(found.pairs) == 12
 
 
-def test_objects_that_cannot_be_registered_are_weighed_where_they_are():
-    """Two match; a third stands where the map has one of another class, a fourth beside the first."""
-    scene = Scene(np.array([[5.0, 4.0, 0.0], [9.0, -4.0, 0.0], [14.0, 3.0, 0.0]]), [0, 1, 2])
-    missed = np.log1p(-DETECTION_PROBABILITY)
-    seen = scene.query.submap
-    more = np.concatenate([seen.positions, seen.positions[:1] + np.array([0.5, 0.0, 0.0])])
-    query = replace(scene.query, submap=make_submap(more, [0, 1, 3, 0], first_row=500))
-    ratios = scene.verifier.unregistered(query, scene.place)
-    assert (ratios[:2] > 1.0).all()
-    np.testing.assert_allclose(ratios[2:], missed)
+def test_where_a_query_cannot_be_registered_no_object_has_a_match():
+    scene = Scene(scattered())
+    ratios = scene.verifier.unmatched(scene.query, scene.place)
+    np.testing.assert_allclose(ratios, np.log1p(-DETECTION_PROBABILITY))
     far = replace(scene.place, T_local_query=transform_from_xyz_yaw(np.array([900.0, 0.0, 0.0]), 0.0))
-    np.testing.assert_array_equal(scene.verifier.unregistered(query, far), 0.0)
+    np.testing.assert_array_equal(scene.verifier.unmatched(scene.query, far), 0.0)
 
 
 @pytest.mark.parametrize("seen", [2, 3, 5])
@@ -164,7 +155,6 @@ def test_a_way_beside_the_traversal_is_verified():
 
 def test_the_reference_is_no_keyframe_of_the_same_traversal():
     scene = Scene(scattered())
-    assert scene.verifier.latest_m(scene.query) == STEP_M * QUERY - scene.config.closure_travel_m
     assert "no earlier keyframe" in scene.refusal(replace(scene.place, travel_m=STEP_M * QUERY, T_local_query=(
         scene.place.T_local_query)))  # fmt: skip
 
@@ -179,7 +169,7 @@ def test_a_closure_predicts_within_its_segment():
     place = scene.verifier.predict(seed, scene.query)
     assert place is not None
     np.testing.assert_allclose(place.T_local_query, gravity_frame(body(QUERY)), atol=1e-9)
-    assert place.travel_m == STEP_M * HERE
+    assert (place.travel_m, place.predicted_by) == (STEP_M * HERE, QUERY - 5)
     elsewhere = replace(scene.query, keyframe=replace(scene.query.keyframe, odometry=replace(
         scene.query.keyframe.odometry, segment=1)))  # fmt: skip
     assert scene.verifier.predict(seed, elsewhere) is None
@@ -200,25 +190,6 @@ def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_
     R_gravity_body = (invert(gravity_frame(body(QUERY))) @ body(QUERY))[:3, :3]
     expected = covariance_in_axes(upright, R_gravity_body)
     np.testing.assert_allclose(with_shared.covariance - without.covariance, expected, atol=1e-6)
-
-
-def test_a_candidate_knows_that_its_landmarks_were_never_let_go():
-    scene = Scene(scattered())
-    assert not scene.verified().is_tracked
-    scene.query = replace(scene.query, submap=replace(scene.query.submap, rows=scene.landmarks.reference.rows))
-    assert scene.verified().is_tracked
-
-
-def test_a_query_is_where_enough_landmarks_of_an_earlier_traversal_are_followed():
-    scene = Scene(scattered())
-    least = registration_config(scene.config).min_inliers
-    assert scene.verifier.tracked_place(scene.query) is None
-    scene.landmarks.first_seen_m[: least - 1] = 10.0
-    assert scene.verifier.tracked_place(scene.query) is None
-    scene.landmarks.first_seen_m[:least] = 10.0
-    place = scene.verifier.tracked_place(scene.query)
-    assert place is not None
-    assert place.travel_m == STEP_M * HERE
 
 
 def test_candidates_are_consistent_if_the_odometry_relates_their_references():
@@ -272,12 +243,3 @@ def test_landmarks_that_are_not_confirmed_speak_for_a_pose_and_are_not_merged():
     assert sorted(found.pairs[:, 0].tolist()) == without.rows.tolist()
     scene.query = replace(scene.query, submap=without)
     assert found.log_likelihood_ratio > scene.verified().log_likelihood_ratio + 4.0
-
-
-def test_only_nearest_objects_of_one_class_are_pairs():
-    query = make_submap(np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [9.0, 0.0, 0.0]]), [0, 0, 1])
-    reference = make_submap(np.array([[9.1, 0.0, 5.0], [0.1, 0.0, 0.0], [20.0, 0.0, 0.0]]), [1, 0, 0])
-    assert _mutually_nearest(query, reference, np.eye(4)).tolist() == [[0, 1], [2, 0]]
-    nothing = make_submap(np.zeros((0, 3)))
-    for pair in ((query, nothing), (nothing, reference)):
-        assert _mutually_nearest(*pair, np.eye(4)).shape == (0, 2)

@@ -1,4 +1,4 @@
-"""Imported maps: their tiles, their file, and what is refused."""
+"""Imported maps: their file, and what is refused."""
 
 from __future__ import annotations
 
@@ -25,13 +25,12 @@ def imported(positions: FloatArray) -> ImportedMap:
     return make_imported_map(positions, labels, ids, sigma_m=0.3, georeference=Georeference(60.0, 24.0))
 
 
-def test_tiles_hold_all_objects_around_a_place() -> None:
+def test_positions_around_a_path_are_those_of_the_map_near_it() -> None:
     known = imported(scattered())
-    for place in np.array([[0.0, 0.0], [290.0, 120.0], [-99.0, 299.0], [1e4, 0.0]]):
-        rows = known.near(place, 40.0)
-        offsets = np.abs(known.positions[:, :2] - place).max(axis=1)
-        assert set(np.flatnonzero(offsets < 40.0)) <= set(rows)
-        assert (offsets[rows] < 40.0 + 1.5 * known.tile_m).all()
+    around = known.positions_around(np.array([[0.0, 0.0, 0.0], [100.0, 40.0, 0.0]]))
+    offsets_m = np.abs(known.positions[:, :2] - [50.0, 20.0])
+    np.testing.assert_array_equal(around, known.positions[(offsets_m <= [100.0, 70.0]).all(axis=1)])
+    assert len(known.positions_around(np.array([[1e4, 0.0, 0.0]]))) == 0
 
 
 def test_a_file_gives_it_back(tmp_path: Path) -> None:
@@ -41,9 +40,8 @@ def test_a_file_gives_it_back(tmp_path: Path) -> None:
     assert isinstance(loaded, ImportedMap)
     assert isinstance(loaded.pairs.words, np.memmap)
     assert (loaded.vocabulary, loaded.georeference, loaded.sigma_m) == (("pole", "tree"), known.georeference, 0.3)
-    for name in ("positions", "classes", "ids", "tiles", "tile_starts", "corner"):
+    for name in ("positions", "classes", "ids"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(known, name))
-    np.testing.assert_array_equal(loaded.near(np.zeros(2), 50.0), known.near(np.zeros(2), 50.0))
     again = tmp_path / "again.mcap"
     save_imported_map(again, known)
     assert again.read_bytes() == path.read_bytes()

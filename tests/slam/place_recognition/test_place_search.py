@@ -88,10 +88,10 @@ def test_pairs_are_compared_by_the_noise_between_neighbours() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
-        seen, rows, T_gt = observed(positions, centre, rng, missing=0.3, clutter=0)
+        seen, rows, T_gt = observed(positions, centre, rng, missing=0.3, clutter=12)
         seen[:, 1] += seen[:, 0] ** 2 / 100.0  # a bend of the odometry
         for local_sigma_m in found:
-            asked = Submap(seen, np.full(len(rows), 3.0), labels[rows], rows, local_sigma_m=local_sigma_m)
+            asked = Submap(seen, np.full(len(rows), 3.0), np.zeros_like(rows), rows, local_sigma_m=local_sigma_m)
             T = search.find_poses(asked, map_sigma_m=SIGMA_M, count=1)[0]
             found[local_sigma_m] += is_near(T, T_gt, within_m=3.0)
     assert found[SIGMA_M] >= 9
@@ -157,3 +157,21 @@ def test_objects_are_met_no_farther_than_the_next_object_of_the_map() -> None:
     asked = _query(positions, np.zeros(2, dtype=np.int64), np.full(2, 5.0))
     apart_m, _ = search._met(_Poses(np.array([asked.middle]), np.ones(1, dtype=complex)), asked, np.full(2, 5.0))
     np.testing.assert_allclose(apart_m, [[1.0, np.inf]], atol=1e-6)
+
+
+def test_objects_near_a_place_are_of_all_classes() -> None:
+    positions, labels = town(500, classes=3)
+    search = searched(positions, labels, 3)
+    for place in positions[[0, 100], :2] + 3.0:
+        apart_m = np.linalg.norm(positions[:, :2] - place, axis=1)
+        np.testing.assert_array_equal(search.near(place, 40.0), np.flatnonzero(apart_m <= 40.0))
+    assert len(search.near(np.array([-1e4, 0.0]), 40.0)) == 0
+
+
+def test_an_object_meets_another_of_its_class_only() -> None:
+    positions, labels = town(500, classes=2)
+    search = searched(positions, labels, 2)
+    near = query(positions[:20], labels[:20])
+    exchanged = query(positions[:20], 1 - labels[:20])
+    assert search.count_met(near, np.eye(4)[None]).tolist() == [20]
+    assert search.count_met(exchanged, np.eye(4)[None])[0] < 5

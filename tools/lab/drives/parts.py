@@ -63,7 +63,7 @@ PARTS: dict[str, Part] = {
         replaced={"slam.frontend.mapper.which_exist": lambda landmarks, seen, scan: np.ones(len(seen), dtype=np.bool_)}
     ),
     "tracked places": Part(
-        replaced={"slam.loop_closure.verification.Verifier.tracked_place": lambda self, query: None}
+        replaced={"slam.loop_closure.loop_closer.LoopCloser._tracked_reference": lambda self, query: None}
     ),
     "association after a loop": Part(
         replaced={

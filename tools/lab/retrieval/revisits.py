@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from descriptors.registry import make_index
-from logs.messages import GroundTruthPose, LoopClosureRecord
+from logs.messages import GroundTruthPose
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.topics import RecordKind
@@ -27,6 +27,7 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.place_recognition.revisits import find_true_poses
+from slam.loop_closure.loop_closer import Outcome
 from slam.object_map.submap import Submap, gravity_frame, recent_submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import PlaceRetriever
@@ -92,13 +93,13 @@ class _AskingSlam(Slam):
         self.asked_m = -np.inf
         self.asked = [_Asked(name, PlaceRetriever(_for(name, config), self._object_map)) for name in descriptors]
 
-    def _close_loops(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
+    def _close_loops(self, keyframe: Keyframe) -> Outcome:
         for each in self.asked:
             each.index(keyframe)
         travelled_m = float(self._truth.travelled_at_m(np.array([keyframe.odometry.stamp_ns]))[0])
         if travelled_m - self.asked_m >= self._protocol.query_spacing_m:
             self._ask(keyframe, travelled_m)
-        return []
+        return Outcome([])
 
     def _ask(self, keyframe: Keyframe, travelled_m: float) -> None:
         T_local_query_gt = self._true_poses(keyframe)
