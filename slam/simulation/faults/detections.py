@@ -5,7 +5,9 @@ Each public function is a fault; its docstring tells what it does, its parameter
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from typing import Annotated
 
 import numpy as np
@@ -16,7 +18,7 @@ from logs.dslam_codec import take_rows
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import make_transform
-from slam.simulation.faults.parameters import Degrees, Factor, Share, Sigma
+from slam.simulation.faults.parameters import Degrees, Factor, Metres, Share, Sigma
 from slam.simulation.faults.recording import Recording, Scan, joined
 
 FALSE_POSITIVE_RANGE_PERCENTILE = 95.0
@@ -24,8 +26,8 @@ FALSE_POSITIVE_RANGE_PERCENTILE = 95.0
 
 _Angle = Annotated[float, Field(gt=0.0, le=360.0, description="deg")]
 _Reach = Annotated[float, Field(gt=0.0, allow_inf_nan=False, description="m")]
-_Claimed = Annotated[float, Field(ge=1e-9, le=1e3, description="m")]
 _PerScan = Annotated[float, Field(ge=0.0, le=1000.0, description="number")]
+_Claimed = Annotated[float, Field(ge=1e-9, le=1e3, description="m")]
 
 
 def position_noise(log: Recording, sigma_m: Sigma = 1.0, *, rng: np.random.Generator) -> None:
@@ -116,6 +118,14 @@ def ranges_scaled(log: Recording, factor: Factor = 1.1) -> None:
         scan.change(positions=factor * scan.seen.positions)
 
 
+def height_offset(log: Recording, height_m: Metres = 2.0) -> None:
+    """All objects are seen M too high, in the axes of the body."""
+    frames = log.body_frames()
+    for scan in log.scans:
+        up = np.array([0.0, 0.0, height_m]) @ frames(scan.seen.frame_id)[:3, :3]
+        scan.change(positions=scan.seen.positions + up)
+
+
 def odometry_frame(log: Recording) -> None:
     """Positions are in the frame of the odometry; messages name that of the sensor."""
     frames = log.body_frames()
@@ -141,6 +151,22 @@ def labels_random(log: Recording, *, rng: np.random.Generator) -> None:
     for scan in log.scans:
         drawn = rng.integers(max(len(labels), 1), size=len(scan.seen.labels))
         scan.change(labels=tuple(labels[i] for i in drawn))
+
+
+def labels_unique(log: Recording) -> None:
+    """Each detection has a label of its own."""
+    number = count()
+    _rename(log, lambda label: f"object_{next(number)}")
+
+
+def labels_one_class(log: Recording) -> None:
+    """All detections have one label."""
+    _rename(log, lambda label: "object")
+
+
+def _rename(log: Recording, rename: Callable[[str], str]) -> None:
+    for scan in log.scans:
+        scan.change(labels=tuple(map(rename, scan.seen.labels)))
 
 
 def _from_sensor(log: Recording) -> list[tuple[Scan, FloatArray]]:

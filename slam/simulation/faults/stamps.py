@@ -1,13 +1,14 @@
-"""Faults of stamps and rates. Each public function is a fault."""
+"""Faults of stamps, rates and gaps. Each public function is a fault."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from slam.simulation.faults.parameters import Duration, Hertz, Seconds
+from slam.simulation.faults.parameters import Duration, Hertz, Part, Seconds
 from slam.simulation.faults.recording import Recording, Scan, seconds_ns
 
 _Ppm = Annotated[float, Field(ge=-1e6, le=1e6, description="ppm")]
@@ -18,10 +19,21 @@ def time_offset(log: Recording, seconds: Seconds = 0.1) -> None:
     log.restamp_scans(lambda stamp_ns: stamp_ns + seconds_ns(seconds))
 
 
+def detections_clock_back(log: Recording, seconds: Duration = 30.0) -> None:
+    """The clock of the detections is S behind from half time on."""
+    half_ns = log.stamp_at(0.5)
+    log.restamp_scans(lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= half_ns))
+
+
 def detections_clock_slow(log: Recording, parts_per_million: _Ppm = 200.0) -> None:
     """The clock of the detections is slow by so many parts in a million."""
     first_ns = log.stamp_at(0.0)
     log.restamp_scans(lambda stamp_ns: stamp_ns - round((stamp_ns - first_ns) * parts_per_million * 1e-6))
+
+
+def stamps_in_microseconds(log: Recording) -> None:
+    """Stamps of detections are in microseconds instead of nanoseconds."""
+    log.restamp_scans(lambda stamp_ns: stamp_ns // 1000)
 
 
 def scan_rate(log: Recording, rate_hz: Hertz = 1.0) -> None:
@@ -30,16 +42,40 @@ def scan_rate(log: Recording, rate_hz: Hertz = 1.0) -> None:
     log.scans = [scan for scan in log.scans if scan.stamp_ns in kept]
 
 
+def detections_stop(log: Recording, fraction: Part = 0.5) -> None:
+    """No detections come from a part of the drive on."""
+    begin_ns = log.stamp_at(fraction)
+    log.scans = [scan for scan in log.scans if scan.stamp_ns < begin_ns]
+
+
 def odometry_pause(log: Recording, seconds: Duration = 10.0) -> None:
     """No odometry comes for S from half time on."""
+    kept = ~_after_half(log, seconds)
+    log.odometry = [log.odometry[row] for row in np.flatnonzero(kept)]
+
+
+def log_gap(log: Recording, seconds: Duration = 10.0) -> None:
+    """Neither odometry nor detections come for S from half time on."""
     begin_ns, end_ns = log.from_half(seconds)
-    log.odometry = [message for message in log.odometry if not begin_ns <= message.record.stamp_ns < end_ns]
+    odometry_pause(log, seconds)
+    log.scans = [scan for scan in log.scans if not begin_ns <= scan.stamp_ns < end_ns]
 
 
 def messages_twice(log: Recording) -> None:
     """Each message of odometry and of detections comes twice."""
     log.odometry = [message for message in log.odometry for _ in range(2)]
     log.scans = [Scan(scan.message, scan.truth) for scan in log.scans for _ in range(2)]
+
+
+def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> None:
+    """Stamps of the odometry fall instead of rising for S from half time on."""
+    log.stamps_ns = np.where(_after_half(log, seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
+
+
+def _after_half(log: Recording, seconds: float) -> NDArray[np.bool_]:
+    """Which stamps (N,) of the odometry are within so long from half time on."""
+    begin_ns, end_ns = log.from_half(seconds)
+    return (log.stamps_ns >= begin_ns) & (log.stamps_ns < end_ns)
 
 
 def _thinned(stamps_ns: list[int], rate_hz: float) -> set[int]:

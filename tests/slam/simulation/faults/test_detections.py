@@ -33,16 +33,22 @@ from tests.slam.simulation.faults.streams import (
 )
 
 HALF, TOTAL = 50, 4 * COUNT
-IN_GAP = (STAMPS_NS >= HALF_NS) & (STAMPS_NS < HALF_NS + 2 * 10**9)
+AFTER = STAMPS_NS >= HALF_NS
+IN_GAP = AFTER & (STAMPS_NS < HALF_NS + 2 * 10**9)
 
 SCANS, ODOMETRY, BOTH = (ObjectDetections, DetectionTruth), (Odometry,), (ObjectDetections, DetectionTruth, Odometry)
 STAMPS: dict[str, tuple[tuple[type, ...], IntArray]] = {
     "time_offset=0.25": (SCANS, STAMPS_NS + 250_000_000),
     "time_offset=-55": (SCANS, STAMPS_NS[STAMPS_NS >= 55 * 10**9] - 55 * 10**9),  # none is before zero
+    "detections_clock_back=30": (SCANS, STAMPS_NS - 30 * 10**9 * AFTER),
     "detections_clock_slow=1000": (SCANS, STAMPS_NS - (STAMPS_NS - STAMPS_NS[0]) // 1000),
+    "stamps_in_microseconds": (SCANS, STAMPS_NS // 1000),
     "scan_rate=2": (SCANS, STAMPS_NS[::5]),
+    "log_gap=2": (BOTH, STAMPS_NS[~IN_GAP]),
     "odometry_pause=2": (ODOMETRY, STAMPS_NS[~IN_GAP]),
+    "odometry_backwards=2": (ODOMETRY, np.where(IN_GAP, 2 * HALF_NS + 2 * 10**9 - STAMPS_NS, STAMPS_NS)),
     "messages_twice": (BOTH, np.repeat(STAMPS_NS, 2)),
+    "detections_stop=0.25": (SCANS, STAMPS_NS[:25]),
 }
 """Kinds whose stamps a fault changes, and what they become."""
 
@@ -58,6 +64,7 @@ def test_fault_changes_these_stamps(fault: str) -> None:
 
 
 POSITIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "height_offset=2": lambda before: before + np.array([0.0, 0.0, 2.0]) @ T_BODY_SENSOR[:3, :3],
     "sensor_rotated": lambda before: before * [1.0, -1.0, -1.0],  # upside down
     # Turned to the left, the sensor sees what is ahead of the body to its right.
     "sensor_rotated=0:0:90": lambda before: np.stack([before[..., 1], -before[..., 0], before[..., 2]], axis=-1),
@@ -110,10 +117,13 @@ def test_lengths_are_scaled_and_angles_are_not() -> None:
     assert records(changed, ObjectMapRecord)[0].positions == pytest.approx(20.0 * OBJECTS)
 
 
-def test_random_labels_are_those_of_the_log() -> None:
+def test_labels_are_of_the_log_of_their_own_or_of_one_class() -> None:
     drawn = Counter(label for scan in labels(faulty("labels_random")) for label in scan)
     assert set(drawn) == set(LABELS)
     assert min(drawn.values()) > TOTAL / 3 * 0.7
+    own = [label for scan in labels(faulty("labels_unique")) for label in scan]
+    assert len(set(own)) == len(own) == TOTAL
+    assert len({label for scan in labels(faulty("labels_one_class")) for label in scan}) == 1
 
 
 def test_confused_labels_become_every_other_one() -> None:

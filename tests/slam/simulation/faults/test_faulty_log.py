@@ -43,17 +43,17 @@ def test_the_same_input_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
 def test_what_was_done_stands_in_the_log(log: Path, tmp_path: Path) -> None:
     once, twice = tmp_path / "once.mcap", tmp_path / "twice.mcap"
     write_faulty(log, once, parse_faults(["time_offset", "gyro_bias=30:1"]), seed=4)
-    write_faulty(once, twice, parse_faults(["labels_random"]), seed=5)
+    write_faulty(once, twice, parse_faults(["labels_unique"]), seed=5)
     with LogReader(twice) as reader:
         told = reader.metadata()
     assert told["source"] == {"dataset": "made up"}
     assert (told["faults"]["faults"], told["faults"]["seed"]) == ("time_offset=0.1 gyro_bias=30:1", "4")
-    assert (told["faults_2"]["faults"], told["faults_2"]["seed"]) == ("labels_random", "5")
+    assert (told["faults_2"]["faults"], told["faults_2"]["seed"]) == ("labels_unique", "5")
 
 
 def test_seeds_are_not_negative(log: Path, tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="negative"):
-        write_faulty(log, tmp_path / "out.mcap", parse_faults(["labels_random"]), seed=-1)
+        write_faulty(log, tmp_path / "out.mcap", parse_faults(["labels_unique"]), seed=-1)
 
 
 def test_a_topic_that_plays_two_parts_is_refused(log: Path, tmp_path: Path) -> None:

@@ -43,11 +43,11 @@ def test_random_numbers_depend_on_seed_and_repetition_but_not_on_other_faults() 
 
 
 def test_names_and_values_go_round() -> None:
-    texts = ["gyro_bias", "gyro_bias=30, gyro-bias=30:1", "labels_random", "keep_label=tree:lamp", "dropout=.30"]
+    texts = ["gyro_bias", "gyro_bias=30, gyro-bias=30:1", "labels_unique", "keep_label=tree:lamp", "dropout=.30"]
     names = [fault.name for fault in parse_faults(texts)]
     assert names == [
         *("gyro_bias=3:10", "gyro_bias=30:10", "gyro_bias=30:1"),
-        *("labels_random", "keep_label=tree:lamp", "dropout=0.3"),
+        *("labels_unique", "keep_label=tree:lamp", "dropout=0.3"),
     ]
     assert [fault.name for fault in parse_faults(names)] == names
     is_random = [fault.is_random for fault in parse_faults(["dropout", "max_range", "keep_label=tree"])]
@@ -65,7 +65,7 @@ def test_names_and_values_go_round() -> None:
         ("heading_jump=nan", "not allowed"),
         ("heading_jump=30:2", "part of the drive: Input should be less than or equal to 1"),
         ("gyro_bias=3:10:5", "write gyro_bias=3:10"),
-        ("labels_random=1", "takes no value"),
+        ("labels_unique=1", "takes no value"),
         ("keep_label", "needs a label"),
         ("odometry_jumps=2.5", "a valid integer"),
     ],
