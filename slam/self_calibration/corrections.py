@@ -11,9 +11,11 @@ so far, u = x / |x| and J = [0 -1; 1 0], at
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of all
 terms finds them. A term is *earned* if blocks of the log that the regression was not fitted to are predicted better
-with the term: among all others, which may replace it, and if it is corrected alone by that value, since several terms
-together fit what none of them explains; by a share of what is left, and more surely than chance, which gives each
-block's gain either sign (the sign-flip test).
+with the term: among all others, which may replace it, and if it is corrected alone by its value there, since several
+terms together fit what none of them explains; by a share of what is left, and more surely than chance, which gives each
+block's gain either sign (the sign-flip test). The value of a term is what fits best without the others: where a robot
+turns too little near objects, a sensor that is shifted and turns that are right in part fit together better, and are
+both wrong.
 """
 
 from __future__ import annotations
@@ -71,8 +73,9 @@ class BodyMotion:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The ``value`` of a term with its standard ``error``; ``gain``: share of the held-out motion that it explains,
-    among all others and alone, the smaller one; ``is_sure``: whether both are more than chance gains.
+    """The ``value`` of a term without the others, with its standard ``error``; ``gain``: share of the held-out motion
+    that it explains, among all others and by its value there alone, the smaller one; ``is_sure``: whether both are more
+    than chance gains.
     """
 
     term: str
@@ -93,7 +96,7 @@ class Correction:
 
 
 def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Correction, ...]:
-    """The terms, the one with the largest gain first; none where too few objects could be tracked."""
+    """The terms, the one first that explains most alone; none where too few objects could be tracked."""
     first, second = _lagged(tracks)
     if len(first) < MIN_PAIRS:
         return ()
@@ -109,16 +112,18 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
     everything = np.ones(len(TERMS), dtype=np.bool_)
     parts, with_all = _held_out(*sums, everything)
     _, with_none = _held_out(*sums, ~everything)
-    errors = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0)) / scale
     found = []
     for number, term in enumerate(TERMS):
         is_term = np.arange(len(TERMS)) == number
         _, without = _held_out(*sums, everything & ~is_term)
+        alone, with_term = _held_out(*sums, is_term)
         gain, is_sure = _gain(without, with_all)
-        gain_alone, is_sure_alone = _gain(with_none, _left_of(*sums, parts * is_term))
-        value = float(parts.mean(axis=0)[number] / scale[number])
-        found.append(Correction(term, value, float(errors[number]), min(gain, gain_alone), is_sure and is_sure_alone))
-    return tuple(sorted(found, key=lambda each: -each.gain))
+        gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
+        values = alone[:, number] / scale[number]
+        error = float(np.sqrt((BLOCKS - 1) * np.var(values)))
+        correction = Correction(term, float(values.mean()), error, min(gain, gain_of_part), is_sure and is_sure_of_part)
+        found.append((_gain(with_none, with_term)[0], correction))
+    return tuple(each for _, each in sorted(found, key=lambda pair: -pair[0]))
 
 
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:

@@ -28,7 +28,7 @@ from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_o
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95
-MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 1.0 / 3.0
+MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 0.5
 """A sensor that is turned by more, and turns of the odometry that are wrong by such a share, are corrected: less may be
 the road's, more is no matter of calibration.
 """

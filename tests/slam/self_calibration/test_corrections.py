@@ -98,6 +98,18 @@ def test_term_that_has_the_other_sign_alone_is_earned_after_what_hides_it_is_cor
     assert earned(turned, motion) == {"yaw_rad": pytest.approx(0.05, abs=0.01)}
 
 
+def test_turn_that_errs_more_near_objects_is_estimated_without_a_shift_of_the_sensor():
+    motion, made = weaving(), tracks(weaving())
+    forward = np.stack([np.cos(motion.headings), np.sin(motion.headings)], axis=1)
+    ranges_m = np.linalg.norm(made.offsets, axis=1)
+    seen = made.of(np.sum(forward[made.scan] * made.offsets, axis=1) > 0.85 * ranges_m)
+    of_track_m = (np.bincount(made.track, ranges_m) / np.bincount(made.track))[seen.track]
+    shares = 0.3 * np.median(of_track_m) / of_track_m
+    turned = shares[:, None] * _effects(seen, motion)[:, :2, TERMS.index("turn_share")]
+    first = estimate_corrections(replace(seen, points=seen.points + turned), motion)[0]
+    assert (first.term, first.value) == ("turn_share", pytest.approx(-0.3, abs=0.04))
+
+
 def test_a_term_whose_value_alone_predicts_worse_is_not_earned():
     """Seen ahead only, a climb, a pitch and heights that change with the range look alike. Together they fit a change
     with the square of the range, by values that are much too large.

@@ -251,7 +251,7 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
 @pytest.mark.parametrize(
     ("corrections", "corrected"),
     [
-        pytest.param([("climb_share", 0.4, False)], {}, id="no odometry climbs so much"),
+        pytest.param([("climb_share", 0.6, False)], {}, id="no odometry climbs so much"),
         pytest.param([("y_m", -38.0, True)], {}, id="no sensor is so far from the body"),
         pytest.param(
             [("pitch_rad", 0.2, True), ("pitch_rad", 0.04, False)], {"detection.pitch_deg": 13.7}, id="rest of a pitch"
