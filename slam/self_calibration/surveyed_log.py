@@ -17,13 +17,12 @@ from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
 from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.variance_components import CLIP
 
 MAX_DETECTIONS = 150_000
 """A survey ends after that many detections; what it estimates has converged by then."""
 FAR_OFF = 100.0
 """Detections beyond so many median ranges are treated as outliers."""
-CLIP = 8.0
-"""Steps of the odometry are clipped at so many times their median."""
 MAX_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
 

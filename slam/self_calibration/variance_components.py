@@ -45,6 +45,8 @@ QUADRATURE = 32
 """Nodes of the Gauss-Laguerre quadrature."""
 USED_PAIRS = 3000
 """Pairs of detections of one lag that are used, at least, where there are more: all those of some pairs of scans."""
+CLIP = 8.0
+"""Displacements are clipped at that many robust standard deviations."""
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
 EXACT = 1e-13
@@ -207,7 +209,7 @@ class _Fit:
         self._group, self._start = pairs.group, np.flatnonzero(np.diff(pairs.group, prepend=-1))
         axes = _axes(pairs)
         self._A = axes @ _jacobians(pairs)
-        self._y = np.einsum("nij,nj->ni", axes, pairs.d)
+        self._y = _clipped(np.einsum("nij,nj->ni", axes, pairs.d))
         own, shared = _own_parts(pairs)[:, :, : axes.shape[1]], _shared_parts(pairs)
         self._parts = own, shared
         square = max(float(np.mean(self._y**2)), EXACT)
@@ -343,3 +345,8 @@ def _shared_parts(pairs: _Displacements) -> FloatArray:
     parts[5:9, :, LATERAL] = np.stack([0.25 * two, L / 12.0, A / 12.0, T / 12.0])
     parts[9:11, :, TILT] = np.stack([two, L])[:, :, None]
     return parts
+
+
+def _clipped(y: FloatArray) -> FloatArray:
+    limit = CLIP * 1.4826 * np.median(np.abs(y), axis=0)
+    return np.asarray(np.where(limit > 0.0, np.clip(y, -limit, limit), y))
