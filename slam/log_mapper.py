@@ -14,7 +14,6 @@ from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.stamp_clocks import StampClocks
 from slam.live_slam import LiveSlam
 from slam.output_log import OutputLog
-from slam.system import Slam
 
 
 class LogMapper:
@@ -23,7 +22,7 @@ class LogMapper:
     ``fixes``: those of a satellite receiver; ``seconds``: how long each message took on this machine.
     """
 
-    def __init__(self, slam: Slam | LiveSlam, inputs: InputRecords, clocks: StampClocks, log: OutputLog) -> None:
+    def __init__(self, slam: LiveSlam, inputs: InputRecords, clocks: StampClocks, log: OutputLog) -> None:
         self.slam = slam
         self.log = log
         self.clocks = clocks
@@ -45,8 +44,7 @@ class LogMapper:
         """
         self._map(self.clocks.finish(), log_time_ns)
         self._inputs.check()
-        if isinstance(self.slam, LiveSlam):
-            self.log.write_updates(self.slam.catch_up(), log_time_ns)
+        self.log.write_updates(self.slam.catch_up(), log_time_ns)
         self.slam.counters.update(Counter(counters) + Counter(self._inputs.counters))
         return self.slam.finish()
 

@@ -32,7 +32,6 @@ from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.initial_pose import InitialPose
 from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import provenance_of
-from slam.system import Slam
 from slam.trajectory_check.judgement import TrajectoryCheck
 
 DEFAULTS = Config()
@@ -106,13 +105,20 @@ def replay(
         _check_drive(reader, source, output)
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
         clocks = StampClocks(prepared.drift, keeps_delays=online)
-        slam = _make_slam(prepared, clocks, prior_map, initial_pose, extend=extend, online=online)
+        slam = LiveSlam(
+            prepared.calibration.config.model_copy(update={"calibrate": online and config.calibrate}),
+            prior_map,
+            extend=extend,
+            initial_pose=initial_pose,
+            frames=prepared.frames,
+            delays=clocks.delays,
+        )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
             mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, DriveDisplay(), None, georeference))
             final = _map(mapper, prepared, reader, writer, progress)
-            calibration = slam.calibration if isinstance(slam, LiveSlam) else prepared.calibration
+            calibration = slam.calibration if online else prepared.calibration
             provenance = provenance_of(reader, config, prepared, calibration, prior_map, extend=extend)
             provenance["trajectory_check"] = json.dumps(asdict(final.trajectory_check))
             writer.add_metadata("dslam", provenance)
@@ -128,21 +134,6 @@ def replay(
         *_about_labels(prepared.labels),
     )
     return _summarize(mapper, final, notes, unsaved, prepared.last_ns - prepared.first_ns, started)
-
-
-def _make_slam(
-    prepared: PreparedLog,
-    clocks: StampClocks,
-    prior_map: PriorMap | None,
-    initial_pose: InitialPose | None,
-    *,
-    extend: bool,
-    online: bool,
-) -> Slam | LiveSlam:
-    config, frames = prepared.calibration.config, prepared.frames
-    if not online:
-        return Slam(config, prior_map, extend=extend, initial_pose=initial_pose, frames=frames)
-    return LiveSlam(config, prior_map, extend=extend, initial_pose=initial_pose, frames=frames, delays=clocks.delays)
 
 
 def _map(
@@ -199,7 +190,7 @@ def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
 def _save(
     map_path: Path,
     output: Path,
-    slam: Slam | LiveSlam,
+    slam: LiveSlam,
     final: FinalMap,
     provenance: dict[str, str],
     prior_map: PriorMap | None,

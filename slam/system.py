@@ -131,8 +131,7 @@ class Slam:
         elif isinstance(record, ObjectDetections):
             self._frontend.add_detections(record)
         elif isinstance(record, Odometry):
-            corrected = self._odometry.correct(record)
-            return [] if corrected is None else self._follow(corrected)
+            return self._follow(self._odometry.correct(record))
         return self._advance()
 
     def snapshot(self) -> MapSnapshot | None:

@@ -54,12 +54,6 @@ class OdometryCalibration(Branch):
     climb: float = Field(
         default=0.0, ge=-1, le=1, description="height that the odometry lacks per metre of travel [m / m]"
     )
-    sources: int = Field(
-        default=1,
-        ge=1,
-        le=2,
-        description="sources that publish on the topic; the source of the first message is used",
-    )
 
 
 class DetectionCalibration(Branch):

@@ -67,7 +67,9 @@ class Frontend:
     def add_odometry(self, odometry: Odometry) -> list[int]:
         """Follow the odometry; returns the stamps of the poses that this adds to the track."""
         self._placer.follow(odometry)
-        return self._wait_for([pose.stamp_ns for pose in self._track.add(odometry)])
+        added_ns = [pose.stamp_ns for pose in self._track.add(odometry)]
+        self._waiting += added_ns
+        return added_ns
 
     def pose_at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose of the track at a time, as it is corrected by now."""
@@ -102,7 +104,7 @@ class Frontend:
         Raises:
             InputDataError: no detection could be placed, for want of a transform.
         """
-        self._wait_for([pose.stamp_ns for pose in self._track.finish()])
+        self._waiting += [pose.stamp_ns for pose in self._track.finish()]
         yield from self.advance()
         self._is_broken = True
         yield from self._map_untold()
@@ -117,10 +119,6 @@ class Frontend:
                 "/tf_static, or pass --set calibration.detection.assume_body_frame=true if the detections are in "
                 "the body frame"
             )
-
-    def _wait_for(self, stamps_ns: list[int]) -> list[int]:
-        self._waiting += stamps_ns
-        return stamps_ns
 
     def _place(self, detections: ObjectDetections) -> Iterator[OdometryPose | DetectionAssociations]:
         pose = self._track.at(self._scans.time_ns(detections))

@@ -1,27 +1,59 @@
-"""The odometry after the corrections of a calibration."""
+"""The odometry after the corrections of a calibration: stamps; lengths and turns that are wrong by a factor, as of a
+wheel of another radius or track; a climb, as of a LiDAR whose beams are tilted.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from logs.messages import Odometry
+from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
-from slam.odometry.scaled_odometry import ScaledOdometry
-from slam.odometry.sources import FollowedSource
+from slam.common.geometry import transform_from_xyz_yaw, yaw_rad
 
 
 class CalibratedOdometry:
-    """Corrects the messages of a drive, in their order."""
+    """Corrects the messages of a drive, in their order.
+
+    Multiplies each step by ``length_scale`` and its turn about the vertical by ``turn_scale``; raises each by ``climb``
+    of its length. Roll and pitch stay, since gravity gives them. A body that turns on the way goes along the chord of
+    its arc.
+    """
 
     def __init__(self, calibration: OdometryCalibration) -> None:
-        self._source = FollowedSource() if calibration.sources > 1 else None
-        self._scaled = ScaledOdometry.of(calibration)
+        self._calibration = calibration
+        self._is_right = (calibration.length_scale, calibration.turn_scale, calibration.climb) == (1.0, 1.0, 0.0)
         self._offset_ns = round(calibration.time_offset_s * 1e9)
+        self._reported: FloatArray | None = None
+        self._corrected = np.eye(4)
+        self._turned_rad = 0.0
 
-    def correct(self, odometry: Odometry) -> Odometry | None:
-        """The next message with stamp, lengths and turns corrected; None if it is of the source that is left out."""
-        if self._source is not None and not self._source.follows(odometry):
-            return None
-        if self._scaled is not None:
-            odometry = self._scaled.correct(odometry)
-        return replace(odometry, stamp_ns=odometry.stamp_ns + self._offset_ns) if self._offset_ns else odometry
+    def correct(self, odometry: Odometry) -> Odometry:
+        """The next message with stamp, lengths and turns corrected; a repeated pose is repeated to the last digit."""
+        T_odom_body = odometry.T_odom_body if self._is_right else self._scaled(odometry.T_odom_body)
+        return replace(odometry, stamp_ns=odometry.stamp_ns + self._offset_ns, T_odom_body=T_odom_body)
+
+    def _scaled(self, reported: FloatArray) -> FloatArray:
+        if self._reported is None:
+            self._corrected = reported
+        elif not np.array_equal(reported, self._reported):
+            step_m = reported[:3, 3] - self._reported[:3, 3]
+            turn_rad = float(yaw_rad(reported) - yaw_rad(self._reported))
+            turn_rad = (turn_rad + np.pi) % (2.0 * np.pi) - np.pi
+            further_rad = (self._calibration.turn_scale - 1.0) * turn_rad
+            on_chord = _rotation(self._turned_rad + 0.5 * further_rad)
+            self._turned_rad += further_rad
+            corrected = np.eye(4)
+            corrected[:3, :3] = _rotation(self._turned_rad) @ reported[:3, :3]
+            step_m[2] += self._calibration.climb * float(np.linalg.norm(step_m[:2]))
+            corrected[:3, 3] = self._corrected[:3, 3] + self._calibration.length_scale * (on_chord @ step_m)
+            self._corrected = corrected
+        self._reported = reported
+        return self._corrected
+
+
+def _rotation(yaw: float) -> FloatArray:
+    """The rotation (3, 3) by a heading [rad]."""
+    return transform_from_xyz_yaw(np.zeros(3), yaw)[:3, :3]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Reversible, Sequence
+from collections.abc import Sequence
 from itertools import islice
 
 import numpy as np
@@ -22,28 +22,21 @@ MAX_ACCELERATION_RANGES = 1.0 / 6.0
 JUMP_SLACK_RANGES = 2.0 / 30.0
 
 
-class StepLimits:
-    """Limits of a step from the last of some poses to a next one."""
+def is_beyond_limits(
+    poses: Sequence[OdometryPose], stamp_ns: int, T_odom_body: FloatArray, *, sensor_range_m: float
+) -> bool:
+    """Whether a step is a discontinuity if nothing shows that it is not: by a silence or a jump.
 
-    def __init__(self, sensor_range_m: float) -> None:
-        self._sensor_range_m = sensor_range_m
-        self._jump_slack_m = JUMP_SLACK_RANGES * sensor_range_m
-
-    def is_beyond(self, poses: Sequence[OdometryPose], stamp_ns: int, T_odom_body: FloatArray) -> bool:
-        """Whether a step is a discontinuity if nothing shows that it is not: by a silence or a jump.
-
-        Args:
-            poses: those before it.
-            stamp_ns: of the pose after it.
-            T_odom_body: (4, 4), that pose.
-        """
-        last = poses[-1]
-        seconds = (stamp_ns - last.stamp_ns) * 1e-9
-        step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
-        return seconds > MAX_GAP_S or step_m > self._farthest_step_m(poses, seconds)
-
-    def _farthest_step_m(self, poses: Reversible[OdometryPose], seconds: float) -> float:
-        """Limit of the motion since the last pose; a larger step is a jump of the odometry."""
-        speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
-        reachable_mps = speed_mps + MAX_ACCELERATION_RANGES * self._sensor_range_m * seconds
-        return min(reachable_mps, MAX_SPEED_RANGES * self._sensor_range_m) * seconds + self._jump_slack_m
+    Args:
+        poses: those before it.
+        stamp_ns: of the pose after it.
+        T_odom_body: (4, 4), that pose.
+        sensor_range_m: of the detector.
+    """
+    last = poses[-1]
+    seconds = (stamp_ns - last.stamp_ns) * 1e-9
+    step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
+    speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
+    reachable_mps = speed_mps + MAX_ACCELERATION_RANGES * sensor_range_m * seconds
+    farthest_m = min(reachable_mps, MAX_SPEED_RANGES * sensor_range_m) * seconds + JUMP_SLACK_RANGES * sensor_range_m
+    return seconds > MAX_GAP_S or step_m > farthest_m

@@ -13,7 +13,7 @@ from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import rigid
 from slam.odometry.pose import OdometryPose, pose_at
-from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, StepLimits
+from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, is_beyond_limits
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
@@ -51,7 +51,7 @@ class OdometryTrack:
     ) -> None:
         self._max_speed_mps = MAX_SPEED_RANGES * sensor_range_m
         self._jitter_m = JITTER_RANGES * sensor_range_m
-        self._limits = StepLimits(sensor_range_m)
+        self._sensor_range_m = sensor_range_m
         self._first_segment = first_segment
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
         self._jump: Odometry | None = None
@@ -183,10 +183,11 @@ class OdometryTrack:
         """Whether a body can have come from the pose of one message to that of another."""
         T_before, T_after = (self._T_odom_reported @ each.T_odom_body for each in (before, after))
         pose = replace(self._poses[-1], stamp_ns=before.stamp_ns, T_odom_body=T_before)
-        return not self._limits.is_beyond([pose], after.stamp_ns, T_after)
+        return not is_beyond_limits([pose], after.stamp_ns, T_after, sensor_range_m=self._sensor_range_m)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
-        return self._limits.is_beyond(self._poses, odometry.stamp_ns, self._T_odom_reported @ odometry.T_odom_body)
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
+        return is_beyond_limits(self._poses, odometry.stamp_ns, T_odom_body, sensor_range_m=self._sensor_range_m)
 
     def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest

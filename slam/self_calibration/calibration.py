@@ -70,7 +70,6 @@ _MEANINGS = {
     "right (else give calibration.detection.range_scale)",
     "odometry.turn_scale": "the rotations of the odometry need a factor of {:.3f}",
     "odometry.climb": "the odometry lacks a climb of {:+.3f} of its path",
-    "odometry.sources": "{:.0f} sources publish on the topic of the odometry: that of the first message is used",
     "detection.roll_deg": "the sensor has a roll of {:.1f} deg relative to its transform: check the frames",
     "detection.pitch_deg": "the sensor has a pitch of {:.1f} deg relative to its transform: check the frames",
     "detection.yaw_deg": "the sensor has a yaw of {:.1f} deg relative to its transform: check the frames",
@@ -316,7 +315,7 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
             "the heading of the odometry never changes although objects seem to turn: it seems to hold positions "
             "only; record orientations"
         )
-    if survey.detour > MAX_DETOUR and "odometry.sources" not in corrections:
+    if survey.detour > MAX_DETOUR:
         yield (
             f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
             "message; do two sources publish on its topic?"

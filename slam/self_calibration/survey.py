@@ -105,7 +105,6 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     """
     given = given or Calibration()
     detour = max((log.detour() for log in logs), default=1.0)
-    two_sources = [log.follow_one_source(is_known=given.odometry.sources > 1) for log in logs]
     known = given
     corrected = _frame(logs, known, given)
     labels = _label_noise(logs, known.with_values(corrected))
@@ -129,7 +128,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     return replace(
         summarize(scans, tracks),
         labels=labels,
-        corrected=corrected | ({"odometry.sources": 2} if any(two_sources) else {}),
+        corrected=corrected,
         suspected=_suspected(found, known.with_values(corrected)),
         delay_s=delay_s,
         lacks_heading=bool(np.ptp(motion.headings) < SAME_HEADING_RAD) and not agree(scans),

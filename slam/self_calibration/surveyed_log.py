@@ -14,8 +14,7 @@ from slam.common.calibration import Calibration
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
-from slam.odometry.scaled_odometry import ScaledOdometry
-from slam.odometry.sources import FollowedSource
+from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
 from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.variance_components import CLIP
@@ -65,18 +64,6 @@ class SurveyedLog:
         full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
 
-    def follow_one_source(self, *, is_known: bool = False) -> bool:
-        """Keep the odometry of one of two sources, if that ``is_known`` to be right, or both together make a detour and
-        that alone makes none.
-        """
-        if not is_known and self.detour() <= MAX_DETOUR:
-            return False
-        both, source = self._odometry, FollowedSource()
-        self._odometry = [odometry for odometry in both if source.follows(odometry)]
-        if not is_known and self.detour() > MAX_DETOUR:
-            self._odometry = both
-        return len(self._odometry) < len(both)
-
     def scans(self, calibration: Calibration, vocabulary: dict[str, int]) -> tuple[list[SurveyScan], BodyMotion]:
         """Corrected scans with odometry, in the order of their stamps, without empty ones, and the motion of the body
         at them.
@@ -85,7 +72,7 @@ class SurveyedLog:
         classes, to which new ones are added.
         """
         stamps, poses = self._track(calibration)
-        delay_ns = round((calibration.detection.time_offset_s - calibration.odometry.time_offset_s) * 1e9)
+        delay_ns = round(calibration.detection.time_offset_s * 1e9)
         if len(stamps) < 2:
             return [], _motion([], stamps, poses, delay_ns)
         first = dict[tuple[int, str], ObjectDetections]()
@@ -104,12 +91,12 @@ class SurveyedLog:
         return scans, _motion(scans, stamps, poses, delay_ns)
 
     def _track(self, calibration: Calibration) -> tuple[IntArray, FloatArray]:
-        """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry, scaled by the calibration."""
-        stamps = np.array([odometry.stamp_ns for odometry in self._odometry], dtype=np.int64)
+        """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry, corrected by the calibration."""
+        calibrated = CalibratedOdometry(calibration.odometry)
+        odometry = [calibrated.correct(each) for each in self._odometry]
+        stamps = np.array([each.stamp_ns for each in odometry], dtype=np.int64)
         if len(stamps) == 0:
             return stamps, np.zeros((0, 4, 4))
-        scaled = ScaledOdometry.of(calibration.odometry)
-        odometry = self._odometry if scaled is None else [scaled.correct(each) for each in self._odometry]
         latest_before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps)[:-1]])
         used = stamps > latest_before
         return stamps[used], np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])

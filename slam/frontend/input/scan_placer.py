@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from logs.messages import ObjectDetections, Odometry
-from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan import Scan, in_metres, make_scan
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
@@ -25,19 +24,13 @@ class ScanPlacer:
 
     def place(self, detections: ObjectDetections, pose: OdometryPose) -> Scan | None:
         """The scan of detections made at ``pose``; None where the log has no transform to the body."""
-        T_body_sensor = self._sensor_pose(detections, pose)
-        if T_body_sensor is None:
-            return None
-        return make_scan(in_metres(detections, self._config), T_body_sensor, self._config, pose.T_odom_body[2, :3])
-
-    def _sensor_pose(self, detections: ObjectDetections, pose: OdometryPose) -> FloatArray | None:
-        """``T_body_sensor`` at the stamp of the detections; None where the log has no transform."""
         if self._odometry is None:
             return None
         T_body_sensor = find_sensor(self._frames, detections, self._odometry, pose.T_odom_body, self._config)
         if T_body_sensor is None:
             self._missing.add(detections.frame_id.lstrip("/"))
-        return T_body_sensor
+            return None
+        return make_scan(in_metres(detections, self._config), T_body_sensor, self._config, pose.T_odom_body[2, :3])
 
     def describe_missing(self) -> str:
         """The frames without connection to the body, and the frames connected with either; empty if there are none."""

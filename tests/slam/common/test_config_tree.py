@@ -12,7 +12,7 @@ from slam.simulation.config import SimulationConfig, load_simulation_config
 OVERRIDES = (
     "keyframe.distance_m=1.5",
     "loop_closure.enabled=false",
-    "calibration.odometry.sources=2",
+    "calibration.odometry.climb=0.1",
     "calibrate=false",
 )
 
@@ -54,7 +54,7 @@ def test_changes_names_what_is_not_the_default() -> None:
         "calibrate=false",
         "keyframe.distance_m=1.5",
         "loop_closure.enabled=false",
-        "calibration.odometry.sources=2",
+        "calibration.odometry.climb=0.1",
     ]
     assert changes(Config(), "no json") == ["unreadable"]
 

@@ -1,29 +1,87 @@
-"""Odometry with the faults corrected that a calibration names."""
+"""Odometry with the faults corrected that a calibration names, against the path that it should have told."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from logs.messages import Odometry
+from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 
+COUNT = 400
 
-@pytest.mark.parametrize(("sources", "step"), [(1, 1), (2, 2)])
-def test_of_two_sources_that_of_the_first_message_is_used(sources: int, step: int) -> None:
-    poses = [transform_from_xyz_yaw(np.array([0.1 * row, 5.0 * (row % 2), 0.0]), 0.0) for row in range(20)]
-    messages = [Odometry(row, T) for row, T in enumerate(poses)]
-    calibrated = CalibratedOdometry(OdometryCalibration(sources=sources))
-    assert [found for each in messages if (found := calibrated.correct(each)) is not None] == messages[::step]
+
+def chained(step_m: float, turns_rad: FloatArray) -> FloatArray:
+    """Poses (K, 4, 4) after steps that go along the chord of their turns, from a pose of its own."""
+    poses = [transform_from_xyz_yaw(np.array([3.0, -2.0, 0.5]), 0.7)]
+    for turn_rad in turns_rad:
+        chord = transform_from_xyz_yaw(step_m * np.array([np.cos(turn_rad / 2), np.sin(turn_rad / 2), 0.0]), turn_rad)
+        poses.append(poses[-1] @ chord)
+    return np.array(poses)
+
+
+def corrected(
+    poses: FloatArray, *, length_scale: float = 1.0, turn_scale: float = 1.0, climb: float = 0.0
+) -> FloatArray:
+    scaled = CalibratedOdometry(OdometryCalibration(length_scale=length_scale, turn_scale=turn_scale, climb=climb))
+    return np.array([scaled.correct(Odometry(k, T, "o", "b")).T_odom_body for k, T in enumerate(poses)])
+
+
+def turns(seed: int = 0) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-0.2, 0.25, COUNT)
+
+
+@pytest.mark.parametrize(("length", "turn"), [(1.25, 1.0), (0.8, 0.9), (1.0, 1.2)])
+def test_the_path_is_that_of_the_right_lengths_and_turns(length: float, turn: float):
+    true = chained(0.5, turns())
+    wrong = chained(0.5 / length, turns() / turn)
+    np.testing.assert_allclose(corrected(wrong, length_scale=length, turn_scale=turn), true, atol=1e-6)
+
+
+def test_each_step_climbs_by_a_share_of_its_length():
+    poses = chained(0.5, turns())
+    before = poses.copy()
+    found = corrected(poses, climb=-0.1)
+    np.testing.assert_allclose(found[:, 2, 3], 0.5 - 0.05 * np.arange(len(poses)), atol=1e-9)
+    np.testing.assert_array_equal(poses, before)
+    np.testing.assert_allclose(corrected(found, climb=0.1), poses, atol=1e-9)
+
+
+def test_roll_and_pitch_stay():
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_euler("xy", [0.2, -0.1]).as_matrix()
+    poses = chained(0.5, turns()) @ tilt
+    found = corrected(poses, turn_scale=1.3)
+    np.testing.assert_allclose(found[:, 2, :3], poses[:, 2, :3], atol=1e-12)
+    assert abs(float(yaw_rad(invert(poses[-1]) @ found[-1]))) > 0.1
+
+
+def test_a_message_that_is_far_off_moves_the_path_little():
+    poses = chained(0.5, turns())
+    wild = poses.copy()
+    wild[200] = wild[200] @ transform_from_xyz_yaw(np.array([900.0, 40.0, 0.0]), 1.0)
+    before, after = (corrected(each, length_scale=1.1, turn_scale=1.1) for each in (poses, wild))
+    np.testing.assert_allclose(after[201:, :2, 3], before[201:, :2, 3], atol=0.5)
+
+
+def test_a_repeated_pose_is_repeated_to_the_last_digit():
+    poses = np.repeat(chained(0.5, turns()[:20]), 2, axis=0)
+    found = corrected(poses, length_scale=1.1, turn_scale=0.9)
+    assert found[::2].tobytes() == found[1::2].tobytes()
+    scaled = CalibratedOdometry(OdometryCalibration(length_scale=1.1, turn_scale=0.9))
+    first, again = (scaled.correct(Odometry(k, poses[4], "o", "b")) for k in range(2))
+    assert again.T_odom_body is first.T_odom_body
 
 
 def test_stamps_and_lengths_are_corrected() -> None:
     calibrated = CalibratedOdometry(OdometryCalibration(length_scale=1.5, time_offset_s=0.25))
     poses = [transform_from_xyz_yaw(np.array([float(row), 0.0, 0.0]), 0.0) for row in range(3)]
     found = [calibrated.correct(Odometry(row, T)) for row, T in enumerate(poses)]
-    assert [(each.stamp_ns, each.T_odom_body[0, 3]) for each in found if each is not None] == [
+    assert [(each.stamp_ns, each.T_odom_body[0, 3]) for each in found] == [
         (250_000_000, 0.0),
         (250_000_001, 1.5),
         (250_000_002, 3.0),

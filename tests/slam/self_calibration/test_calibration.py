@@ -321,13 +321,6 @@ def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed)
     assert calibrate(Config(), rare).config.calibration.detection.covariance_inflation == pytest.approx(2.0)
 
 
-def test_of_two_sources_of_odometry_one_is_used(surveyed):
-    assert calibrate(Config(), surveyed).config.calibration.odometry.sources == 1
-    calibration = calibrate(Config(), replace(surveyed, detour=3.0, corrected={"odometry.sources": 2}))
-    assert calibration.config.calibration.odometry.sources == 2
-    assert any("that of the first message is used" in note for note in calibration.notes)
-
-
 @pytest.mark.parametrize(("detour", "told"), [(1.4, False), (1.6, True)])
 def test_odometry_that_steps_back_and_forth_is_told(surveyed, detour, told):
     notes = calibrate(Config(), replace(surveyed, detour=detour)).notes

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.odometry.scaled_odometry import ScaledOdometry
+from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
@@ -284,7 +284,7 @@ def test_a_climb_of_the_odometry_is_corrected_and_no_pitch_of_the_sensor(climb):
 
 def scaled_records(length: float, turn: float, climb: float = 0.0) -> list[Record]:
     """A drive whose odometry has its lengths and turns multiplied by factors, or climbs."""
-    wrong = ScaledOdometry(length_scale=length, turn_scale=turn, climb=climb)
+    wrong = CalibratedOdometry(OdometryCalibration(length_scale=length, turn_scale=turn, climb=climb))
     return [wrong.correct(each) if isinstance(each, Odometry) else each for each in turned_records(0.0)]
 
 
@@ -315,7 +315,7 @@ def winding_records(turn: float) -> list[Record]:
     rng = np.random.default_rng(0)
     stems = np.column_stack([rng.uniform(-25.0, 25.0, (60, 2)), np.zeros(60)])
     rates = np.where(np.arange(600) % 200 < 100, 0.06, -0.06)
-    T, wrong, records = np.eye(4), ScaledOdometry(length_scale=1.0, turn_scale=turn), list[Record]()
+    T, wrong, records = np.eye(4), CalibratedOdometry(OdometryCalibration(turn_scale=turn)), list[Record]()
     for row, rate in enumerate(rates):
         T = T @ transform_from_xyz_yaw(0.4 * np.array([np.cos(rate / 2), np.sin(rate / 2), 0.0]), rate)
         seen = apply(invert(T), stems)
@@ -350,12 +350,7 @@ def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
     there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
     found = survey([*there_and_back, detections(1.0)], CONFIG)
     assert found.detour > 5.0
-    assert found.corrected["odometry.sources"] == 2
-    assert found.travel_m == survey([*there_and_back[::2], detections(1.0)], CONFIG).travel_m
     assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)], CONFIG).detour == 1.0
-    jitter = np.random.default_rng(0).normal(size=101)
-    shaken = survey([odometry(0.1 * i, 0.1 * i + jitter[i]) for i in range(101)] + [detections(1.0)], CONFIG)
-    assert "odometry.sources" not in shaken.corrected
     wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
     assert survey([*wild, detections(1.0)], CONFIG).detour < 1.2
 
