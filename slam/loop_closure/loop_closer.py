@@ -16,6 +16,7 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
+from slam.common.arrays import BoolArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
@@ -118,20 +119,26 @@ class LoopCloser:
             return Outcome([record], query.travel_m - self._sensor_range_m)
         if (propagated := self._confirmed(predicted)) is not None:
             return Outcome([self._accept(propagated)])
-        # 2. Where landmarks of an earlier traversal are still associated there is no loop to close.
-        if (tracked := self._tracked_reference(query)) is not None:
+        # 2. Where landmarks of an earlier traversal are still associated there is no loop to close, ...
+        records = list[LoopClosureRecord]()
+        is_new = self._map.rows["first_seen_travel_m"][query.submap.rows] >= query.before_m
+        if (tracked := self._tracked_reference(query, is_new)) is not None:
             self.closures.add_tracked(keyframe, tracked)
-            return Outcome([query.tracked(tracked)])
-        # 3. Elsewhere retrieval proposes places.
+            records.append(query.tracked(tracked))
+            if np.count_nonzero(is_new) < MIN_INLIERS:
+                return Outcome(records)
+        # 3. ... unless there are enough others. Retrieval proposes places.
         if (alike := self._looked_up_alike(query)) is not None:
-            return Outcome([query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")])
+            refusal = query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")
+            return Outcome([*records, refusal])
         self._looked_up = query
         query, verified = self._look_up(query, initial_pose)
         if not verified:
-            return Outcome([query.refusal(Stage.RETRIEVAL, _why_nothing(query))])
+            return Outcome([*records, query.refusal(Stage.RETRIEVAL, _why_nothing(query))])
         # 4. The candidate with the highest score is accepted or rejected.
         decision = self._acceptance.decide(query, verified)
-        records, best = list(decision.rejected), decision.accepted
+        records += decision.rejected
+        best = decision.accepted
         if best is None:
             return Outcome(records)
         if self._has_prior_map and predicted is not None and self._is_elsewhere(predicted, best):
@@ -168,14 +175,14 @@ class LoopCloser:
             self._recent.popleft()
         return query
 
-    def _tracked_reference(self, query: Query) -> Keyframe | None:
+    def _tracked_reference(self, query: Query, is_new: BoolArray) -> Keyframe | None:
         """The nearest keyframe of the earlier traversal that most landmarks of the query are from, still associated.
 
-        None if these are too few for a pose, or the robot is lost, so that they do not tell where it is.
+        ``is_new`` (N,): whether a landmark is of this traversal. None if too few are not for a pose, or the robot is
+        lost, so that they do not tell where it is.
         """
-        first_seen_m = self._map.rows["first_seen_travel_m"][query.submap.rows]
-        tracked_count = np.count_nonzero(first_seen_m < query.before_m)
-        is_known = tracked_count >= MIN_INLIERS and 2 * tracked_count > len(first_seen_m)
+        tracked_count = np.count_nonzero(~is_new)
+        is_known = tracked_count >= MIN_INLIERS and 2 * tracked_count > len(is_new)
         if not is_known or not self.closures.is_localized(query.keyframe):
             return None
         place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment
