@@ -47,6 +47,9 @@ USED_PAIRS = 3000
 """Pairs of detections of one lag that are used, at least, where there are more: all those of some pairs of scans."""
 CLIP = 8.0
 """Displacements are clipped at that many robust standard deviations."""
+ROOM_SIGMAS = 4.0
+"""Room of a track that its noise does not fill, in robust standard deviations of its steps."""
+LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
 EXACT = 1e-13
@@ -124,7 +127,7 @@ class ComponentEstimate:
 
 def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
     """Variance components of a log; None where too few objects could be tracked, or at absurd distances."""
-    pairs = _displacements(tracks, motion)
+    pairs = _displacements(_well_apart(tracks), motion)
     if pairs is None:
         return None
     fit = _Fit(pairs)
@@ -135,6 +138,22 @@ def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstima
     if not np.isfinite([values, errors]).all():
         return None
     return ComponentEstimate(NoiseComponents(*values.tolist()), NoiseComponents(*errors.tolist()), len(pairs.d))
+
+
+def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
+    """The tracks that had room for all the noise there is: those between near neighbours end where it is large.
+
+    Where there are few of them, the quarter of the detections with the most room is used instead.
+    """
+    same = tracks.track[1:] == tracks.track[:-1]
+    steps = tracks.steps[1:][same]
+    if not len(steps):
+        return tracks
+    _, start, row = np.unique(tracks.track, return_index=True, return_inverse=True)
+    room = np.minimum.reduceat(tracks.rooms, start)[row]
+    sigma = float(np.median(steps)) / 1.1774
+    kept = room >= min(ROOM_SIGMAS * sigma, float(np.quantile(room, 1.0 - LEAST_SHARE, method="lower")))
+    return tracks.of(kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
