@@ -96,7 +96,7 @@ class Correction:
 
 
 def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Correction, ...]:
-    """The terms, the one first that explains most alone; none where too few objects could be tracked."""
+    """The terms, the one with the largest gain first; none where too few objects could be tracked."""
     first, second = _lagged(tracks)
     if len(first) < MIN_PAIRS:
         return ()
@@ -116,14 +116,14 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
     for number, term in enumerate(TERMS):
         is_term = np.arange(len(TERMS)) == number
         _, without = _held_out(*sums, everything & ~is_term)
-        alone, with_term = _held_out(*sums, is_term)
+        alone, _ = _held_out(*sums, is_term)
         gain, is_sure = _gain(without, with_all)
         gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
         values = alone[:, number] / scale[number]
         error = float(np.sqrt((BLOCKS - 1) * np.var(values)))
-        correction = Correction(term, float(values.mean()), error, min(gain, gain_of_part), is_sure and is_sure_of_part)
-        found.append((_gain(with_none, with_term)[0], correction))
-    return tuple(each for _, each in sorted(found, key=lambda pair: -pair[0]))
+        gain, is_sure = min(gain, gain_of_part), is_sure and is_sure_of_part
+        found.append(Correction(term, float(values.mean()), error, gain, is_sure))
+    return tuple(sorted(found, key=lambda each: -each.gain))
 
 
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
@@ -281,6 +282,25 @@ def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
     found = accepted(drive.close(FIRST + 4))
     assert found.keys() == {FIRST, FIRST + 2, FIRST + 3, FIRST + 4}
     assert found[FIRST + 2] == FIRST + 3
+    parts.llrs[FIRST + 5] = TRACKED_LLR
+    assert accepted(drive.close(FIRST + 5)) == {FIRST + 5: FIRST + 4}
+
+
+def test_query_of_a_tilted_body_is_upright(parts, monkeypatch):
+    poses = list[FloatArray]()
+
+    def verify(query: Query, place: Place) -> LoopClosureRecord:
+        poses.append(query.T_local_gravity)
+        return query.refusal(Stage.REGISTRATION, "nothing fits")
+
+    monkeypatch.setattr(parts, "verify", verify)
+    drive = Drive(parts)
+    T_local_body = at(STEP_M * FIRST)
+    T_local_body[:3, :3] = Rotation.from_euler("xyz", [5.0, -10.0, 0.0], degrees=True).as_matrix()
+    keyframe = make_keyframe(FIRST, STEP_M * FIRST, segment=0)
+    drive.keyframes.append(keyframe)
+    drive.closer.close(Keyframe(keyframe.id, keyframe.odometry, T_local_body))
+    np.testing.assert_allclose(poses, [at(STEP_M * FIRST)], atol=1e-9)
 
 
 def test_a_query_with_the_landmarks_of_the_last_one_is_not_looked_up_again(parts):
