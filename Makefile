@@ -11,7 +11,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 .PHONY: help demo check fast test bench-check lint ci audit wheel fuzz bombs mutants kills soak docs results schemas clean
 
 help:
-	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
+	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap and out/demo.png'
 	@echo 'make check    lint, types and the tests that are not slow: about a minute'
 	@echo 'make test     lint, types and all tests'
 	@echo 'make bench-check  the headline figures against their bands, in docs/results/drives.md (minutes; needs ../shared/data)'
@@ -56,12 +56,11 @@ demo: $(INSTALLED)
 	@echo
 	$(BIN)/dslam replay out/demo.mcap -o out/demo_map.mcap
 	@echo
-	$(BIN)/dslam evaluate out/demo_map.mcap --picture out/demo.png --html out/demo.html
+	$(BIN)/dslam evaluate out/demo_map.mcap --picture out/demo.png
 	@echo
 	@echo 'the drive:   out/demo.mcap'
 	@echo 'its map:     out/demo_map.mcap  (open it in Foxglove, or: $(BIN)/dslam info out/demo_map.mcap)'
 	@echo 'from above:  out/demo.png'
-	@echo 'all figures: out/demo.html  (open it in a browser)'
 
 lint: $(DEVELOPED)
 	$(BIN)/ruff check

@@ -40,16 +40,15 @@ Topics = Annotated[
 ]
 
 
-def can_draw(param: typer.CallbackParam, path: Path | None) -> Path | None:
-    """The path of a picture or page; if its libraries are missing or it is named as another format, the command ends
-    before any work is done.
+def can_draw(path: Path | None) -> Path | None:
+    """The path of a picture; if its library is missing or it is named as another format, the command ends before any
+    work is done.
     """
     if path is not None:
         import matplotlib  # noqa: F401
 
-        suffix = ".png" if param.name == "picture" else ".html"
-        if path.suffix.lower() != suffix:
-            raise typer.BadParameter(f"{path} does not end with {suffix}, the format that is written.")
+        if path.suffix.lower() != ".png":
+            raise typer.BadParameter(f"{path} does not end with .png, the format that is written.")
     return path
 
 

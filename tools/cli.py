@@ -33,7 +33,6 @@ _PREFIX = __name__.removesuffix("tools.cli")
 
 _EXTRA_OF = {
     "matplotlib": "pictures",
-    "jinja2": "pictures",
     "torch": "learn",
     "rerun": "view",
     "foxglove": "live",

@@ -19,7 +19,7 @@ LIKELIHOOD = "descriptellation_lr"
 def train(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="Folder of the checkpoint, the curves and the weights."),
+        typer.Argument(metavar="FOLDER", help="Folder of the weights and the curves."),
     ],
     network: Annotated[
         str,
@@ -58,8 +58,7 @@ def train(
     With maps of your own, training starts from the shipped weights if the network has any, and keeps them if no epoch
     is better on these maps.
 
-    After an interruption the same command continues from the last epoch. The weights are
-    those of the epoch with the best top 5 on validation maps; 'dslam replay --set
+    The weights are those of the epoch with the best top 5 on validation maps; 'dslam replay --set
     loop_closure.descriptor=FOLDER/weights.safetensors' uses them.
 
     Example: dslam train out/lr --maps town.csv

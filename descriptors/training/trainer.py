@@ -1,4 +1,4 @@
-"""The trainer of all networks: steps, validation, the best weights, and a checkpoint after each epoch."""
+"""The trainer of all networks: steps, validation, and the best weights."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import importlib.metadata
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +22,7 @@ from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.networks import make_network
 from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
-from descriptors.training.folder import Epoch, TrainingFolder
+from descriptors.training.folder import WEIGHTS, Epoch, write_curves
 from descriptors.training.maps import TrainingMap
 from descriptors.training.pair_contrast import PairSample
 
@@ -77,22 +76,6 @@ class Recipe:
             self.optimizer, lambda step: last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
         )
         self.rng = np.random.default_rng(config.seed)
-        self._parts: dict[str, Any] = {
-            "network": self.network,
-            "optimizer": self.optimizer,
-            "schedule": self.schedule,
-        }
-
-    def state(self) -> dict[str, Any]:
-        """All that changes during the training; random integers are too long for a tensor, and so are text."""
-        parts = {name: part.state_dict() for name, part in self._parts.items()}
-        return {**parts, "draws": json.dumps(self.rng.bit_generator.state)}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Put all that changes into a ``state``."""
-        for name, part in self._parts.items():
-            part.load_state_dict(state[name])
-        self.rng.bit_generator.state = json.loads(state["draws"])
 
     def step(self) -> float:
         """Draw a sample and change the weights by it; returns the loss."""
@@ -140,39 +123,28 @@ def train(
     threads: int = 2,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Epoch]:
-    """Train, or resume an interrupted training of the same recipe.
+    """Train a network.
 
-    After every epoch the folder holds a checkpoint, the curves as CSV, and the weights of the best epoch so far. On a
-    CPU with the same number of threads the same recipe gives the same weights, interrupted or not.
+    After every epoch the folder holds the curves as CSV, and the weights of the best epoch so far. On a CPU with the
+    same number of threads the same recipe gives the same weights.
 
     Args:
         recipe: what is trained on what.
         folder: made if it does not exist.
         threads: of torch, on a CPU.
         on_progress: called with the fraction done, in [0, 1], after each step.
-
-    Returns:
-        All epochs, those before an interruption too.
-
-    Raises:
-        DescriptorError: the folder holds the checkpoint of another training, or one that cannot be read.
     """
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
-    kept = TrainingFolder(folder, recipe.identity)
-    epochs = kept.resume(recipe.restore, recipe.device)
-    if recipe.is_trained_further and not epochs:
+    folder.mkdir(parents=True, exist_ok=True)
+    epochs = list[Epoch]()
+    for number in range(0 if recipe.is_trained_further else 1, recipe.config.epochs + 1):
         started = time.perf_counter()
-        epochs.append(Epoch(0, None, recipe.validate(), time.perf_counter() - started))
-        _save_weights(kept.weights, recipe, epochs[-1])
-    first = (epochs[-1].epoch if epochs else 0) + 1
-    for number in range(first, recipe.config.epochs + 1):
-        started = time.perf_counter()
-        train_loss = _train_epoch(recipe, number, on_progress)
+        train_loss = _train_epoch(recipe, number, on_progress) if number else None
         epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
         if best_of(epochs) is epochs[-1]:
-            _save_weights(kept.weights, recipe, epochs[-1])
-        kept.save(epochs, recipe.state())
+            _save_weights(folder / WEIGHTS, recipe, epochs[-1])
+        write_curves(folder, epochs)
     return epochs
 
 

@@ -105,7 +105,7 @@ class _Evaluator:
             "calibration": calibration,
             "counters": records.status.counters if records.status else {},
             "unavailable": self._unavailable,
-            "protocol": {**plain(protocol), "rules": protocol.describe()},
+            "protocol": plain(protocol),
         }
         if judged is not None and queries is not None:
             results["closures"] |= describe_revisits(queries, judged)

@@ -44,7 +44,7 @@ class ResultFolder:
             "variant": task.variant,
             "configuration": task.config.model_dump(mode="json"),
             "version": version("descriptellation-slam"),
-            "protocol": Protocol().describe(),
+            "protocol": asdict(Protocol()),
         }
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         faults = re.sub(r"[^\w.,=+-]", "_", task.faults or "undegraded")[:80]

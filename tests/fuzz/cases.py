@@ -15,7 +15,7 @@ import zstandard
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
-from tests.fuzz.dataset_cases import checkpoint_arguments, cloud_arguments, dataset_arguments, write_bag_of
+from tests.fuzz.dataset_cases import cloud_arguments, dataset_arguments, write_bag_of
 from tests.fuzz.log_mutations import mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
@@ -42,7 +42,6 @@ _COMMANDS: dict[str, tuple[float, str]] = {
     "evaluate": (2, """
         evaluate ?mapped
         evaluate ?mapped --json
-        evaluate ?mapped --html out.html
         evaluate ?mapped --picture out.png"""),
     "export": (1, """
         export ?mapped --tum a.txt --kitti b.txt --g2o c.g2o"""),
@@ -72,7 +71,6 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """
         compare =mapped@other.mcap ?mapped --json
-        compare =mapped@other.mcap ?mapped --rules
         sweep ?drive -o sweep --degrade dropout=0.3 --seeds 1 --jobs 1
         evaluate =mapped --reference ?trajectory.tum|trajectory.kitti --json"""),
     # A training itself would take too long: the second map is refused.
@@ -148,7 +146,6 @@ def _setting(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:
 
 _MAKERS: dict[str, tuple[float, Callable[[Seeds, Path, np.random.Generator], list[str]]]] = {
     "setting": (1.5, _setting),
-    "checkpoints": (0.7, lambda seeds, folder, rng: checkpoint_arguments(seeds.trainings, folder, rng)),
     "clouds": (1.5, lambda _, folder, rng: cloud_arguments(folder, rng)),
     "datasets": (0.7, lambda _, folder, rng: dataset_arguments(folder, rng)),
     "bags": (1, _bags),

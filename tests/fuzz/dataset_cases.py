@@ -1,12 +1,10 @@
-"""Command lines on data of others: clouds, folders of centroids, bags, and trainings that go on."""
+"""Command lines on data of others: clouds, folders of centroids, and bags."""
 
 from __future__ import annotations
 
 import contextlib
 import sqlite3
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zstandard
@@ -14,8 +12,6 @@ import zstandard
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 from tests.fuzz.cloud_mutations import mutate_ply
 
-NETWORKS = {"likelihood": "descriptellation_lr", "network": "descriptellation"}
-"""Whose checkpoints are altered, by the name of the folder."""
 _OBJECTS = {
     "objects/07/bow.txt": b"1,0,1\n0,1,0\n0,0,0\n",
     "objects/07/centroids/000000.txt": b"1 2 3\n4e0 5 -6.5\n",
@@ -25,19 +21,6 @@ _OBJECTS = {
     "calib.txt": b"P0: 0 0 0 0 0 0 0 0 0 0 0 0\nTr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3\n",
     "times.txt": b"0.000000e+00\n1.037359e-01\n4.705816123456789e+02\n",
 }
-
-
-def make_trainings_small() -> None:
-    """Let every training of this process be one of a few constellations: its configuration is not what is tried."""
-    from descriptors.training import contrast, trainer
-
-    small: Any = partial(contrast.ContrastTraining, validation_maps=1)
-    contrast.ContrastTraining = small  # type: ignore[misc]
-    trainer.STEPS_PER_EPOCH = 1
-
-
-def training_arguments(folder: str) -> list[str]:
-    return ["train", folder, "--network", NETWORKS[folder], "--epochs", "1", "--threads", "1", "--json"]
 
 
 def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
@@ -57,14 +40,6 @@ def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
         (folder / each).write_bytes(content)
     given_files = ["--odometry", "poses.txt", "--calib", "calib.txt", "--times", "times.txt"]
     return ["import", "kitti-objects", "out.mcap", "--detections", "objects/07", *given_files]
-
-
-def checkpoint_arguments(trainings: dict[str, bytes], folder: Path, rng: np.random.Generator) -> list[str]:
-    """A training that is to go on from a checkpoint that is altered anywhere: it has a digest of itself."""
-    name = str(rng.choice(list(trainings)))
-    (folder / name).mkdir()
-    (folder / name / "checkpoint.pt").write_bytes(mutate_bytes(trainings[name], rng))
-    return training_arguments(name)
 
 
 def write_bag_of(files: dict[str, bytes], folder: Path, rng: np.random.Generator) -> str:

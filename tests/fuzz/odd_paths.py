@@ -40,8 +40,7 @@ _WRITING = """
 replay drive.mcap -o ODD
 replay drive.mcap -o out.mcap --save-map ODD
 replay drive.mcap -o out.mcap --picture ODD
-evaluate mapped.mcap --html ODD
-evaluate mapped.mcap --html ODD
+evaluate mapped.mcap --picture ODD
 export mapped.mcap --tum ODD
 export mapped.mcap --csv ODD
 degrade drive.mcap --fault dropout=0.1 -o ODD

@@ -17,7 +17,6 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
 from logs.writer import LogWriter
-from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.ros2_logs import Message as RosMessage
 from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag, write_ros1_bag
@@ -31,17 +30,15 @@ WEIGHTS = Path(str(resources.files("descriptors"))) / "weights" / "descriptellat
 
 @dataclass(frozen=True)
 class Seeds:
-    """Logs by name, the bytes of other files by name, those of a bag, and checkpoints by the folder of a training."""
+    """Logs by name, the bytes of other files by name, and those of a bag."""
 
     logs: dict[str, McapFile]
     files: dict[str, bytes]
     bag: dict[str, bytes]
-    trainings: dict[str, bytes]
 
 
 def make_seeds(folder: Path) -> Seeds:
-    """Make them in ``folder``, a few seconds; trainings of this process are small from then on."""
-    make_trainings_small()
+    """Make them in ``folder``, a few seconds."""
     drive, mapped, saved = folder / "drive.mcap", folder / "mapped.mcap", folder / "map.mcap"
     _write_drive(drive)
     _run("replay", drive, "-o", mapped, "--save-map", saved)
@@ -65,19 +62,12 @@ def make_seeds(folder: Path) -> Seeds:
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
         bag={path.name: path.read_bytes() for path in (*_write_bag(folder).iterdir(), folder / "drive.bag")},
-        trainings={name: _checkpoint(folder, name) for name in NETWORKS},
     )
 
 
 def _write_bag(folder: Path) -> Path:
     with LogReader(folder / "ros.mcap") as reader:
         return write_bag(folder / "bag", list(reader.messages()), storage="sqlite3")
-
-
-def _checkpoint(folder: Path, name: str) -> bytes:
-    with contextlib.chdir(folder):
-        _run(*training_arguments(name))
-    return (folder / name / "checkpoint.pt").read_bytes()
 
 
 def _run(*arguments: object) -> str:

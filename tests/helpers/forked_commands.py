@@ -10,7 +10,7 @@ from tools.cli import make_app
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where files are made: outputs are flushed to the disk before they get their names, which takes longer than the rest
 of most commands."""
-_IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.page", "logs.summary",
+_IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "logs.summary",
              "slam.display.map_picture", "slam.backend.pose_graph.pose_graph_optimization", "rich.table",
              "matplotlib.pyplot", "slam.object_map.map_io", "tools.console",
              "descriptors.learned.descriptor",

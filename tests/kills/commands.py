@@ -34,7 +34,7 @@ def make_commands(folder: Path) -> list[Command]:
     network = ("--epochs", "2", "--threads", "1")
     return [
         Command("replay", ("replay", str(log), "-o", "out.mcap", "--save-map", "map.mcap")),
-        Command("evaluate", ("evaluate", str(mapped), "--html", "report.html", "--picture", "map.png")),
+        Command("evaluate", ("evaluate", str(mapped), "--picture", "map.png")),
         Command("export", ("export", str(mapped), "--tum", "a.txt", "--g2o", "a.g2o", "--csv", "a.csv")),
         Command("import", ("import", "csv", "imported.mcap", *tables)),
         Command("sweep", ("sweep", str(log), "-o", "sweep", "--degrade", "dropout=0.3", "--seeds", "2", "--jobs", "1"),

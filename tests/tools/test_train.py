@@ -85,7 +85,6 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, t
     path = tmp_path / "net" / WEIGHTS
     assert json.loads(result.out)["weights"] == str(path)
     assert isinstance(make_index(str(path)), PairIndex) == (network == "descriptellation_lr")
-    assert json.loads(dslam(*typed).out)["best"] == json.loads(result.out)["best"]  # complete: nothing is done again
 
 
 @pytest.mark.usefixtures("tiny")

@@ -45,7 +45,7 @@ def test_a_drive_is_mapped_and_evaluated_in_a_fresh_environment(home: Path) -> N
     assert run(home, "dslam", "--version") == run(home, "python", "-m", "dslam", "--version")
     assert "replay uses" in run(home, "dslam", "info", SAMPLE)
     run(home, "dslam", "replay", SAMPLE, "-o", home / "map.mcap", "--picture", home / "map.png", "--verbose")
-    assert "trajectory" in run(home, "dslam", "evaluate", "map.mcap", "--html", home / "map.html", "--json")
+    assert "trajectory" in run(home, "dslam", "evaluate", "map.mcap", "--picture", home / "compared.png", "--json")
     everyone = (
         "import slam, logs, tools, descriptors, dslam; from dslam import replay; print(slam.NAME, replay.__module__)"
     )

@@ -14,7 +14,6 @@ from tools.evaluation.evaluated_log import (
     MapRun,
     Protocols,
     Reference,
-    Rules,
     Times,
     evaluate_log,
     parse_thresholds,
@@ -32,7 +31,6 @@ def compare(
     map_run: MapRun = None,
     protocol: Protocols = None,
     require: Require = None,
-    rules: Rules = False,
 ) -> None:
     """Evaluate several maps, and print them side by side.
 
@@ -59,8 +57,6 @@ def compare(
         members = [f"{label}: {', '.join(run.name for run in group)}" for label, group in comparison.groups.items()]
         rows = comparison.to_table().rename_axis("").reset_index().to_dict("records")
         console.show(console.table(rows), "", *members, comparison.note)
-        if rules:
-            console.show(console.pairs(runs[0].results["protocol"]["rules"], title="\nrules"))
     finish({run.name: run.results for run in runs}, require, quiet=as_json)
 
 

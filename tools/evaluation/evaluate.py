@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tools.arguments import Json, Picture, SlamLog, Topics, can_draw, check_outputs, parse_topics
+from tools.arguments import Json, Picture, SlamLog, Topics, check_outputs, parse_topics
 from tools.evaluation.evaluated_log import (
     Calib,
     MapRun,
     Protocols,
     Reference,
-    Rules,
     Times,
     evaluate_log,
     parse_thresholds,
@@ -29,24 +27,19 @@ def evaluate(
     topics: Topics = None,
     as_json: Json = False,
     picture: Picture = None,
-    page: Annotated[
-        Path | None,
-        typer.Option("--html", metavar="FILE.html", help="Write a self-contained page with charts.", callback=can_draw),
-    ] = None,
     map_run: MapRun = None,
     protocol: Protocols = None,
     require: Require = None,
     every: Annotated[
         bool, typer.Option("--all", help="Print all figures, not only the six lines of the summary.")
     ] = False,
-    rules: Rules = False,
 ) -> None:
     """Compare a map with the truth: trajectory, associations, landmarks, loop closures.
 
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
     truth = (reference, times, calib, map_run, parse_topics(topics), parse_thresholds(protocol))
-    check_outputs([picture, page], [log, reference, times, calib, map_run])
+    check_outputs([picture], [log, reference, times, calib, map_run])
     from slam.evaluation.report.figures import list_figures, summarize
     from tools import console
 
@@ -56,20 +49,12 @@ def evaluate(
         from slam.evaluation.report.picture import compose_picture
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
-    if page is not None:
-        from logs.storage.placement import write_text
-        from slam.evaluation.page.page import compose_page
-
-        write_text(page, compose_page(records, evaluation, title=log.stem))
     results = evaluation.to_json_dict()
     if as_json:
         console.show_json(results)
     else:
-        written = ", ".join(str(path) for path in (picture, page) if path is not None)
-        console.show(console.pairs(summarize(results) | ({"written": written} if written else {})))
+        console.show(console.pairs(summarize(results) | ({} if picture is None else {"written": str(picture)})))
         if every:
             listed = list_figures(results) | {"not measured": dict(evaluation.unavailable)}
             console.show(*(console.pairs(texts, title=f"\n{title}") for title, texts in listed.items()))
-        if rules:
-            console.show(console.pairs(evaluation.protocol.describe(), title="\nrules"))
     finish({"": results}, require, quiet=as_json)

@@ -44,10 +44,9 @@ Protocols = Annotated[
     typer.Option(
         "--protocol",
         metavar="NAME=NUMBER",
-        help="A threshold of the evaluation (--rules lists them), e.g. closure_translation_m=4. Repeatable.",
+        help="A threshold of the evaluation, under protocol in --json, e.g. closure_translation_m=4. Repeatable.",
     ),
 ]
-Rules = Annotated[bool, typer.Option("--rules", help="Also print the rules of the evaluation.")]
 
 
 def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
