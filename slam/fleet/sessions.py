@@ -78,7 +78,7 @@ def map_sessions(
         else:
             waiting.setdefault(log.sha256, log)
     compute = partial(_timed, partial(map_session, folder=folder, config=config))
-    outcomes = compute_all(compute, list(waiting.values()), jobs=workers, fresh=True)
+    outcomes = compute_all(compute, list(waiting.values()), jobs=workers)
     for finished, (log, outcome) in enumerate(outcomes, start=1):
         if isinstance(outcome, Death):
             reason = "the process that mapped it died, perhaps for lack of memory; add it again, with fewer --workers"

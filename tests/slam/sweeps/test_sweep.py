@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,9 +38,15 @@ def map_nothing(task: DriveTask) -> MappedDrive:
     return MappedDrive({"trajectory": trajectory}, ("optimised",), 5.0, 1.0, 1.0)
 
 
+def compute_inline(_: object, tasks: Sequence[DriveTask], *, jobs: int) -> Iterator[tuple[DriveTask, MappedDrive]]:
+    yield from ((task, map_nothing(task)) for task in tasks)
+
+
 def sweep_over(log: Path, folder: Path, seeds: int = 2) -> Sweep:
     tasks = plan_sweep(log, DEGRADATIONS, {"": Config()}, seeds=seeds)
-    return run_sweep(tasks, folder, jobs=1, compute=map_nothing)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.sweeps.sweep.compute_all", compute_inline)
+        return run_sweep(tasks, folder, jobs=1)
 
 
 def named(log: Path, *degradations: str) -> list[str]:

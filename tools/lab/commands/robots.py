@@ -91,7 +91,7 @@ def map_robot(drive: RobotDrive, config: Config) -> MappedDrive:
             import_drive(drive, log)
         except (LogError, SlamError) as error:
             return MappedDrive(error=str(error))
-        ((_, outcome),) = compute_all(map_drive, [DriveTask(log, config)], jobs=1, fresh=True)
+        ((_, outcome),) = compute_all(map_drive, [DriveTask(log, config)], jobs=1)
     return MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
 
 

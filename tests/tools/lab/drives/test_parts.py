@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from slam.common.config import Config, load_config
+from slam.sweeps import sweep
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
 from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools.lab.drives import parts
@@ -31,11 +32,11 @@ def test_settings_and_functions_of_each_part_exist(part: str, monkeypatch: pytes
 
 
 def test_sweep_compares_with_the_whole_method(dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    figures = {"trajectory": {"ate_m": 0.5}}
-    monkeypatch.setattr(parts, "map_drive", lambda task: MappedDrive(figures, ("optimised",)))
+    result = MappedDrive({"trajectory": {"ate_m": 0.5}}, ("optimised",))
+    monkeypatch.setattr(sweep, "compute_all", lambda compute, tasks, jobs: ((task, result) for task in tasks))
     command = ("sweep", SAMPLE, "-o", tmp_path / "out", "--jobs", 1, "--seeds", 2)
-    result = dslam(*command, "--part", "calibration", "--part", "labels", "--markdown")
-    assert (result.code, result.err) == (0, "")
-    rows = [line.split(" | ")[:2] for line in result.out.splitlines() if line.startswith("| variant=")]
+    told = dslam(*command, "--part", "calibration", "--part", "labels", "--markdown")
+    assert (told.code, told.err) == (0, "")
+    rows = [line.split(" | ")[:2] for line in told.out.splitlines() if line.startswith("| variant=")]
     assert rows == [[f"| variant={name} (2 runs)", "0.500 ± 0.000"] for name in ("", "calibration", "labels")]
     assert_refused(dslam(*command, "--part", "wheels"), "no 'wheels'", "calibration")
