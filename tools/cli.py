@@ -53,7 +53,6 @@ _COMMANDS = {
     "relocalize": "relocalize:relocalize",
     "fleet": "fleet:app",
     "evaluate": "evaluation.evaluate:evaluate",
-    "compare": "evaluation.compare:compare",
     "sweep": "lab.commands.sweep:sweep",
     "view": "results.view:view",
     "export": "results.export:export",

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -13,13 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, select_topics
 from logs.topics import RecordKind
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.evaluation.comparison import Comparison, Run, compare_runs
 from slam.simulation.faults.registry import FAULTS, parse_faults
+from slam.sweeps.comparison import compare, note_of
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 from slam.sweeps.result_folder import ResultFolder
 from slam.sweeps.workers import Death, compute_all
@@ -48,23 +49,31 @@ class Sweep:
         """One line for each drive that failed."""
         return [f"{task.name}: {result.error}" for task, result in self.results.items() if result.error]
 
-    def compare(self) -> Comparison:
-        """The drives with the same faults and settings are one group, its seeds repetitions."""
-        made = {task: json.dumps({"faults": task.faults or "none", "variant": task.variant}) for task in self.results}
-        return compare_runs(
-            [Run(task.name, each.evaluation, {"configuration": made[task]}) for task, each in self.results.items()]
-        )
+    @property
+    def labels(self) -> list[str]:
+        """The group of each drive: those with the same faults and settings are repetitions."""
+        made = [{"faults": task.faults or "none", "variant": task.variant} for task in self.results]
+        differing = [key for key in made[0] if len({each[key] for each in made}) > 1] or list(made[0])
+        return [", ".join(f"{key}={each[key]}" for key in differing) for each in made]
+
+    def compare(self) -> pd.DataFrame:
+        """The spread of the figures in each group, as :func:`slam.sweeps.comparison.compare` returns it."""
+        return compare(self.labels, list(self.results.values()))
 
     def to_json_dict(self) -> dict[str, Any]:
         """The comparison, and of each drive how its replay ended; all but ``times`` depends on the input alone."""
-        by_name = {task.name: result for task, result in self.results.items()}
-        comparison = self.compare().to_json_dict()
-        for run in comparison["runs"]:
-            result = by_name[run["log"]]
-            run |= {"error": result.error, "reported": list(result.reported)}
-            del run["evaluation"]
-        times = {name: {"replay_s": each.replay_s, "cpu_s": each.cpu_s} for name, each in by_name.items()}
-        return {**comparison, "computed": self.computed, "times": times}
+        spreads, results = self.compare(), self.results.items()
+        runs = [
+            {"log": task.name, "group": label, "error": result.error, "reported": result.reported}
+            for label, (task, result) in zip(self.labels, results, strict=True)
+        ]
+        return {
+            "runs": runs,
+            "groups": {label: spreads.loc[label].to_dict("index") for label in dict.fromkeys(self.labels)},
+            "note": note_of(spreads),
+            "computed": self.computed,
+            "times": {task.name: {"replay_s": each.replay_s, "cpu_s": each.cpu_s} for task, each in results},
+        }
 
 
 def plan_sweep(

@@ -70,7 +70,6 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         export ?map --csv a.csv
         replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """
-        compare =mapped@other.mcap ?mapped --json
         sweep ?drive -o sweep --degrade dropout=0.3 --seeds 1 --jobs 1
         evaluate =mapped --reference ?trajectory.tum|trajectory.kitti --json"""),
     # A training itself would take too long: the second map is refused.

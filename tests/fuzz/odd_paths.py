@@ -23,7 +23,6 @@ relocalize drive.mcap -o out.mcap --map ODD
 evaluate ODD
 evaluate mapped.mcap --reference ODD
 evaluate mapped.mcap --reference trajectory.kitti --times ODD
-compare mapped.mcap ODD
 export ODD --tum out.txt
 degrade ODD -o out.mcap --fault dropout=0.1
 import csv out.mcap --odometry ODD --detections detections.csv

@@ -17,9 +17,9 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "logs.summary",
              "descriptors.training.contrast", "slam.simulation.faults.registry",
              "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",
              "osmium",
-             "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.evaluation.comparison",
+             "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.sweeps.comparison",
              "slam.sweeps.sweep",
-             "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
+             "tools.evaluation.evaluate", "logs.clouds.map_of_cloud",
              "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 
 

@@ -1,45 +1,21 @@
-"""One log, several side by side, and sweeps."""
+"""One log, and sweeps."""
 
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
 
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
-from tools import cli
 
 pytestmark = pytest.mark.slow
-
-AS_SET = ("--set", "calibrate=false")
-"""Logs with the same settings, whatever is in them."""
 
 
 @pytest.fixture(scope="module")
 def short_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(tmp_path_factory.mktemp("short") / "drive.mcap", keep_until(noisy_drive, 5.0))
-
-
-@pytest.fixture(scope="module")
-def maps(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Two of one configuration, with a drive degraded by two seeds, and one of another configuration."""
-    folder = tmp_path_factory.mktemp("maps")
-    made = []
-    for seed in (0, 1):
-        degraded = folder / f"degraded{seed}.mcap"
-        made.append(folder / f"map{seed}.mcap")
-        assert (
-            cli.run(["degrade", str(short_log), "-o", str(degraded), "--fault", "dropout=0.2", "--seed", str(seed)])
-            == 0
-        )
-        assert cli.run(["replay", str(degraded), "-o", str(made[-1]), *AS_SET]) == 0
-    made.append(folder / "blind.mcap")
-    one_keyframe = ("--set", "keyframe.distance_m=30")
-    assert cli.run(["replay", str(short_log), "-o", str(made[-1]), *AS_SET, *one_keyframe]) == 0
-    return made
 
 
 class TestOneLog:
@@ -72,26 +48,6 @@ class TestOneLog:
         ]
         assert [each["method"] for each in told] == ["trajectory", "map"]
         assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no estimated pose")
-
-
-class TestSeveralLogs:
-    def test_groups_with_mean_and_deviation(self, dslam: Run, maps: list[Path]) -> None:
-        result = dslam("compare", *maps, "--require", "trajectory.ate_m<=0")
-        assert result.code == 1
-        assert result.err.count("\n") == 1
-        assert all(f"{path}: trajectory.ate_m is" in result.err for path in maps)
-        assert "(2 runs)" in result.out
-        assert "keyframe.distance_m=30.0" in result.out
-        told = json.loads(dslam("compare", *maps, "--json").out)
-        first, _, other = [each["group"] for each in told["runs"]]
-        assert list(told["groups"]) == [first, other]
-        alone = [json.loads(dslam("evaluate", path, "--json").out) for path in maps]
-        assert [each["evaluation"] for each in told["runs"]] == alone
-
-    def test_what_cannot_be_compared(self, dslam: Run, maps: list[Path], tmp_path: Path) -> None:
-        copy = Path(shutil.copy(maps[0], tmp_path / "copy.mcap"))
-        assert_refused(dslam("compare", maps[0], copy), "the same run", str(copy))
-        assert_refused(dslam("compare", maps[0]), "one log was given", "dslam evaluate")
 
 
 class TestSweep:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from slam.evaluation.comparison import Comparison
+    import pandas as pd
 
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
 ResultFolder = Annotated[
@@ -25,8 +24,14 @@ Descriptors = Annotated[
     ),
 ]
 UNDEFINED = "–"
-COMPARED = ("ATE m", "closures precision", "closures recall", "relocalizations right", "associations precision")
-"""Figures of a comparison that fit beside one another."""
+COMPARED = {
+    "ATE m": ("trajectory.ate_m", 3),
+    "closures precision": ("closures.precision", 3),
+    "closures recall": ("closures.recall", 3),
+    "relocalizations right": ("relocalization.success_rate", 3),
+    "associations precision": ("associations.precision", 4),
+}
+"""Figures of a comparison that fit beside one another, with their digits."""
 
 
 def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, str]:
@@ -42,17 +47,26 @@ def _filled(template: str, figures: Mapping[str, Any]) -> str:
         return UNDEFINED
 
 
-def rows_of(comparison: Comparison) -> list[dict[str, str]]:
+def rows_of(spreads: pd.DataFrame) -> list[dict[str, str]]:
     """A row for each group of runs, with some of the figures, and the extremes of the ATE."""
-    from slam.evaluation.comparison import spread_of
-    from slam.evaluation.report.figures import HEADLINE_FIGURES
+    rows = []
+    for label in spreads.index.unique(level=0):
+        of = spreads.loc[label]
+        texts = {heading: _text(of.loc[key], digits) for heading, (key, digits) in COMPARED.items()}
+        ate = of.loc["trajectory.ate_m"]
+        extremes = f"{ate['least']:.3f} to {ate['greatest']:.3f}" if ate["count"] else UNDEFINED
+        runs = {"runs": f"{label} ({ate['run_count']} runs)", "ATE m": "", "least to greatest": extremes}
+        rows.append(runs | texts)
+    return rows
 
-    table = comparison.to_table().T.reindex(columns=list(COMPARED)).astype(object).fillna(UNDEFINED)
-    ate = next(figure for figure in HEADLINE_FIGURES if figure.heading == COMPARED[0])
-    spreads = [spread_of(ate, runs) for runs in comparison.groups.values()]
-    span = f"{{least:.{ate.digits}f}} to {{greatest:.{ate.digits}f}}"
-    table.insert(1, "least to greatest", [_filled(span, asdict(each)) for each in spreads])
-    return [{"runs": str(name)} | row for name, row in table.to_dict("index").items()]
+
+def _text(spread: pd.Series, digits: int) -> str:
+    """ "1.27 ± 0.03 * worse"; with the number of runs in which it is defined, where that is not all."""
+    if not spread["count"]:
+        return UNDEFINED
+    deviation = f" ± {spread['standard_deviation']:.{digits}f}" if spread["count"] > 1 else ""
+    part = f" ({spread['count']} of {spread['run_count']})" if spread["count"] < spread["run_count"] else ""
+    return f"{spread['mean']:.{digits}f}{deviation}{part} {spread['mark']}".strip()
 
 
 def report(

@@ -36,7 +36,7 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
 
     Returns:
         A row a candidate: the ``record``; of it ``query`` (id), ``stamp_ns``, ``reference_stamp_ns``,
-        ``accepted``, ``stage``, ``score``; ``decided``, ``true`` (false where undecided); errors of where it puts the
+        ``accepted``, ``stage``; ``decided``, ``true`` (false where undecided); errors of where it puts the
         query keyframe, 0 where undecided: ``error_m``, ``rotation_rad``; ``travelled_m``: true path up to the query
         keyframe.
     """
@@ -59,7 +59,6 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
             "reference_stamp_ns": reference_ns,
             "accepted": np.array([c.accepted for c in candidates], dtype=np.bool_),
             "stage": pd.Series([c.stage for c in candidates], dtype=object),
-            "score": np.array([c.score for c in candidates], dtype=np.float64),
             "decided": decided,
             "true": decided & protocol.is_true(error_m, rotation_rad),
             "error_m": np.where(decided, error_m, 0.0),

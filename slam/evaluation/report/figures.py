@@ -6,47 +6,11 @@ out.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 from slam.evaluation.metrics.statistics import UNDEFINED
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A number of an evaluation by its dotted key, with a short heading; ``is_error``: the smaller, the better."""
-
-    key: str
-    heading: str
-    digits: int
-    is_error: bool = False
-
-    def of(self, results: Mapping[str, Any]) -> float | None:
-        """Its value in an evaluation's JSON; None where it is undefined or not there."""
-        value = value_at(results, self.key)
-        return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
-
-
-HEADLINE_FIGURES = (
-    Figure("trajectory.ate_m", "ATE m", 3, is_error=True),
-    Figure("trajectory.rpe_translation_percent", "RPE %", 3, is_error=True),
-    Figure("trajectory.rpe_rotation_deg_per_100m", "RPE deg/100 m", 4, is_error=True),
-    Figure("closures.precision", "closures precision", 3),
-    Figure("closures.recall", "closures recall", 3),
-    Figure("closures.recall_opposite", "closures recall, opposite", 3),
-    Figure("closures.average_precision", "average precision", 3),
-    Figure("closures.median_translation_error_m", "closures error m", 3, is_error=True),
-    Figure("relocalization.success_rate", "relocalizations right", 3),
-    Figure("associations.precision", "associations precision", 4),
-    Figure("associations.recall", "associations recall", 4),
-    Figure("landmarks.precision", "landmarks precision", 4),
-    Figure("landmarks.recall", "landmarks recall", 4),
-    Figure("landmarks.median_error_m", "landmarks error m", 3, is_error=True),
-)
-"""Those by which runs are compared."""
 
 SUMMARY = {
     "trajectory": (

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from logs.container.json_text import plain
 from logs.messages import GroundTruthPose
 from slam.common.config import Config
 from slam.common.config_tree import load_tree
@@ -90,7 +91,7 @@ def test_finished_drives_are_not_mapped_again(log, tmp_path):
 def test_groups_hold_the_seeds_and_failures_are_named(log, tmp_path):
     sweep = sweep_over(log, tmp_path)
     assert sweep.failures == ["keep_label=unicorn, seed 0: no unicorn"]
-    told = json.loads(json.dumps(sweep.to_json_dict(), allow_nan=False))
+    told = json.loads(json.dumps(plain(sweep.to_json_dict()), allow_nan=False))
     none, dropout, unicorn = (f"faults={name or 'none'}" for name in DEGRADATIONS)
     assert list(told["groups"]) == [none, dropout, unicorn]
     assert [each["group"] for each in told["runs"]] == [none, dropout, dropout, unicorn]

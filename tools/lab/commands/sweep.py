@@ -64,6 +64,7 @@ def sweep(
     Example: dslam sweep drive.mcap -o out/ablation --part calibration --part labels
     """
     from slam.common.config import load_config
+    from slam.sweeps.comparison import note_of
     from slam.sweeps.sweep import DEFAULT_DEGRADATIONS, plan_sweep, run_sweep
     from tools import console
     from tools.lab.drives.parts import PARTS, map_without
@@ -81,7 +82,7 @@ def sweep(
     first = {task.name: result for task, result in swept.results.items() if task.seed == 0}
     report(
         rows_of(comparison),
-        comparison.note,
+        note_of(comparison),
         f"{swept.computed} drives mapped, {len(tasks) - swept.computed} mapped before",
         *(f"{name}: {'; '.join(result.reported) or result.error}" for name, result in first.items()),
         markdown=markdown,
