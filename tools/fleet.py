@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools.arguments import ConfigFile, Jobs, Json, Picture, Settings, check_outputs, parse_origin
+from tools.arguments import ConfigFile, Jobs, Json, Settings, parse_origin
 from tools.evaluation.requirements import Require, finish
 
 if TYPE_CHECKING:
@@ -21,10 +20,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Build one map of a city from many logs.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.")]
-Day = Annotated[
-    datetime | None,
-    typer.Option(formats=["%Y-%m-%d"], metavar="YYYY-MM-DD", help="For --picture."),
-]
 
 
 @app.command()
@@ -80,45 +75,32 @@ def add(
 @app.command()
 def status(
     city: Folder,
-    picture: Picture = None,
-    since: Day = None,
-    until: Day = None,
     require: Require = None,
     json: Json = False,
 ) -> None:
     """Show the last report of a fleet, and logs that are not mapped yet.
 
-    --picture draws the changes that a drive of --since or later, and before --until, was the first to show.
-
-    Example: dslam fleet status city --picture may.png --since 2025-05-01 --until 2025-06-01
+    Example: dslam fleet status city --require "figures.alone<=0"
     """
     from slam.fleet.report import read_report
-    from tools.pictures import draw_changes
 
-    check_outputs([picture], [])
-    if (since or until) and picture is None:
-        raise typer.BadParameter("--since and --until choose what --picture draws; give it, too.")
-    if picture is not None:
-        draw_changes(city, picture, since, until)
-    _finish(city, read_report(city), require, json=json, picture=picture)
+    _finish(city, read_report(city), require, json=json)
 
 
-def _finish(
-    city: Path, results: dict[str, Any], require: Sequence[str] | None, *, json: bool, picture: Path | None = None
-) -> None:
+def _finish(city: Path, results: dict[str, Any], require: Sequence[str] | None, *, json: bool) -> None:
     """Print a report and whether it meets the requirements; the exit code is that of the command."""
     from tools import console
 
     if json:
         console.show_json(results)
     else:
-        console.show(*_compose(city, results, picture))
+        console.show(*_compose(city, results))
     finish({"": results}, require, quiet=json)
     if any(log["status"] == "not mapped" for log in results["logs"]):
         raise typer.Exit(1)
 
 
-def _compose(city: Path, report: dict[str, Any], picture: Path | None) -> list[RenderableType]:
+def _compose(city: Path, report: dict[str, Any]) -> list[RenderableType]:
     from slam.fleet.report import REPORT_NAME
     from tools import console
 
@@ -127,7 +109,6 @@ def _compose(city: Path, report: dict[str, Any], picture: Path | None) -> list[R
             "log": log["log"],
             "status": log["status"],
             "map": log.get("map", ""),
-            "joined": str(len(log.get("joined", []))),
             "warnings": str(len(log.get("notes", []))),
             "reason": log.get("reason", ""),
         }
@@ -146,7 +127,7 @@ def _compose(city: Path, report: dict[str, Any], picture: Path | None) -> list[R
     ]
     warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
     names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
-    written = [str(path) for path in (*(city / name for name in names), picture) if path and path.exists()]
+    written = [str(city / name) for name in names if (city / name).exists()]
     return [
         console.table(logs, texts=("status", "map", "reason")),
         console.table(parts),

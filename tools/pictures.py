@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from slam.localization.prior_map import PriorMap
 
 
@@ -27,31 +25,6 @@ def draw_drive(log: Path, picture: Path, known: PriorMap | None = None) -> None:
     if known is not None:
         positions = known.positions_around(np.concatenate([whole.estimate, whole.landmarks]))
         whole = replace(whole, landmarks=positions[:0], labels=(), known=positions)
-    draw_map(picture, whole)
-
-
-def draw_changes(city: Path, picture: Path, since: datetime | None, until: datetime | None) -> None:
-    """Draw what changed in the map of a fleet, over the landmarks that are there now; of the changes those that a drive
-    noticed between two dates (UTC).
-    """
-    import numpy as np
-
-    from slam.display.map_layers import MapPicture
-    from slam.display.map_picture import draw_map
-    from slam.fleet.changes import KINDS, read_changes
-    from slam.library import read_map
-
-    changes = read_changes(city / "changes.geojson", since, until)
-    appeared, gone, moved = ([change for change in changes if change.kind == kind] for kind in KINDS)
-    dates = [f"{word} {day:%Y-%m-%d}" for word, day in (("since", since), ("until", until)) if day]
-    whole = MapPicture(
-        np.zeros((0, 3)),
-        known=read_map(city / "map.mcap").positions,
-        appeared=np.array([change.position for change in appeared]).reshape(-1, 3),
-        gone=np.array([change.position for change in gone]).reshape(-1, 3),
-        moved=np.array([(change.from_position, change.position) for change in moved]).reshape(-1, 2, 3),
-        title=" ".join([city.resolve().name, *dates]),
-    )
     draw_map(picture, whole)
 
 

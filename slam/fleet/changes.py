@@ -9,15 +9,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from pydantic import TypeAdapter
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from logs.container.json_text import parse_json
 from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
-from slam.common.errors import FleetError
 from slam.common.georeference import Georeference
 from slam.fleet.part import Part
 from slam.fleet.presence import REPORTED, Presence
@@ -39,10 +36,6 @@ class Change:
     position: tuple[float, float, float]
     from_landmark: str = ""
     from_position: tuple[float, float, float] | None = None
-
-
-KINDS = "appeared", "gone", "moved"
-_CHANGES = TypeAdapter(list[Change])
 
 
 def find_changes(part: Part, presence: Presence, stamps_ns: Sequence[int]) -> tuple[Change, ...]:
@@ -128,23 +121,6 @@ def write_changes(path: Path, changes: Sequence[Change], georeference: Georefere
     if georeference is None:
         collection["coordinates"] = "metres in the frame of the map"
     write_text(path, json.dumps(collection, indent=1) + "\n")
-
-
-def read_changes(path: Path, since: datetime | None = None, until: datetime | None = None) -> list[Change]:
-    """The changes that :func:`write_changes` wrote: those that a session showed between two times, in UTC.
-
-    Raises:
-        FleetError: the file cannot be read, or an earlier version wrote it.
-    """
-    try:
-        features = parse_json(path.read_text(encoding="utf-8"))["features"]
-        changes = _CHANGES.validate_python([feature["properties"] for feature in features])
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        reason = str(error).splitlines()[0]
-        raise FleetError(f"the changes {path} cannot be read ({reason}); run 'dslam fleet add' again") from error
-    first, end = since or datetime.min, until or datetime.max
-    shown = (datetime.fromisoformat(change.before).replace(tzinfo=None) for change in changes)
-    return [change for change, at in zip(changes, shown, strict=True) if first <= at < end]
 
 
 def _coordinates(position: tuple[float, float, float] | None, georeference: Georeference | None) -> list[float] | None:

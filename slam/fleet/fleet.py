@@ -48,8 +48,8 @@ class CityMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
-    """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, one for a
-    drive, by date: their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that
+    """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, by
+    date: their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that
     were folded, and ``pairs`` of these maps; ``maps``: the result, that of most sessions first.
     """
 
@@ -95,7 +95,7 @@ def map_fleet(
         LogError: a file that cannot be written.
     """
     sessions = map_sessions(logs, folder, config, workers=workers, tell=tell)
-    mapped = _drives_by_date(logs, sessions)
+    mapped = _by_date(logs, sessions)
     tell(f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
     joined = _join_sessions([session_folder(folder, digest, config) / MAP_NAME for digest in order], folder)
@@ -115,14 +115,13 @@ def map_fleet(
     return Fleet(tuple(logs), sessions, order, joined.inputs, joined.pairs, tuple(maps))
 
 
-def _drives_by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
-    """Of each drive the session of the log that was given first."""
-    last_first = [sessions[log.sha256] for log in reversed(logs)]
-    of_drive = {session.drive: session for session in last_first if session.is_mapped}
-    if not of_drive:
+def _by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
+    """The sessions that were mapped."""
+    mapped = [session for session in sessions.values() if session.is_mapped]
+    if not mapped:
         reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
         raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
-    return sorted(of_drive.values(), key=lambda session: (session.first_ns, session.sha256))
+    return sorted(mapped, key=lambda session: (session.first_ns, session.sha256))
 
 
 def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:

@@ -83,15 +83,12 @@ def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) 
     joined = []
     for each in np.unique(component).tolist():
         members = np.flatnonzero(component == each).tolist()
-        kept, rejected = (
-            [joins[row] for row in np.flatnonzero(which & (component[ends[:, 1]] == each)).tolist()]
-            for which in (is_kept, ~is_kept)
-        )
         part = parts[members[0]]
         if len(members) > 1:
+            kept = [joins[row] for row in np.flatnonzero(is_kept & (component[ends[:, 1]] == each)).tolist()]
             T = T_map_place[np.isin(everything.numbers, members)]
             part = _solved(_Group({number: parts[number] for number in members}), kept, T, config)
-        joined.append(replace(part, rejected=tuple(rejected)))
+        joined.append(part)
     return sorted(joined, key=lambda part: (-len(part.visits), part.sessions))
 
 

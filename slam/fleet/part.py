@@ -20,7 +20,6 @@ from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.fleet.condensed_map import condense_area
-from slam.fleet.joins import Join
 from slam.object_map.map_io import SavedMap, are_of_kind, load_map, write_map
 
 LEDGER_NAME = "visits.json"
@@ -40,12 +39,11 @@ class Visit:
 class Part:
     """A condensed map of some sessions.
 
-    ``visits`` by the numbers of the sessions, in the order of their dates; ``rejected``: joins that contradict others.
+    ``visits`` by the numbers of the sessions, in the order of their dates.
     """
 
     saved: SavedMap
     visits: Mapping[int, Visit]
-    rejected: tuple[Join, ...] = ()
 
     @property
     def sessions(self) -> tuple[int, ...]:
@@ -69,7 +67,7 @@ def session_part(number: int, saved: SavedMap) -> Part:
 
 def fold_part(part: Part, *, stretch_m: float) -> Part:
     """The part with one place for each cell of ``stretch_m``."""
-    return replace(part, saved=condense_area(part.saved, stretch_m=stretch_m), rejected=())
+    return replace(part, saved=condense_area(part.saved, stretch_m=stretch_m))
 
 
 def save_parts(folder: Path, parts: Sequence[Part]) -> None:

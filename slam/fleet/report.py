@@ -22,7 +22,7 @@ STATES = ("joined", "alone", "not mapped", "repeated")
 
 
 def fleet_report(fleet: Fleet) -> dict[str, Any]:
-    """The report as JSON: of the logs, of the parts of the map, and of the pairs that did not join; and in figures."""
+    """The report as JSON: of the logs and of the parts of the map; and in figures."""
     logs = [{"log": log.name, "sha256": log.sha256, **_of_log(fleet, row)} for row, log in enumerate(fleet.logs)]
     parts = [_of_map(each) for each in fleet.maps if each.file]
     states = Counter(log["status"] for log in logs)
@@ -36,11 +36,6 @@ def fleet_report(fleet: Fleet) -> dict[str, Any]:
             **of_map,
         },
         "parts": parts,
-        "refused": [
-            {"logs": [_name(fleet, pair.first), _name(fleet, pair.second)], "reason": pair.reason}
-            for pair in fleet.pairs
-            if not pair.accepted
-        ],
         "changes": len(fleet.maps[0].changes) if fleet.maps else 0,
     }
 
@@ -60,7 +55,7 @@ def read_report(folder: Path) -> dict[str, Any]:
     Raises:
         FleetError: no fleet is there, or a file cannot be read.
     """
-    report: dict[str, Any] = {"logs": [], "figures": {}, "parts": [], "refused": [], "changes": 0}
+    report: dict[str, Any] = {"logs": [], "figures": {}, "parts": [], "changes": 0}
     path = folder / REPORT_NAME
     if path.exists():
         try:
@@ -79,57 +74,32 @@ def read_report(folder: Path) -> dict[str, Any]:
 
 def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
     digest = fleet.logs[row].sha256
-    first = _log_name(fleet, digest)
     session = fleet.sessions[digest]
-    if any(log.sha256 == digest for log in fleet.logs[:row]):
-        return {"status": "repeated", "reason": f"the same log as {first}"}
+    first = next(log for log in fleet.logs if log.sha256 == digest)
+    if first is not fleet.logs[row]:
+        return {"status": "repeated", "reason": f"the same log as {first.name}"}
     if not session.is_mapped:
         return {"status": "not mapped", "reason": session.reason}
-    if digest not in fleet.order:
-        same = next(each for each in fleet.order if fleet.sessions[each].drive == session.drive)
-        return {"status": "repeated", "reason": f"the same drive as {_log_name(fleet, same)}, in another file"}
     number = fleet.order.index(digest)
-    own = next(rank for rank, numbers in enumerate(fleet.inputs) if number in numbers)
     city_map = next(each for each in fleet.maps if number in each.part.visits)
     is_alone = len(city_map.part.visits) == 1
     return {
         "status": "alone" if is_alone else "joined",
-        "reason": _why_alone(fleet, own) if is_alone else "",
+        "reason": _why_alone(fleet, number) if is_alone else "",
         "map": city_map.file,
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
-        "joined": [
-            {"log": _name(fleet, other), "places": len(pair.joins), "log_odds": round(pair.surest.log_odds, 1)}
-            for pair in fleet.pairs
-            for other in {pair.first, pair.second} - {own}
-            if pair.accepted and own in (pair.first, pair.second) and fleet.inputs[other][0] in city_map.part.visits
-            if fleet.inputs[own] == (number,)
-        ],
         "notes": list(session.notes),
     }
 
 
-def _why_alone(fleet: Fleet, own: int) -> str:
-    """Why a map that was joined last, by its rank, is alone."""
+def _why_alone(fleet: Fleet, number: int) -> str:
+    own = next(rank for rank, numbers in enumerate(fleet.inputs) if number in numbers)
     pairs = [pair for pair in fleet.pairs if own in (pair.first, pair.second)]
     if not pairs:
         return "none of its places was recognised in another log"
     best = max(pairs, key=lambda pair: pair.surest.log_odds)
-    other = _name(fleet, best.first + best.second - own)
-    if best.accepted:
-        return f"its joins contradict those of other logs; the best match was {other}"
-    return f"the best match was {other}: {best.reason}"
-
-
-def _name(fleet: Fleet, rank: int) -> str:
-    """What a map that was joined last is called: by its log, or by how many were folded to it."""
-    first, *others = fleet.inputs[rank]
-    return f"the map of {len(others) + 1} earlier logs" if others else _log_name(fleet, fleet.order[first])
-
-
-def _log_name(fleet: Fleet, digest: str) -> str:
-    """The name of the first log with that content."""
-    return next(log.name for log in fleet.logs if log.sha256 == digest)
+    return best.reason or "its joins contradict those of other logs"
 
 
 def _of_map(city_map: CityMap) -> dict[str, Any]:
@@ -141,7 +111,6 @@ def _of_map(city_map: CityMap) -> dict[str, Any]:
         "landmarks_of_logs": sum(len(visit.landmarks) for visit in part.visits.values()),
         "present": int(np.count_nonzero(city_map.presence.present >= REPORTED)),
         "median_sigma_m": round(summarize_map(part.saved)["median_sigma_m"], 3),
-        "joins_rejected": len(part.rejected),
         "hazard_per_day": city_map.presence.hazard_per_day,
         "changes": len(city_map.changes),
     }

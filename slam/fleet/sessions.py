@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -48,11 +47,6 @@ class Session:
         """Whether there is a map."""
         return not self.reason
 
-    @property
-    def drive(self) -> tuple[int, float, int]:
-        """Alike for the sessions of one drive, of which two logs have other bytes."""
-        return self.first_ns, self.travel_m, self.landmarks
-
 
 _LEDGER = TypeAdapter(Session)
 
@@ -77,15 +71,14 @@ def map_sessions(
             )
         else:
             waiting.setdefault(log.sha256, log)
-    compute = partial(_timed, partial(map_session, folder=folder, config=config))
+    compute = partial(map_session, folder=folder, config=config)
     outcomes = compute_all(compute, list(waiting.values()), jobs=workers)
     for finished, (log, outcome) in enumerate(outcomes, start=1):
         if isinstance(outcome, Death):
             reason = "the process that mapped it died, perhaps for lack of memory; add it again, with fewer --workers"
-            outcome = Session(log.sha256, reason), 0.0
-        session, seconds = outcome
-        sessions[log.sha256] = session
-        result = f"mapped in {seconds:.0f} s, {len(session.notes)} warnings" if session.is_mapped else "not mapped"
+            outcome = Session(log.sha256, reason)
+        sessions[log.sha256] = outcome
+        result = f"mapped, {len(outcome.notes)} warnings" if outcome.is_mapped else "not mapped"
         tell(f"{finished}/{len(waiting)} {log.path.name}: {result}")
     return sessions
 
@@ -133,12 +126,6 @@ def _mapped(log: FleetLog, scratch: Path, config: Config) -> Session:
         first_ns=int(saved.graph.keyframe_stamps_ns.min()),
         notes=summary.notes,
     )
-
-
-def _timed(compute: Callable[[FleetLog], Session], log: FleetLog) -> tuple[Session, float]:
-    """A session, and the seconds that it took."""
-    started = time.perf_counter()
-    return compute(log), time.perf_counter() - started
 
 
 def _read_session(folder: Path) -> Session | None:

@@ -7,13 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from logs.messages import ObjectMapRecord
-from slam.display.map_layers import MapPicture
-from slam.display.map_picture import draw_map
-from slam.fleet.changes import Change, write_changes
 from slam.fleet.fleet import Fleet
 from slam.fleet.sessions import Session
 from tests.tools.runs import Run, assert_refused
@@ -60,31 +55,3 @@ def test_fleet_status_lists_reported_and_waiting_logs(dslam: Run, tmp_path: Path
     assert (unmet.code, "figures.joined is 3, where >= 4 was required" in unmet.err) == (1, True)
     (tmp_path / "report.json").write_text("[", encoding="utf-8")
     assert_refused(dslam("fleet", "status", tmp_path), "cannot be read", "run the fleet again")
-
-
-def test_fleet_status_draws_what_changed_between_two_dates(
-    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn = list[MapPicture]()
-
-    def draw(path: Path, whole: MapPicture) -> None:
-        drawn.append(whole)
-        draw_map(path, whole)
-
-    monkeypatch.setattr("slam.display.map_picture.draw_map", draw)
-    objects = ObjectMapRecord.of_objects(["0"], np.zeros((1, 3)), np.zeros(1, dtype=np.int64), ("tree",))
-    monkeypatch.setattr("slam.library.read_map", lambda path: objects)
-    (tmp_path / "logs.json").write_text(json.dumps([{"name": "a", "path": "a", "sha256": "a"}]), encoding="utf-8")
-    months = [f"2025-0{month}-09T00:00:00+00:00" for month in (4, 5, 6)]
-    kinds = "gone", "moved", "appeared"
-    found = [
-        Change(kind, "0", "tree", 0.9, "", month, (1.0, 2.0, 0.0), "1", (5.0, 2.0, 0.0))
-        for kind, month in zip(kinds, months, strict=True)
-    ]
-    write_changes(tmp_path / "changes.geojson", found, None)
-    picture = tmp_path / "may.png"
-    result = dslam("fleet", "status", tmp_path, "--picture", picture, "--since", "2025-05-01", "--until", "2025-06-01")
-    assert (result.code, picture.exists(), str(picture) in result.out) == (0, True, True)
-    assert [len(drawn[0].gone), len(drawn[0].moved), len(drawn[0].appeared), len(drawn[0].known)] == [0, 1, 0, 1]
-    assert drawn[0].title.endswith("since 2025-05-01 until 2025-06-01")
-    assert_refused(dslam("fleet", "status", tmp_path, "--since", "2025-05-01"), "choose what --picture draws")

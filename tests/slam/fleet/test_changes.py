@@ -1,15 +1,13 @@
 from __future__ import annotations
 
 import json
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slam.common.errors import FleetError
 from slam.common.georeference import Georeference
-from slam.fleet.changes import Change, find_changes, read_changes, write_changes
+from slam.fleet.changes import Change, find_changes, write_changes
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import estimate_presence, seen_probabilities
 from tests.slam.fleet.parts import street_part
@@ -48,20 +46,6 @@ def test_what_went_came_and_moved_is_told_with_place_and_dates(changes: tuple[Ch
         assert change.before == "1970-04-01T00:00:00+00:00"
     assert found["moved"].from_landmark == str(MOVES)
     assert found["moved"].from_position == tuple(positions()[MOVES])
-
-
-def test_written_changes_are_read_by_the_dates_at_which_sessions_showed_them(
-    changes: tuple[Change, ...], tmp_path: Path
-) -> None:
-    path = tmp_path / "changes.geojson"
-    write_changes(path, changes, Georeference(60.0, 25.0))
-    assert read_changes(path) == list(changes)
-    march, april, may = (datetime(1970, month, 1) for month in (3, 4, 5))
-    assert read_changes(path, april, may) == list(changes)
-    assert read_changes(path, march, april) == read_changes(path, since=may) == []
-    path.write_text(json.dumps({"features": [{"properties": {"kind": "gone"}}]}), encoding="utf-8")
-    with pytest.raises(FleetError, match="run 'dslam fleet add' again"):
-        read_changes(path)
 
 
 def test_changes_are_points_on_earth_where_the_origin_is_known(changes: tuple[Change, ...], tmp_path: Path) -> None:
