@@ -38,8 +38,8 @@ class OdometryConfig(_Branch):
 
     scale_drift_percent: float = Field(default=1.0, ge=0, le=50)
     """rms error of the length accumulated over 100 m of path, in percent of it"""
-    scale_correlation_m: float = Field(default=20.0, ge=0, le=1000)
-    """path over which the scale error decays to 1/e; 0: white noise [m]"""
+    scale_correlation_m: float = Field(default=20.0, gt=0, le=1000)
+    """path over which the scale error decays to 1/e [m]"""
     heading_drift_deg_per_100m: float = Field(default=0.5, ge=0, le=90)
     """rms error of the heading accumulated over 100 m of path [deg]"""
 

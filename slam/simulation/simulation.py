@@ -143,8 +143,7 @@ def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: 
     * e is a stationary Gauss-Markov process over the path with the correlation exp(-s / c), c =
       ``scale_correlation_m``: the error of length, the integral of e, is a random walk over distances well above c, and
       smooth below. Its standard deviation is set so that the rms error of length over 100 m of path is p =
-      ``scale_drift_percent`` of it: ``Var = sigma_e^2 2 c^2 (L/c - 1 + exp(-L/c)) = (p L)^2`` at L = 100 m. With c = 0
-      the errors of length of the steps are independent, N(0, (p L)^2 d / L).
+      ``scale_drift_percent`` of it: ``Var = sigma_e^2 2 c^2 (L/c - 1 + exp(-L/c)) = (p L)^2`` at L = 100 m.
 
     On a straight 100 m the heading's walk adds a lateral rms of 100 m times sigma_h / sqrt(3), 0.5 m by default.
     While the body stands, or turns on the spot, nothing drifts. z, roll and pitch have no error.
@@ -169,10 +168,6 @@ def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: 
 def _scale_errors(path_m: FloatArray, normals: FloatArray, config: OdometryConfig) -> FloatArray:
     length_error_m = 0.01 * config.scale_drift_percent * REFERENCE_PATH_M
     c = config.scale_correlation_m
-    if c == 0.0:
-        moving = np.where(path_m > 0.0, path_m, 1.0)
-        white: FloatArray = normals * length_error_m / np.sqrt(REFERENCE_PATH_M * moving)
-        return white
     sigma = length_error_m / np.sqrt(2.0 * c**2 * (REFERENCE_PATH_M / c + np.expm1(-REFERENCE_PATH_M / c)))
     kept = np.exp(-path_m / c)
     fresh = np.sqrt(-np.expm1(-2.0 * path_m / c)) * normals

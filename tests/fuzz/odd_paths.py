@@ -22,7 +22,7 @@ replay drive.mcap -o out.mcap --set loop_closure.descriptor=ODD
 relocalize drive.mcap -o out.mcap --map ODD
 evaluate ODD
 evaluate mapped.mcap --reference ODD
-evaluate mapped.mcap --reference trajectory.kitti --times ODD
+evaluate mapped.mcap --reference trajectory.kitti --calib ODD
 export ODD --tum out.txt
 degrade ODD -o out.mcap --fault dropout=0.1
 import csv out.mcap --odometry ODD --detections detections.csv

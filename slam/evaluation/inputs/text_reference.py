@@ -21,20 +21,16 @@ _TURNED_DEG = 45.0
 
 @dataclass(frozen=True, slots=True)
 class TextReference:
-    """The file at ``path``; for poses in KITTI's format ``times`` (seconds, one a line), and ``calib`` if they are of
-    the left camera.
-    """
+    """The file at ``path``; ``calib``: of poses in KITTI's format, if they are of the left camera."""
 
     path: Path
-    times: Path | None = None
     calib: Path | None = None
 
     def read(self, path: PoseSeries) -> tuple[GroundTruthPose, ...]:
         """The true poses of the body.
 
         Args:
-            path: the odometry, or an estimate. Poses in KITTI's format are at its stamps if no times are given and
-                there are as many.
+            path: the odometry, or an estimate. Poses in KITTI's format, as many as these, are at its stamps.
 
         Raises:
             DatasetError: a file is missing or wrong.
@@ -51,11 +47,9 @@ class TextReference:
         stamps_ns = trajectory.stamps.stamps_ns.tolist()
         return tuple(GroundTruthPose(at, T) for at, T in zip(stamps_ns, trajectory.T_world_body, strict=True))
 
-    def _times(self, source: SourceText, path: PoseSeries) -> SourceText | None:
-        if self.times is not None:
-            return read_source_text(self.times)
+    def _times(self, source: SourceText, path: PoseSeries) -> SourceText:
         if len(source.lines()) != len(path.stamps_ns):
-            return None
+            raise EvaluationError(f"{self.path}: poses without stamps, and not one for each message of the odometry")
         seconds = (f"{at // 10**9}.{at % 10**9:09d}" for at in path.stamps_ns.tolist())
         return SourceText("the stamps of the odometry", "\n".join(seconds), "")
 

@@ -18,7 +18,7 @@ from slam.evaluation.place_recognition.revisits import find_true_poses
 
 LOST = "LOST"
 MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
-Method = Literal["closure", "map", "trajectory"]
+Method = Literal["closure", "trajectory"]
 Span = tuple[int, int | None]
 """Stamps [ns] at which a robot was lost, and at which it knew again where it is; None if it never did."""
 PlacedPose = tuple[int, FloatArray]
@@ -40,8 +40,8 @@ def evaluate_relocalization(
 
     * A loss begins with the first status in state LOST, also at the start of the drive, and ends with RELOCALIZED.
     * ``method`` "closure": the error of a fix is that of the accepted closure that made it, the last one up to its
-      stamp whose reference is from before the loss. "map", "trajectory": that of the first pose on ``/slam/pose`` at or
-      after its stamp, laid on the truth by ``T_world_map``.
+      stamp whose reference is from before the loss. "trajectory": that of the first pose on ``/slam/pose`` at or after
+      its stamp, laid on the truth by ``T_world_map``.
     * A fix is right within ``closure_translation_m`` and ``closure_rotation_deg``, both inclusive.
 
     Args:
@@ -49,7 +49,7 @@ def evaluate_relocalization(
         truth: may hold no pose.
         odometry: may hold no pose.
         protocol: the thresholds.
-        T_world_map: (4, 4); without it "map" and "trajectory" leave all fixes undecided.
+        T_world_map: (4, 4); without it "trajectory" leaves all fixes undecided.
         method: how the error is measured.
     """
     spans = find_losses(records.statuses)
@@ -73,7 +73,6 @@ def evaluate_relocalization(
         "success_rate": fraction(right, len(losses) - undecided),
         "false_relocalization_rate": fraction(wrong, len(losses) - undecided),
         **{f"median_{name}": percentile([fix[name] for fix in fixes], 50.0) for name in MEASURES},
-        "lost_time_ratio": _share_lost(records, spans),
         "method": method,
         "losses": losses,
     }
@@ -116,17 +115,6 @@ def _travel_m(from_ns: int, to_ns: int, truth: PoseSeries, odometry: PoseSeries)
         if len(path.stamps_ns) and path.stamps_ns[0] <= from_ns and to_ns <= path.stamps_ns[-1]:
             return float(np.diff(path.travelled_at_m(np.array([from_ns, to_ns], dtype=np.int64)))[0])
     return None
-
-
-def _share_lost(records: EvaluationRecords, spans: Sequence[Span]) -> float | None:
-    stamps = [
-        *(each.stamp_ns for each in records.odometry),
-        *(each.stamp_ns for each in records.online_poses),
-        *(each.stamp_ns for each in records.statuses),
-    ]
-    first_ns, last_ns = min(stamps, default=0), max(stamps, default=0)
-    lost_ns = sum((last_ns if fix_ns is None else fix_ns) - from_ns for from_ns, fix_ns in spans)
-    return lost_ns / (last_ns - first_ns) if last_ns > first_ns else None
 
 
 def _error(placed: PlacedPose | None, truth: PoseSeries, protocol: Protocol) -> FloatArray | None:

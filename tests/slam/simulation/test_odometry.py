@@ -42,7 +42,7 @@ def test_without_drift_it_is_the_true_motion_from_the_identity() -> None:
     np.testing.assert_allclose(T_odom_body, invert(T_world_body[0]) @ T_world_body, atol=1e-9)
 
 
-@pytest.mark.parametrize("correlation_m", [0.0, 20.0])
+@pytest.mark.parametrize("correlation_m", [2.0, 20.0])
 def test_length_error_over_100_m_is_the_configured_share(correlation_m: float) -> None:
     config = OdometryConfig(scale_drift_percent=2.0, scale_correlation_m=correlation_m, heading_drift_deg_per_100m=0.0)
     translation, heading = _segment_errors(config)
@@ -67,12 +67,9 @@ def test_scale_error_is_smooth_over_short_paths() -> None:
 
 def test_nothing_drifts_while_the_body_stands_or_turns_on_the_spot() -> None:
     T_world_body = transform_from_xyz_yaw(np.ones((50, 3)) * [1.0, 1.0, 0.0], np.linspace(0.0, 3.0, 50))
-    for correlation_m in (0.0, 20.0):
-        T = drifting_odometry(
-            T_world_body, OdometryConfig(scale_correlation_m=correlation_m), rng=np.random.default_rng(0)
-        )
-        np.testing.assert_allclose(T[:, :3, 3], 0.0, atol=1e-12)
-        np.testing.assert_allclose(yaw_rad(T), np.linspace(0.0, 3.0, 50), atol=1e-12)
+    T = drifting_odometry(T_world_body, OdometryConfig(), rng=np.random.default_rng(0))
+    np.testing.assert_allclose(T[:, :3, 3], 0.0, atol=1e-12)
+    np.testing.assert_allclose(yaw_rad(T), np.linspace(0.0, 3.0, 50), atol=1e-12)
 
 
 def test_one_drift_does_not_change_with_the_other() -> None:

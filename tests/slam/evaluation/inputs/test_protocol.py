@@ -1,14 +1,13 @@
-"""The protocol: its lengths go with the sensor range of a run, and thresholds can be given."""
+"""The protocol: its lengths go with the sensor range of a run."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import pytest
 
-from slam.common.errors import EvaluationError
-from slam.evaluation.evaluate import protocol_of
+from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.protocol import RANGE_M, Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 
@@ -35,23 +34,5 @@ def test_sensor_range_is_estimated_or_given(estimated, given, expected):
     made = {"configuration": json.dumps({"calibration": {"detection": detection}}), "estimated": estimated}
     records = EvaluationRecords(provenance=made)
     assert records.sensor_range_m == expected
-    assert protocol_of(records).revisit_m == pytest.approx(100.0 if expected is None else expected / RANGE_M * 100.0)
-
-
-def test_with_thresholds_replaces_thresholds():
-    changed = Protocol().with_thresholds({"closure_translation_m": 1.0, "least_detections": 10.0})
-    assert changed == replace(Protocol(), closure_translation_m=1.0, least_detections=10)
-    assert isinstance(changed.least_detections, int)
-
-
-@pytest.mark.parametrize(
-    ("thresholds", "told"),
-    [
-        ({"closure_m": 1.0}, "closure_m = 1.0 .*no such threshold"),
-        ({"least_detections": 1.5}, "valid integer"),
-        ({"closure_translation_m": -1.0}, "greater than 0"),
-    ],
-)
-def test_a_threshold_that_makes_no_sense_is_refused(thresholds, told):
-    with pytest.raises(EvaluationError, match=told):
-        Protocol().with_thresholds(thresholds)
+    revisit_m = 100.0 if expected is None else expected / RANGE_M * 100.0
+    assert evaluate(records).protocol.revisit_m == pytest.approx(revisit_m)

@@ -47,7 +47,7 @@ def measure(
     records: EvaluationRecords,
     *,
     truth: PoseSeries = TRUTH,
-    method: Method = "map",
+    method: Method = "trajectory",
     T_world_map: FloatArray | None = None,
     protocol: Protocol | None = None,
 ) -> dict[str, Any]:
@@ -82,17 +82,16 @@ def test_losses_by_hand() -> None:
     assert (found["loss_count"], found["fix_count"], found["right_count"], found["wrong_count"]) == (3, 2, 2, 0)
     assert (found["success_rate"], found["false_relocalization_rate"]) == (pytest.approx(2 / 3), 0.0)
     assert (found["median_seconds"], found["median_distance_m"]) == pytest.approx((25.0, 25.0))
-    assert found["lost_time_ratio"] == pytest.approx((10 + 40 + 40) / 240)
     assert found["median_error_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_drives_without_loss_or_fix() -> None:
     found = measure(made((0, "MAPPING")))
-    assert (found["loss_count"], found["lost_time_ratio"]) == (0, 0.0)
+    assert found["loss_count"] == 0
     assert found["success_rate"] is found["false_relocalization_rate"] is None
     assert {found[f"median_{name}"] for name in MEASURES} == {None}
     lost = measure(made((0, "LOST")))
-    assert (lost["loss_count"], lost["fix_count"], lost["success_rate"], lost["lost_time_ratio"]) == (1, 0, 0.0, 1.0)
+    assert (lost["loss_count"], lost["fix_count"], lost["success_rate"]) == (1, 0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -144,5 +143,5 @@ def test_without_truth_fixes_are_undecided_and_still_timed() -> None:
     assert found["median_seconds"] == pytest.approx(10.0)
     assert found["median_distance_m"] is None
     assert measure(made(*events[:3]), truth=NO_POSES)["success_rate"] is None
-    along = evaluate_relocalization(made(*events), NO_POSES, TRUTH, Protocol(), method="map")
+    along = evaluate_relocalization(made(*events), NO_POSES, TRUTH, Protocol(), method="trajectory")
     assert along["median_distance_m"] == pytest.approx(10.0)
