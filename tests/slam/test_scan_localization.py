@@ -26,7 +26,7 @@ EXACT = localizer_config("descriptellation_lr")
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
     """The first part of the street."""
-    return start_of_street(200)
+    return start_of_street(300)
 
 
 @pytest.fixture(scope="module")

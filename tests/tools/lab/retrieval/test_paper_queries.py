@@ -9,8 +9,8 @@ from scipy import stats
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
-from tests.helpers.long_street import generate_street
-from tools.lab.retrieval.labelled_map import LabelledMap, labelled_map
+from tests.helpers.long_street import start_of_street
+from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.paper_queries import SCENARIOS, draw_queries, visible
 
 SELF, FEWER, NOISY = SCENARIOS
@@ -19,8 +19,7 @@ RING_M = 20.0
 
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
-    world = generate_street(rng=np.random.default_rng(0))
-    return labelled_map(world), world.tour
+    return start_of_street(1000.0)
 
 
 def ring(count: int = 40, classes: int = 8, height_m: float = 0.0) -> tuple[LabelledMap, FloatArray]:
