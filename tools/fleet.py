@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,9 +16,14 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 
-app = typer.Typer(help="Build one map of a city from many logs.", no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.")]
+
+
+@app.callback()
+def fleet() -> None:
+    """Build one map of a city from many logs."""
 
 
 @app.command()
@@ -52,6 +56,7 @@ def add(
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
     from slam.fleet.report import fleet_report, write_report
+    from tools import console
 
     if city.suffix and not city.is_dir():
         raise typer.BadParameter("name the folder of the city before the logs.", param_hint="CITY")
@@ -69,34 +74,13 @@ def add(
         tell=partial(typer.echo, err=True),
     )
     write_report(city, result)
-    _finish(city, fleet_report(result), require, json=json)
-
-
-@app.command()
-def status(
-    city: Folder,
-    require: Require = None,
-    json: Json = False,
-) -> None:
-    """Show the last report of a fleet, and logs that are not mapped yet.
-
-    Example: dslam fleet status city --require "figures.alone<=0"
-    """
-    from slam.fleet.report import read_report
-
-    _finish(city, read_report(city), require, json=json)
-
-
-def _finish(city: Path, results: dict[str, Any], require: Sequence[str] | None, *, json: bool) -> None:
-    """Print a report and whether it meets the requirements; the exit code is that of the command."""
-    from tools import console
-
+    report = fleet_report(result)
     if json:
-        console.show_json(results)
+        console.show_json(report)
     else:
-        console.show(*_compose(city, results))
-    finish({"": results}, require, quiet=json)
-    if any(log["status"] == "not mapped" for log in results["logs"]):
+        console.show(*_compose(city, report))
+    finish({"": report}, require, quiet=json)
+    if any(log["status"] == "not mapped" for log in report["logs"]):
         raise typer.Exit(1)
 
 

@@ -9,11 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from logs.container.json_text import parse_json
 from logs.storage.placement import write_text
-from slam.common.errors import FleetError
 from slam.fleet.fleet import CityMap, Fleet
-from slam.fleet.logs import read_members
 from slam.fleet.presence import REPORTED
 from slam.object_map.map_summary import summarize_map
 
@@ -47,29 +44,6 @@ def write_report(folder: Path, fleet: Fleet) -> None:
         UnwritableLogError: the file cannot be written.
     """
     write_text(folder / REPORT_NAME, json.dumps(fleet_report(fleet), indent=1) + "\n")
-
-
-def read_report(folder: Path) -> dict[str, Any]:
-    """The last report of the fleet in a folder; logs that came later have the status "waiting".
-
-    Raises:
-        FleetError: no fleet is there, or a file cannot be read.
-    """
-    report: dict[str, Any] = {"logs": [], "figures": {}, "parts": [], "changes": 0}
-    path = folder / REPORT_NAME
-    if path.exists():
-        try:
-            report |= parse_json(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, TypeError) as error:
-            raise FleetError(f"the report {path} cannot be read ({error}); run the fleet again") from error
-    members = read_members(folder)
-    if not members:
-        raise FleetError(f"{folder} holds no fleet; make one by 'dslam fleet add {folder} LOG...'")
-    known = {log["log"] for log in report["logs"]}
-    report["logs"] += [
-        {"log": log.name, "sha256": log.sha256, "status": "waiting"} for log in members if log.name not in known
-    ]
-    return report
 
 
 def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:

@@ -32,15 +32,6 @@ def descriptors(
     descriptor: Descriptors = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries for each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with different queries.")] = 5,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FOLDER",
-            help="Folder for the figures as a CSV file.",
-        ),
-    ] = None,
     markdown: Markdown = False,
     json: Json = False,
 ) -> None:
@@ -57,7 +48,6 @@ def descriptors(
     """
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
-    from logs.storage.placement import write_text
     from tools import console
     from tools.lab.retrieval.labelled_map import labelled_map
     from tools.lab.retrieval.paper import benchmark_descriptors
@@ -77,9 +67,6 @@ def descriptors(
         )
     count, classes = len(objects_of_map), len(objects_of_map.vocabulary)
     conditions = f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds"
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_text(output / "descriptors.csv", cells.to_csv(index=False, lineterminator="\n"))
     rows = cells.to_dict("records")
     about = {"map": world.name, "objects": count, "classes": classes, "queries": queries, "seeds": seeds}
     report(
