@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import RigidTransform
-from scipy.special import gammaincinv
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
@@ -18,7 +17,6 @@ from slam.common.geometry import apply, invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import LandmarkMatches
-from slam.evaluation.metrics.statistics import CONFIDENCE
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
 NEEDS = {
@@ -36,23 +34,16 @@ _Errors = tuple[FloatArray, FloatArray]
 def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str, float | None]:
     """Set errors (N, D) against covariances (N, D, D), leaving out those that are not positive definite; N may be 0.
 
-    ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``coverage``: share of the errors in the
-    region of the chi-squared distribution with probability :data:`CONFIDENCE`; ``count``: errors used.
+    ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``count``: errors used.
     """
-    dimension = errors.shape[1]
     finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
     errors, covariances = errors[finite], covariances[finite]
     usable = np.linalg.eigvalsh(covariances)[:, 0] > 0.0
     if not usable.any():
-        return {"coverage": None, "nees": None, "count": 0}
+        return {"nees": None, "count": 0}
     whitened = np.linalg.solve(covariances[usable], errors[usable][:, :, None])[:, :, 0]
     squares = np.einsum("ni,ni->n", errors[usable], whitened)
-    limit = 2.0 * gammaincinv(0.5 * dimension, CONFIDENCE)
-    return {
-        "coverage": float(np.mean(squares <= limit)),
-        "nees": float(np.mean(squares)) / dimension,
-        "count": len(squares),
-    }
+    return {"nees": float(np.mean(squares)) / errors.shape[1], "count": len(squares)}
 
 
 def evaluate_calibration(
@@ -64,7 +55,7 @@ def evaluate_calibration(
     truth: PoseSeries,
     protocol: Protocol,
 ) -> tuple[dict[str, float | None], str]:
-    """Coverage, NEES and number of errors of keyframes, landmarks and closures, and why some of them are missing.
+    """NEES and number of errors of keyframes, landmarks and closures, and why some of them are missing.
 
     The covariances are those in the map frame, which its first keyframe fixes. So the truth is tied there: no other
     alignment, which would fit the errors away, is made.

@@ -34,10 +34,6 @@ def joint(parts: list[Part], pairs: list[MapPair]) -> list[Part]:
     return join_parts(parts, pairs, CONFIG)
 
 
-def test_maps_that_share_places_are_paired(pairs: list[MapPair]) -> None:
-    assert {(pair.first, pair.second) for pair in pairs if pair.accepted} == {(0, 1), (1, 2)}
-
-
 def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[Part], parts: list[Part]) -> None:
     assert [part.sessions for part in joint] == [(0, 1, 2), (3,)]
     assert joint[1].saved is parts[3].saved

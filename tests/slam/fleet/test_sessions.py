@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import os
-import signal
-import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +7,8 @@ import pytest
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.fleet.logs import FleetLog
-from slam.fleet.sessions import Session, map_session, map_sessions, session_folder
+from slam.fleet.sessions import map_session, map_sessions, session_folder
+from slam.sweeps.workers import Death
 
 LOG = FleetLog("a", Path("a.mcap"), "0")
 
@@ -36,15 +34,8 @@ def test_map_sessions_refuses_log_that_is_gone_before_it_was_mapped(tmp_path: Pa
         map_sessions([LOG], tmp_path, Config(), workers=1, tell=print)
 
 
-def die(log: FleetLog, folder: Path, config: Config) -> Session:
-    os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(60.0)
-    raise AssertionError("it was killed")
-
-
-@pytest.mark.slow
 def test_log_whose_process_dies_is_not_mapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slam.fleet.sessions.map_session", die)
+    monkeypatch.setattr("slam.fleet.sessions.compute_all", lambda _, logs, jobs: ((log, Death()) for log in logs))
     (tmp_path / "a.mcap").write_bytes(b"a")
     logs = [FleetLog(name, tmp_path / "a.mcap", name) for name in ("a", "b")]
     lines = []

@@ -16,12 +16,6 @@ def test_disorder_and_duplicates_are_repaired() -> None:
     np.testing.assert_array_equal(cleaned.T_world_body, T)
 
 
-def test_of_poses_with_one_stamp_the_first_is_kept() -> None:
-    T = straight_path(3)
-    cleaned = clean_poses(np.array([5, 5, 6]), T)
-    np.testing.assert_array_equal(cleaned.positions[:, 0], [0.0, 2.0])
-
-
 def test_synchronize_interpolates_at_epoch_scale() -> None:
     truth = series(straight_path(11, step_m=10.0), rate_hz=1.0)  # 10 m/s
     at_ns = START_NS + np.array([1, 250_000_001, 9_999_999_999], dtype=np.int64)
