@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from tools.arguments import Json
 from tools.lab.tables import Descriptors, Markdown, report, row_of
-
-if TYPE_CHECKING:
-    from tools.lab.retrieval.path_queries import Scenario
 
 RESULTS = "contest.csv"
 COLUMNS = {
@@ -46,28 +42,11 @@ def recall(
         list[int] | None,
         typer.Option(min=1, metavar="N", help="The N - 1 commonest classes, and one for all others. Repeatable."),
     ] = None,
-    missing: Annotated[
-        list[float] | None,
+    query: Annotated[
+        list[str] | None,
         typer.Option(
-            min=0.0, max=0.9, metavar="S", help="Share of the objects in range that is not detected. Repeatable."
-        ),
-    ] = None,
-    clutter: Annotated[
-        list[float] | None,
-        typer.Option(min=0.0, max=0.9, metavar="S", help="Share of the detected objects that is clutter. Repeatable."),
-    ] = None,
-    noise: Annotated[
-        list[float] | None,
-        typer.Option(min=0.0, metavar="M", help="Standard deviation of each coordinate of a query. Repeatable."),
-    ] = None,
-    sensor_range: Annotated[
-        list[float] | None,
-        typer.Option("--range", min=1.0, metavar="M", help="Range of the sensor. Repeatable."),
-    ] = None,
-    seen: Annotated[
-        list[int] | None,
-        typer.Option(
-            min=3, metavar="N", help="Objects of a query; by default all in range on a path of 5/3 ranges. Repeatable."
+            metavar="NAME=NUMBER,...",
+            help="What differs from the usual query: objects, missing, clutter, noise_m, range_m. Repeatable.",
         ),
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
@@ -86,11 +65,10 @@ def recall(
 ) -> None:
     """Compare descriptors: recall of places in a map of objects.
 
-    By default a query holds the objects within 30 m, the range of the sensor, of a path of 50 m; a tenth of them is
-    missing, a tenth of the query is clutter, and positions have 0.2 m of noise. If several values of these options are
-    given, one option is varied at a time, with the first value of all others. Places: queries with a right pose (4 m,
-    10 deg) among the first 1, 5 and 25 proposals; right: after verification; wrong: accepted and wrong. Random vectors
-    are always measured, with the first values. Times are processor times.
+    A query holds the objects within 30 m, the range of the sensor, of a path of 50 m, or as many objects as given; a
+    tenth of them is missing, a tenth of the query is clutter, and positions have 0.2 m of noise. Places: queries with a
+    right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals; right: after verification; wrong: accepted and
+    wrong. Random vectors are always measured, with the first query. Times are processor times.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
@@ -98,14 +76,14 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, run_contest, scenario_of, side_by_side
+    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
 
     proposers = dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])
     contest = Contest(
         proposers=tuple(proposers),
         sizes=tuple(size or [10_000]),
         classes=tuple(classes or [20]),
-        scenarios=_scenarios(missing or [0.1], clutter or [0.1], noise or [0.2], seen or [0], sensor_range or [30.0]),
+        scenarios=tuple(query or [""]),
         queries=queries,
         seed=seed,
     )
@@ -118,26 +96,8 @@ def recall(
         cells.to_csv(path, mode="a", header=not path.exists(), index=False, lineterminator="\n")
     found = cells.to_dict("records")
     report(
-        [row_of(COLUMNS, {**each, "query": scenario_of(each).describe(contest.scenarios[0])}) for each in found],
+        [row_of(COLUMNS, each) for each in found],
         texts=("map", "query"),
         markdown=markdown,
         json={"figures": found} if json else None,
     )
-
-
-def _scenarios(
-    missing: Sequence[float],
-    clutter: Sequence[float],
-    noise_m: Sequence[float],
-    objects: Sequence[int],
-    range_m: Sequence[float],
-) -> tuple[Scenario, ...]:
-    """The first values of all, and each other one of them beside the first of the others."""
-    from dataclasses import replace
-
-    from tools.lab.retrieval.path_queries import Scenario
-
-    varied: dict[str, Sequence[Any]] = {"missing": missing, "clutter": clutter, "noise_m": noise_m, "objects": objects}
-    varied["range_m"] = range_m
-    first = Scenario(**{name: values[0] for name, values in varied.items()})
-    return (first, *(replace(first, **{name: each}) for name, values in varied.items() for each in values[1:]))

@@ -7,8 +7,8 @@ number of candidates, which are verified in the same way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -34,21 +34,22 @@ from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.parameters import registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
-from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
+from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
 
 
 @dataclass(frozen=True, slots=True)
 class Contest:
     """A measurement: each proposer in maps of the objects nearest to a random one.
 
-    ``sizes``: objects of a map. ``classes``: how many; the commonest keep their names, all others are of one class. The
-    ``queries`` of a scenario are drawn in the smallest map, and asked in all.
+    ``sizes``: objects of a map. ``classes``: how many; the commonest keep their names, all others are of one class.
+    ``scenarios``: texts for :func:`~tools.lab.retrieval.path_queries.parse_scenario`. The ``queries`` of one are drawn in
+    the smallest map, and asked in all.
     """
 
     proposers: tuple[str, ...]
     sizes: tuple[int, ...]
     classes: tuple[int, ...] = (20,)
-    scenarios: tuple[Scenario, ...] = (Scenario(),)
+    scenarios: tuple[str, ...] = ("",)
     queries: int = 60
     seed: int = 0
 
@@ -83,7 +84,7 @@ def run_contest(
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, random vectors of the first; one a row.
 
-    Columns: ``proposer``, the fields of the :class:`Scenario`, ``world``, ``map_objects``, ``map_classes``;
+    Columns: ``proposer``, ``query``, the fields of its scenario, ``world``, ``map_objects``, ``map_classes``;
     ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries
     with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification,
     ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a
@@ -111,11 +112,6 @@ def run_contest(
             rows += _measure(world, sizes[0], size, name, replace(contest, scenarios=asked))
             on_progress(done / len(runs))
     return pd.DataFrame(rows).assign(world=objects.source)
-
-
-def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
-    """The scenario of a row."""
-    return Scenario(**{each.name: cell[each.name] for each in fields(Scenario)})
 
 
 def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
@@ -172,10 +168,13 @@ def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: C
     }
     tree = cKDTree(objects.positions[:, :2])
     rows = []
-    for scenario in contest.scenarios:
+    for text in contest.scenarios:
+        scenario = parse_scenario(text)
         rng = np.random.default_rng((contest.seed, 1))  # the same paths, whatever the classes
         queries = draw_path_queries(world.first(smallest), contest.queries, rng=rng, scenario=scenario)
-        rows.append({**about, **asdict(scenario), **_ask(search, objects, tree, queries, scenario.range_m)})
+        rows.append(
+            {**about, "query": text, **asdict(scenario), **_ask(search, objects, tree, queries, scenario.range_m)}
+        )
     return rows
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
+from pydantic import ConfigDict, Field, TypeAdapter
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
@@ -32,23 +34,25 @@ class Scenario:
     sensor.
     """
 
-    objects: int = 0
-    missing: float = 0.1
-    clutter: float = 0.1
-    noise_m: float = 0.2
-    range_m: float = 30.0
+    objects: Annotated[int, Field(ge=0)] = 0
+    missing: Annotated[float, Field(ge=0.0, le=0.9)] = 0.1
+    clutter: Annotated[float, Field(ge=0.0, le=0.9)] = 0.1
+    noise_m: Annotated[float, Field(ge=0.0)] = 0.2
+    range_m: Annotated[float, Field(ge=1.0)] = 30.0
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
-    def describe(self, first: Scenario | None = None) -> str:
-        """The scenario in a few words; if it is not the ``first``, only by what differs from that."""
-        texts = {
-            "objects": f"{self.objects} objects" if self.objects else f"objects of {SUBMAP_RANGES * self.range_m:g} m",
-            "range_m": f"range {self.range_m:g} m",
-            "missing": f"{self.missing:.0%} missing",
-            "clutter": f"{self.clutter:.0%} clutter",
-            "noise_m": f"{self.noise_m:g} m noise",
-        }
-        whole = first is None or first == self
-        return ", ".join(text for name, text in texts.items() if whole or getattr(self, name) != getattr(first, name))
+
+def parse_scenario(text: str) -> Scenario:
+    """The scenario of a text like "objects=20,missing=0.3"; what it leaves out is as in the default one.
+
+    Raises:
+        SimulationError: another form, or a value that is not allowed.
+    """
+    try:
+        return TypeAdapter(Scenario).validate_python(dict(part.split("=") for part in text.split(",") if part))
+    except ValueError as error:
+        names = ", ".join(each.name for each in fields(Scenario))
+        raise SimulationError(f"query {text!r}: give NAME=NUMBER of {names}, e.g. objects=20,missing=0.3") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -59,14 +59,16 @@ def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
         ("descriptellation_lr", 50, 3),
         ("random", 50, 3),
     ]
-    missing = ("--missing", 0.1, "--missing", 0.2)
-    asking = (*asked, "--descriptor", "descriptellation_lr", *missing, "--markdown", "-o", tmp_path)
+    queries = ("--query", "objects=10", "--query", "objects=10,missing=0.2")
+    asking = (*asked, "--descriptor", "descriptellation_lr", *queries, "--markdown", "-o", tmp_path)
     again = dslam(*asking)
     rows = [line.split(" | ")[:3] for line in again.out.splitlines() if line.startswith("| descriptellation_lr")]
-    assert [row[2] for row in rows if row[1] == "50 of 1"][1] == "20% missing"
-    assert again.out.count("| random |") == 2  # random vectors in each map, with the first values
+    assert [row[2] for row in rows if row[1] == "50 of 1"][1] == "objects=10,missing=0.2"
+    assert again.out.count("| random |") == 2  # random vectors in each map, with the first query
     before = pd.read_csv(tmp_path / "contest.csv")
     dslam(*asking)
     added = pd.read_csv(tmp_path / "contest.csv")
     assert added["at_1"].tolist() == 2 * before["at_1"].tolist()
     assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")
+    for wrong in ("objects", "objects=few", "missing=1", "speed=1"):
+        assert_refused(dslam(*asked, "--query", wrong), repr(wrong), "objects, missing")
