@@ -42,8 +42,8 @@ class Contest:
     """A measurement: each proposer in maps of the objects nearest to a random one.
 
     ``sizes``: objects of a map. ``classes``: how many; the commonest keep their names, all others are of one class.
-    ``scenarios``: texts for :func:`~tools.lab.retrieval.path_queries.parse_scenario`. The ``queries`` of one are drawn in
-    the smallest map, and asked in all.
+    ``scenarios``: texts for :func:`~tools.lab.retrieval.path_queries.parse_scenario`. The ``queries`` of one are drawn
+    in the smallest map, and asked in all.
     """
 
     proposers: tuple[str, ...]
