@@ -1,20 +1,21 @@
-"""One map of several: a robust pose graph of their places, landmarks fused, and all of it optimised together."""
+"""One map of several: their places optimised with the joins, landmarks fused, and all of it optimised together."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
 
 from logs.messages import ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import PRIOR_SIGMA_RANGES, Edge, EdgeKind, PosePrior
+from slam.backend.factors import Edge, EdgeKind
 from slam.backend.graph_record import edges_of, observations_of
-from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.common.union_find import find_components
@@ -26,8 +27,8 @@ from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
 
-TIE_SIGMA = 10.0
-"""Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
+MAX_DEVIATIONS = 7.0
+"""Standard deviations; a join that is farther off the solution of all, which its robust kernel allows, is false."""
 FUSIONS = 3
 """Rounds of fusing landmarks and optimising: better positions show more duplicates."""
 
@@ -75,48 +76,57 @@ def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) 
         FactorGraphError: GTSAM cannot solve it.
     """
     accepted = [pair for pair in pairs if pair.accepted]
-    joins = [join for pair in accepted for join in pair.joins]
-    everything = _Group(dict(enumerate(parts)))
-    T_map_place, is_kept = _placed(everything, accepted, joins, config.sensor_range_m)
-    ends = np.array([(join.reference_map, join.query_map) for join in joins], dtype=np.int64).reshape(-1, 2)
-    component = find_components(len(parts), ends[is_kept])
+    T_joint_map = _chained(len(parts), accepted)
     joined = []
-    for each in np.unique(component).tolist():
-        members = np.flatnonzero(component == each).tolist()
-        part = parts[members[0]]
-        if len(members) > 1:
-            kept = [joins[row] for row in np.flatnonzero(is_kept & (component[ends[:, 1]] == each)).tolist()]
-            T = T_map_place[np.isin(everything.numbers, members)]
-            part = _solved(_Group({number: parts[number] for number in members}), kept, T, config)
-        joined.append(part)
+    for related in _connected(range(len(parts)), [(pair.first, pair.second) for pair in accepted]):
+        joins = [join for pair in accepted if pair.first in related for join in pair.joins]
+        group = _Group({number: parts[number] for number in related})
+        T_map_place, joins = _placed(group, joins, T_joint_map, config.sensor_range_m)
+        for members in _connected(related, [(join.reference_map, join.query_map) for join in joins]):
+            kept = [join for join in joins if join.query_map in members]
+            T = T_map_place[np.isin(group.numbers, members)]
+            members_group = _Group({number: parts[number] for number in members})
+            joined.append(_solved(members_group, kept, T, config) if kept else parts[members[0]])
     return sorted(joined, key=lambda part: (-len(part.visits), part.sessions))
 
 
+def _connected(numbers: Sequence[int], ends: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """The numbers in groups that pairs of them connect."""
+    row_of = {number: row for row, number in enumerate(numbers)}
+    rows = np.array([[row_of[end] for end in each] for each in ends], dtype=np.int64).reshape(-1, 2)
+    component = find_components(len(numbers), rows)
+    return [np.asarray(numbers)[component == each].tolist() for each in np.unique(component)]
+
+
 def _placed(
-    group: _Group, pairs: Sequence[MapPair], joins: Sequence[Join], sensor_range_m: float
-) -> tuple[FloatArray, BoolArray]:
-    """Poses (K, 4, 4) of all places, those of maps that joins connect in one frame, and which joins (J,) agree."""
-    T_joint_map = _chained(len(group.parts), pairs)
+    group: _Group, joins: Sequence[Join], T_joint_map: FloatArray, sensor_range_m: float
+) -> tuple[FloatArray, list[Join]]:
+    """Poses (K, 4, 4) of all places by the edges within the maps and by joins, without landmarks, and the joins that
+    agree with them; maps begin at ``T_joint_map`` (M, 4, 4).
+    """
     poses = np.concatenate([T_joint_map[number] @ part.saved.graph.T_map_body for number, part in group.parts.items()])
     if not joins:
-        return poses, np.zeros(0, dtype=np.bool_)
-    extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
-    loose = np.diag(np.repeat([TIE_SIGMA, TIE_SIGMA * extent_m], 3) ** 2.0)
-    starts = np.flatnonzero(np.diff(group.numbers)) + 1
-    ties = [Edge(0, end, invert(poses[0]) @ poses[end], loose, EdgeKind.DISCONTINUITY) for end in starts.tolist()]
-    held = PosePrior(0, poses[0], PRIOR_SIGMA_RANGES * sensor_range_m)
+        return poses, []
     closures = [group.closure(join) for join in joins]
-    solution = optimize_pose_graph(dict(enumerate(poses)), [held, *ties, *group.edges()], closures)
-    return solution.T_map_body, solution.kept
+    graph = FactorGraph(sensor_range_m=sensor_range_m)
+    graph.restore(poses, [*group.edges(), *closures], [])
+    graph.optimize()
+    poses = graph.poses()
+    T_from, T_to = (poses[[getattr(edge, end) for edge in closures]] for end in ("from_keyframe", "to_keyframe"))
+    T_error = invert(np.array([edge.T_from_to for edge in closures])) @ invert(T_from) @ T_to
+    errors = RigidTransform.from_matrix(T_error).as_exp_coords()
+    whitened = np.linalg.solve(np.array([edge.covariance for edge in closures]), errors[:, :, None])[:, :, 0]
+    agree = np.einsum("ni,ni->n", errors, whitened) <= MAX_DEVIATIONS**2
+    return poses, list(compress(joins, agree.tolist()))
 
 
 def _chained(count: int, pairs: Sequence[MapPair]) -> FloatArray:
-    """``T_joint_map`` (M, 4, 4) of maps along the pairs with the highest log odds that relate them."""
+    """``T_joint_map`` (M, 4, 4) of maps along the pairs that most places relate, each by its surest join."""
     costs = np.zeros((count, count))
     costs[0, 1:] = 1.0  # so that maps that no pair relates are in the tree, where they are
     T_between: dict[tuple[int, int], FloatArray] = {}
     for pair in pairs:
-        costs[pair.first, pair.second] = -pair.surest.log_odds
+        costs[pair.first, pair.second] = -sum(join.log_odds for join in pair.joins)
         T_between[pair.first, pair.second] = pair.surest.T_reference_query
         T_between[pair.second, pair.first] = invert(pair.surest.T_reference_query)
     order, previous = breadth_first_order(minimum_spanning_tree(costs), 0, directed=False)

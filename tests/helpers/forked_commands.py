@@ -11,7 +11,7 @@ SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where files are made: outputs are flushed to the disk before they get their names, which takes longer than the rest
 of most commands."""
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "logs.summary",
-             "slam.display.map_picture", "slam.backend.pose_graph.pose_graph_optimization", "rich.table",
+             "slam.display.map_picture", "rich.table",
              "matplotlib.pyplot", "slam.object_map.map_io", "tools.console",
              "descriptors.learned.descriptor",
              "descriptors.training.contrast", "slam.simulation.faults.registry",

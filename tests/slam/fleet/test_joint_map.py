@@ -53,6 +53,13 @@ def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[Part], parts: l
     assert np.equal(is_seen, is_true).all(axis=0).mean() > 0.98
 
 
+def test_maps_whose_joins_all_contradict_the_solution_stay_alone(
+    parts: list[Part], pairs: list[MapPair], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.fleet.joint_map.MAX_DEVIATIONS", 0.0)
+    assert [part.sessions for part in join_parts(parts, pairs, CONFIG)] == [(0,), (1,), (2,), (3,)]
+
+
 def test_a_false_pair_is_rejected_by_the_others(joint: list[Part], parts: list[Part], pairs: list[MapPair]) -> None:
     """Maps 0 and 2 joined far from where the chain over 1 puts them."""
     template = next(pair for pair in pairs if (pair.first, pair.second) == (0, 1)).joins[0]

@@ -1,1 +1,0 @@
-"""Pose graphs: their optimisation, robust to wrong loop closures."""
