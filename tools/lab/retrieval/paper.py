@@ -13,26 +13,20 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from descriptors.constellation import Constellations, gather_constellations
-from descriptors.descriptellation_lr.pair_index import PairIndex
-from descriptors.index import VectorIndex
 from descriptors.registry import make_index
 from logs.messages import ObjectDetections
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Candidate
 from slam.scan_localization import ScanLocalizer
 from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
 
-SUCCESS_M, MISPLACED_M, TOP = 1.0, 10.0, 5
-"""The paper's limits of an error, and of the rank of a counterpart."""
+SUCCESS_M, MISPLACED_M = 1.0, 10.0
+"""The paper's limits of an error."""
 MAP_SIGMA_M = 0.05
 NOISE_PER_M = 0.08
 """Of a noisy query's positions by range, along any axis: 0.1 / sqrt(3) from its error, and as much from the scale."""
-
-Find = Callable[[LocalQuery, int], tuple[IntArray, IntArray]]
-"""From a query and a number to its objects and, for each, that many objects of the map, as pairs (C,) and (C,)."""
 
 
 def benchmark_descriptors(
@@ -58,8 +52,7 @@ def benchmark_descriptors(
         A row for each ``method`` and ``scenario``. ``success`` and ``deviation`` over the seeds: shares of the queries
         that are accepted within 1 m. ``of_ceiling``: that success by the ``ceiling``, the one with true
         correspondences; None if that is 0. ``misplaced``: share that is accepted farther than 10 m off. ``likeliest``:
-        share whose likeliest candidate is within 1 m, accepted or not. ``top_5``: share of the objects seen whose
-        counterpart is among their 5 nearest descriptors. ``query_ms``: median processor time. ``build_s``: to index the
+        share whose likeliest candidate is within 1 m, accepted or not. ``query_ms``: median processor time. ``build_s``: to index the
         map.
 
     Raises:
@@ -124,7 +117,6 @@ def _measure(
         "of_ceiling": float(success.mean() / ceiling) if ceiling else None,
         "misplaced": float((np.isfinite(accepted_m) & (accepted_m >= MISPLACED_M)).mean()),
         "likeliest": float((answers["likeliest_error_m"] < SUCCESS_M).mean()),
-        "top_5": top_share(method, objects, scenario, [query for _, query in drawn], TOP),
         "query_ms": 1e3 * float(answers["seconds"].median()),
         "build_s": build_s,
     }
@@ -154,55 +146,6 @@ def _error_m(T_map_query: FloatArray | None, query: LocalQuery) -> float:
     if T_map_query is None:
         return np.inf
     return float(np.linalg.norm((T_map_query - query.T_map_query_gt)[:2, 3]))
-
-
-def top_share(
-    method: str, objects: LabelledMap, scenario: Scenario, queries: Sequence[LocalQuery], count: int
-) -> float | None:
-    """Share of the objects of a query whose counterpart is among their ``count`` nearest, its mean over the queries."""
-    index = make_index(method)
-    if isinstance(index, PairIndex):
-        find = _likeliest_objects(index, objects, NOISE_PER_M if scenario.noisy else 0.0)
-    else:
-        find = _nearest_objects(index, objects)
-    shares = []
-    for query in queries:
-        if len(query):
-            asked, found = find(query, count)
-            shares.append(np.count_nonzero(query.objects[asked] == found) / len(query))
-    return float(np.mean(shares)) if shares else None
-
-
-def _nearest_objects(index: VectorIndex, objects: LabelledMap) -> Find:
-    """Objects of the map by their vectors."""
-
-    def gather(positions: FloatArray, labels: IntArray) -> Constellations:
-        return gather_constellations(positions, labels, objects.vocabulary, radius_m=index.radius_m)
-
-    index.add(gather(objects.positions, objects.labels))
-    everywhere = np.ones(len(objects), dtype=np.bool_)
-
-    def find(query: LocalQuery, count: int) -> tuple[IntArray, IntArray]:
-        matches = index.search(gather(query.positions, query.labels), count, everywhere)
-        return matches.queries, matches.entries
-
-    return find
-
-
-def _likeliest_objects(index: PairIndex, objects: LabelledMap, noise_per_m: float) -> Find:
-    """Objects of the map by the likeliest of the pairs that they are in."""
-    index.add(objects.positions, objects.labels)
-
-    def find(query: LocalQuery, count: int) -> tuple[IntArray, IntArray]:
-        sigmas_m = MAP_SIGMA_M + noise_per_m * np.linalg.norm(query.positions, axis=1)
-        matches = index.search(query.positions, query.labels, sigmas_m=sigmas_m)
-        pairs = np.column_stack([matches.queries.ravel(), matches.entries.ravel()])
-        first = np.unique(pairs, axis=0, return_index=True)[1]
-        pairs = pairs[np.sort(first)]  # the likeliest first
-        ranks = pd.Series(pairs[:, 0]).groupby(pairs[:, 0]).cumcount().to_numpy()
-        return pairs[ranks < count, 0], pairs[ranks < count, 1]
-
-    return find
 
 
 def fit_truth(objects: LabelledMap, query: LocalQuery, scenario: Scenario) -> FloatArray | None:

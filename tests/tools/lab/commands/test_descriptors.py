@@ -10,7 +10,7 @@ import pandas as pd
 from tests.tools.runs import Result, Run, assert_refused
 
 SCENARIOS = ("self", "fewer objects", "added noise")
-MEASURES = {"success", "deviation", "ceiling", "of_ceiling", "misplaced", "likeliest", "top_5", "query_ms", "build_s"}
+MEASURES = {"success", "deviation", "ceiling", "of_ceiling", "misplaced", "likeliest", "query_ms", "build_s"}
 
 
 def benchmark(dslam: Run, *arguments: object) -> Result:
