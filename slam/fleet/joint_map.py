@@ -29,8 +29,6 @@ from slam.object_map.map_io import SavedMap, confirmed, observing
 
 MAX_DEVIATIONS = 7.0
 """Standard deviations; a join that is farther off the solution of all, which its robust kernel allows, is false."""
-FUSIONS = 3
-"""Rounds of fusing landmarks and optimising: better positions show more duplicates."""
 
 
 class _Group:
@@ -195,11 +193,9 @@ def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mappin
 def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radius_m: float) -> None:
     """Optimise a graph and fuse its duplicate landmarks, until there are none; the object map takes the estimates."""
     places = range(len(group.numbers))
-    for _ in range(FUSIONS):
-        graph.optimize()
-        if not fuse_duplicate_landmarks(object_map, graph, places, radius_m=radius_m, drives=group.numbers):
-            break
-    else:
+    graph.optimize()
+    # Better positions show more duplicates.
+    while fuse_duplicate_landmarks(object_map, graph, places, radius_m=radius_m, drives=group.numbers):
         graph.optimize()
     landmarks = graph.landmarks
     object_map.assign(

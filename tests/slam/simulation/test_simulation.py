@@ -116,7 +116,7 @@ def test_kidnapping_is_a_gap_after_which_odometry_starts_anew(street: World) -> 
 @pytest.mark.parametrize(
     ("length_m", "branches"),
     [
-        (1.0, {}),
+        (0.1, {}),
         (200.0, {"drive": {"rate_hz": 0.01}}),
         (200.0, {"kidnap": {"from_m": 0.01, "to_m": 50}}),
         (200.0, {"kidnap": {"from_m": 100, "to_m": 199.99}}),

@@ -52,8 +52,8 @@ def benchmark_descriptors(
         A row for each ``method`` and ``scenario``. ``success`` and ``deviation`` over the seeds: shares of the queries
         that are accepted within 1 m. ``of_ceiling``: that success by the ``ceiling``, the one with true
         correspondences; None if that is 0. ``misplaced``: share that is accepted farther than 10 m off. ``likeliest``:
-        share whose likeliest candidate is within 1 m, accepted or not. ``query_ms``: median processor time. ``build_s``: to index the
-        map.
+        share whose likeliest candidate is within 1 m, accepted or not. ``query_ms``: median processor time.
+        ``build_s``: to index the map.
 
     Raises:
         DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.
