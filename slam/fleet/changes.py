@@ -105,28 +105,19 @@ def _area_m2(positions: FloatArray) -> float:
 
 def write_changes(path: Path, changes: Sequence[Change], georeference: Georeference | None) -> None:
     """Write a point a change as GeoJSON: degrees on WGS 84, or metres in the map where its place on earth is unknown.
-    Its properties are those of the :class:`Change`, and ``from`` in the coordinates of the points.
+    Its properties are those of the :class:`Change`.
 
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    features = []
-    for change in changes:
-        properties = asdict(change)
-        place, origin = (_coordinates(each, georeference) for each in (change.position, change.from_position))
-        properties["from"] = origin
-        geometry = {"type": "Point", "coordinates": place}
-        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
+    places = np.array([change.position for change in changes]).reshape(-1, 3)
+    if georeference is not None:
+        places = georeference.to_geodetic(places)[:, [1, 0, 2]]
+    features = [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": place}, "properties": asdict(change)}
+        for change, place in zip(changes, np.round(places, 9).tolist(), strict=True)
+    ]
     collection: dict[str, object] = {"type": "FeatureCollection", "features": features}
     if georeference is None:
         collection["coordinates"] = "metres in the frame of the map"
     write_text(path, json.dumps(collection, indent=1) + "\n")
-
-
-def _coordinates(position: tuple[float, float, float] | None, georeference: Georeference | None) -> list[float] | None:
-    if position is None:
-        return None
-    if georeference is None:
-        return [round(value, 3) for value in position]
-    latitude, longitude, altitude_m = georeference.to_geodetic(np.array([position]))[0].tolist()
-    return [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)]

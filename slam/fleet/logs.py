@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -44,8 +44,7 @@ def find_logs(sources: Sequence[str]) -> list[FleetLog]:
 def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
     """The logs of the fleet in a folder, which keeps the list of them: those of earlier runs, then the ``named`` ones.
 
-    Logs are distinguished by their content: another content under a known name gets a name of its own. A log of an
-    earlier run need not be there any more, as long as its session is kept.
+    Logs are distinguished by their content, also under one name. A log of an earlier run need not be there any more, as long as its session is kept.
 
     Args:
         folder: of the fleet.
@@ -59,10 +58,7 @@ def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> 
     contents = {log.sha256 for log in named}
     members = {(log.name, log.sha256): log for log in read_members(folder) if log.sha256 in contents or not only}
     for log in named:
-        if (log.name, log.sha256) not in members:
-            is_taken = any(log.name == name for name, _ in members)
-            added = replace(log, name=f"{log.name}@{log.sha256[:8]}") if is_taken else log
-            members[added.name, added.sha256] = added
+        members.setdefault((log.name, log.sha256), log)
     if not members:
         raise FleetError("no log was given; give at least one")
     write_text(folder / MEMBERS_NAME, _MEMBERS.dump_json(list(members.values()), indent=1).decode() + "\n")
