@@ -44,7 +44,8 @@ def find_logs(sources: Sequence[str]) -> list[FleetLog]:
 def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
     """The logs of the fleet in a folder, which keeps the list of them: those of earlier runs, then the ``named`` ones.
 
-    Logs are distinguished by their content, also under one name. A log of an earlier run need not be there any more, as long as its session is kept.
+    Logs are distinguished by their content, also under one name. A log of an earlier run need not be there any more, as
+    long as its session is kept.
 
     Args:
         folder: of the fleet.
