@@ -100,7 +100,7 @@ class _Evaluator:
         }
         if judged is not None and queries is not None:
             results["closures"] |= describe_revisits(queries, judged)
-        return Evaluation(protocol, plain(results), self._unavailable, **trajectories, closures=judged)
+        return Evaluation(plain(results), self._unavailable, **trajectories, closures=judged)
 
     def _measure(self, part: str, compute: Callable[[], _Measured]) -> _Measured | None:
         """What ``compute`` returns; None where it raises the reason why the part is unavailable."""

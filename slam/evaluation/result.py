@@ -8,7 +8,6 @@ from typing import Any
 
 import pandas as pd
 
-from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
 
 
@@ -21,7 +20,6 @@ class Evaluation:
     ``closures``: the candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
     """
 
-    protocol: Protocol
     results: Mapping[str, Any]
     unavailable: Mapping[str, str]
     estimate: TrajectoryErrors | None = None

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, rotation_angle_rad, travelled_m
-from slam.evaluation.inputs.synchronization import PoseSeries, SynchronizedPoses, synchronize
+from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import Alignment, align_path
 
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
@@ -50,7 +50,8 @@ def evaluate_trajectory(
     """
     poses = synchronize(estimate, truth, max_gap_s=max_gap_s)
     alignment = align_path(poses.positions_est, poses.positions_gt)
-    errors_m = position_errors_m(poses, alignment)
+    aligned = apply(alignment.T_world_map, poses.positions_est)
+    errors_m = np.linalg.norm(aligned - poses.positions_gt, axis=1)
     steps_m = np.linalg.norm(np.diff(poses.positions_gt, axis=0), axis=1)
     is_driven = (np.diff(poses.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
     translation_percent, rotation_deg_per_100m = compute_relative_error(poses.T_map_body_est, poses.T_world_body_gt)
@@ -66,11 +67,6 @@ def evaluate_trajectory(
         duration_s=int(poses.stamps_ns[-1] - poses.stamps_ns[0]) * 1e-9,
         pose_count=len(poses.stamps_ns),
     )
-
-
-def position_errors_m(poses: SynchronizedPoses, alignment: Alignment) -> FloatArray:
-    """Distances (M,), metres, of the aligned positions from the true ones."""
-    return np.asarray(np.linalg.norm(apply(alignment.T_world_map, poses.positions_est) - poses.positions_gt, axis=1))
 
 
 def compute_relative_error(

@@ -35,4 +35,4 @@ def test_sensor_range_is_estimated_or_given(estimated, given, expected):
     records = EvaluationRecords(provenance=made)
     assert records.sensor_range_m == expected
     revisit_m = 100.0 if expected is None else expected / RANGE_M * 100.0
-    assert evaluate(records).protocol.revisit_m == pytest.approx(revisit_m)
+    assert evaluate(records).results["protocol"]["revisit_m"] == pytest.approx(revisit_m)
