@@ -74,8 +74,8 @@ def test_info_lists_loop_closures(dslam: Run, tmp_path: Path) -> None:
 
 def test_a_narrow_terminal_loses_no_digit(dslam: Run, mapped: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = re.compile(r"\d+\.\d+(?!\S)")
-    wide = dslam("evaluate", mapped, "--all").out
+    wide = dslam("evaluate", mapped).out
     for width in (20, 40):
         monkeypatch.setattr(console, "PIPE_WIDTH", width)
-        narrow = dslam("evaluate", mapped, "--all").out
+        narrow = dslam("evaluate", mapped).out
         assert sorted(numbers.findall(narrow)) == sorted(numbers.findall(wide))

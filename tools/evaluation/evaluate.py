@@ -34,9 +34,6 @@ def evaluate(
     as_json: Json = False,
     picture: Picture = None,
     require: Require = None,
-    every: Annotated[
-        bool, typer.Option("--all", help="Print all figures, not only the six lines of the summary.")
-    ] = False,
 ) -> None:
     """Compare a map with the truth: trajectory, associations, landmarks, loop closures.
 
@@ -49,7 +46,7 @@ def evaluate(
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
     from slam.evaluation.inputs.text_reference import TextReference
-    from slam.evaluation.report.figures import list_figures, summarize
+    from slam.evaluation.report.figures import summarize
     from tools import console
 
     truth = reference if reference is None or is_log(reference) else TextReference(reference, calib)
@@ -67,7 +64,4 @@ def evaluate(
         console.show_json(results)
     else:
         console.show(console.pairs(summarize(results) | ({} if picture is None else {"written": str(picture)})))
-        if every:
-            listed = list_figures(results) | {"not measured": dict(evaluation.unavailable)}
-            console.show(*(console.pairs(texts, title=f"\n{title}") for title, texts in listed.items()))
     finish({"": results}, require, quiet=as_json)

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-UNDEFINED = "–"
 CONFIDENCE = 0.95
 """Confidence level of statistical statements."""
 

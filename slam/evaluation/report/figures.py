@@ -10,8 +10,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
-from slam.evaluation.metrics.statistics import UNDEFINED
-
 SUMMARY = {
     "trajectory": (
         "ATE {trajectory[ate_m]:.3f} m",
@@ -91,17 +89,3 @@ def summarize(results: Mapping[str, Any]) -> dict[str, str]:
         missing = f"not measured: {reason}" if reason else "" if text else "not measured"
         lines[part] = "never lost" if is_never_lost else "; ".join(each for each in (text, missing) if each)
     return lines
-
-
-def list_figures(results: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Texts of all figures by part and key; parts without any are left out."""
-    parts = {
-        part: dict(leaves(figures)) for part, figures in results.items() if part not in ("unavailable", "protocol")
-    }
-    return {part: {key: _text(value) for key, value in figures.items()} for part, figures in parts.items() if figures}
-
-
-def _text(value: Any) -> str:
-    if value is None or value == "":
-        return UNDEFINED
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

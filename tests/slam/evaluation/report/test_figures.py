@@ -9,7 +9,7 @@ import pytest
 from logs.messages import StatusRecord
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records
-from slam.evaluation.report.figures import SUMMARY, fill, list_figures, summarize, value_at
+from slam.evaluation.report.figures import SUMMARY, fill, summarize, value_at
 from tests.slam.evaluation.test_evaluate import made_log
 
 RESULTS = {"a": {"error_m": 0.25, "share": 0.5, "count": 3, "none": None}, "text": "x"}
@@ -45,10 +45,3 @@ def test_summary_gives_reasons_of_what_is_missing() -> None:
     lines = summarize(evaluate(EvaluationRecords()).to_json_dict())
     assert set(lines) == set(SUMMARY)
     assert all(line.startswith("not measured: ") for line in lines.values())
-
-
-def test_figures_are_listed_by_part() -> None:
-    listed = list_figures(
-        {"a": {"x": 1.23456789, "y": None, "z": {"n": 3}, "curve": [1]}, "b": {}, "protocol": {"c": 1}}
-    )
-    assert listed == {"a": {"x": "1.23457", "y": "–", "z.n": "3"}}
