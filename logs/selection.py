@@ -37,8 +37,8 @@ _WEAKER = {
 """Rank of schemas that are taken where none of a smaller rank is there; that of others is 0: a topic that calls itself
 odometry is one, a bare pose may come from anywhere; likewise a message made for detections, and a picture that may show
 anything."""
-_WHEN_ASKED_FOR = ("geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2")
-"""Most of these are particles, paths and scans without classes."""
+_WHEN_ASKED_FOR = ("geometry_msgs/msg/PoseArray",)
+"""Most of these are particles and paths."""
 
 _MAPPING_HINT = "; name its fields, for example --topic 'detections=/plants:plants[] position=position label=kind'"
 

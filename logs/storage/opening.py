@@ -92,7 +92,7 @@ def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack, nam
     what = "is not an MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
         f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3, .zstd), or a "
-        "bag of ROS 1. Text files and point clouds become a log by 'dslam import'"
+        "bag of ROS 1. Text files become a log by 'dslam import'"
     )
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from logs.clouds.cloud_files import read_points
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError, UnreadableLogError
 from logs.importers.maps.object_table import read_object_table
@@ -25,7 +24,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
     "digest": file_sha256,
     "table": read_source_text,
-    "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
 }

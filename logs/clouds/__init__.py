@@ -1,1 +1,0 @@
-"""Labelled point clouds -> objects. Knows nothing of logs but their records."""
