@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from logs.dslam_codec import take_rows
 from logs.errors import DatasetError
-from logs.importers.stamps import Stamps, read_stamps
+from logs.importers.stamps import read_stamps
 from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections
 
@@ -25,40 +25,22 @@ _SIDES = (("sx", "length"), ("sy", "width"), ("sz", "height"))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionTable:
-    """Rows (R,) in the order of their stamps.
+    """The detections of each scan, each followed by its truth where that is known, in the order of the stamps.
 
-    ``detections``: of all rows; ``frames`` (R,); ``true_ids`` (R,): the object that each shows, "" for a false
-    positive, None where the file has none; ``is_empty`` (R,): rows without position and label, for scans in which
-    nothing was seen; ``left_out``: the columns that have no place in a log; ``unlabelled_count``: how many became
-    ``UNLABELLED``.
+    ``left_out``: the columns that have no place in a log; ``notes``: what a user should know of the others.
     """
 
-    stamps: Stamps
-    detections: ObjectDetections
-    frames: Sequence[str]
-    true_ids: Sequence[str] | None
-    is_empty: NDArray[np.bool_]
-    left_out: tuple[str, ...]
-    unlabelled_count: int
-
-    def scans(self) -> Iterator[tuple[ObjectDetections, DetectionTruth | None]]:
-        """The detections of each stamp and frame, and their truth, in the order of the stamps."""
-        scans: dict[tuple[int, str], list[int]] = {}
-        for row, place in enumerate(zip(self.stamps.stamps_ns.tolist(), self.frames, strict=True)):
-            scans.setdefault(place, []).extend([] if self.is_empty[row] else [row])
-        for (stamp_ns, frame), rows in scans.items():
-            seen = take_rows(self.detections, N=np.array(rows, dtype=np.int64))
-            truth = None
-            if self.true_ids is not None:
-                truth = DetectionTruth(stamp_ns, tuple(self.true_ids[row] for row in rows))
-            yield replace(seen, stamp_ns=stamp_ns, frame_id=frame), truth
+    records: Sequence[ObjectDetections | DetectionTruth]
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def read_detections(table: Table) -> DetectionTable:
-    """The detections of ``table``.
+    """The detections of ``table``: those of one stamp and frame are a scan.
 
     Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), sizes
-    (sx, sy, sz) or a diameter, track_id, frame and object_id (the truth).
+    (sx, sy, sz) or a diameter, track_id, frame and object_id (the truth). A row without position and label is a scan
+    in which nothing was seen.
 
     Raises:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
@@ -69,7 +51,7 @@ def read_detections(table: Table) -> DetectionTable:
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
     has_tracks, has_truth = table.find(("track_id",)), table.find(("object_id",))
-    detections = ObjectDetections(
+    every = ObjectDetections(
         0,
         BODY_FRAME,
         positions,
@@ -79,15 +61,30 @@ def read_detections(table: Table) -> DetectionTable:
         _sizes(table),
         tuple(table.columns[has_tracks.name]) if has_tracks else None,
     )
-    return DetectionTable(
-        stamps=stamps,
-        detections=detections,
-        frames=[frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))],
-        true_ids=["" if name == "-1" else name for name in table.columns[has_truth.name]] if has_truth else None,
-        is_empty=is_empty,
-        left_out=tuple(name for name in table.columns if name and name not in table.used),
-        unlabelled_count=sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True)),
-    )
+    frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
+    scans: dict[tuple[int, str], list[int]] = {}
+    for row, place in enumerate(zip(stamps.stamps_ns.tolist(), frames, strict=True)):
+        scans.setdefault(place, []).extend([] if is_empty[row] else [row])
+    records: list[ObjectDetections | DetectionTruth] = []
+    for (stamp_ns, frame), rows in scans.items():
+        seen = take_rows(every, N=np.array(rows, dtype=np.int64))
+        records.append(replace(seen, stamp_ns=stamp_ns, frame_id=frame))
+        if has_truth is not None:
+            names = (table.columns[has_truth.name][row] for row in rows)
+            records.append(DetectionTruth(stamp_ns, tuple("" if name == "-1" else name for name in names)))
+    left_out = tuple(name for name in table.columns if name and name not in table.used)
+    unlabelled = sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True))
+    return DetectionTable(records, left_out, tuple(_notes(unlabelled, len(labels), {*frames} - {BODY_FRAME})))
+
+
+def _notes(unlabelled: int, count: int, frames: set[str]) -> Iterator[str]:
+    if unlabelled:
+        yield f"{unlabelled} of {count} detections have no label and are of the class {UNLABELLED}"
+    if frames:
+        yield (
+            f"detections are in {', '.join(sorted(frames))}, whose place on the body is not in these files: "
+            "replay with --set calibration.detection.assume_body_frame=true if it is the body"
+        )
 
 
 def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], FloatArray]:

@@ -75,9 +75,9 @@ def _unpacked(name: str, packed: bytes) -> bytes:
     return content
 
 
-def describe_sources(dataset: str, sources: Iterable[tuple[str, SourceText]]) -> dict[str, str]:
+def describe_sources(sources: Iterable[tuple[str, SourceText]]) -> dict[str, str]:
     """What the metadata of an imported log say of its files: by role the name, without folders, and the SHA-256."""
-    described = {"dataset": dataset}
+    described: dict[str, str] = {}
     for role, source in sources:
         described |= {role: Path(source.name).name, f"{role}_sha256": source.sha256}
     return described

@@ -48,7 +48,7 @@ def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
         (folder / each).parent.mkdir(parents=True, exist_ok=True)
         (folder / each).write_bytes(content)
     given_files = ["--odometry", "poses.txt", "--calib", "calib.txt", "--times", "times.txt"]
-    return ["import", "kitti-objects", "out.mcap", "--detections", "objects/07", *given_files]
+    return ["import", "csv", "out.mcap", "--detections", "objects/07", *given_files]
 
 
 def checkpoint_arguments(trainings: dict[str, bytes], folder: Path, rng: np.random.Generator) -> list[str]:
