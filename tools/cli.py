@@ -38,8 +38,6 @@ _EXTRA_OF = {
     "rerun": "view",
     "foxglove": "live",
     "osmium": "osm",
-    "geopandas": "gis",
-    "pyogrio": "gis",
 }
 """The extra that installs each module which is not needed by all commands."""
 

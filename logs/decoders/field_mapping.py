@@ -9,7 +9,6 @@ and frame are those of the field ``header``, as ROS has it, else the log time an
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,13 +19,6 @@ from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
 _PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
-_PLAIN = re.compile(r"(\w{1,50}\[\])?( \w+=[\w.]{1,50})+")
-_USUAL_NAMES = {
-    "position": ("position", "pos", "location", "center", "xyz"),
-    "label": ("label", "class", "class_name", "category", "kind", "species", "type", "name", "class_id"),
-    "score": ("score", "confidence", "probability", "conf"),
-}
-"""Names by which other messages call these parts, likeliest first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,41 +74,6 @@ class FieldMapping:
             size=None if size is None else _xyz(size),
             track_id=str(part("track_id", "")),
         )
-
-
-def guess_mapping(raw: RawMessage) -> str:
-    """The mapping that a message suggests by its names and values, "" for none."""
-    try:
-        message = _tree(raw)
-    except Exception:  # whatever the bytes are, there is nothing to guess
-        return ""
-    for name, value in {"": message if isinstance(message, list) else [message], **_fields(message)}.items():
-        item = _fields(value[0]) if isinstance(value, list | tuple) and value else {}
-        item = item | {f"{field}.{part}": at for field, whole in item.items() for part, at in _fields(whole).items()}
-        usual = {
-            part: [field for name in names for field in item if field.rpartition(".")[2] == name]
-            for part, names in _USUAL_NAMES.items()
-        }
-        places = [field for field in usual.pop("position") if isinstance(item[field], list) or _is_place(item[field])]
-        places += [field for field, at in item.items() if _is_place(at)]
-        place = f"position={places[0]}" if places else ""
-        if _is_place(item):
-            place = " ".join(f"{axis}={axis}" for axis in "xyz" if axis in item)
-        named = {part: next((f for f in fields if not _fields(item[f])), "") for part, fields in usual.items()}
-        others = [f"{part}={field}" for part, field in named.items() if field]
-        mapping = " ".join([f"{name}[]" if name else "", place, *others])
-        is_object = place and (name or named["label"])  # a position alone is none
-        if is_object and _PLAIN.fullmatch(mapping):
-            return mapping
-    return ""
-
-
-def _is_place(value: Any) -> bool:
-    return {"x", "y"} <= _fields(value).keys()
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else getattr(value, "__dict__", {})
 
 
 def _tree(raw: RawMessage) -> Any:

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
 
-from logs.decoders.field_mapping import guess_mapping
 from logs.errors import TopicSelectionError
 from logs.messages import Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from logs.summary import summarize
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
 from tests.helpers import ros2_logs
@@ -57,36 +55,6 @@ def test_fields_of_own_messages_become_detections(log: Path) -> None:
     assert (record.stamp_ns, record.frame_id, record.labels) == (5, "lidar", ("tree", "pole"))
     assert (record.track_ids, record.scores[0]) == (("7", "0"), 0.5)
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
-
-
-def test_fields_are_suggested_from_the_messages(log: Path) -> None:
-    summary = summarize(log)
-    assert "'dslam info LOG' suggests them" in summary.obstacle
-    assert summary.suggestions == ("detections=/plants:plants[] position=place label=kind",)
-    (suggested,) = summary.suggestions
-    assert summarize(log, dict([suggested.split("=", 1)])).class_counts == {"tree": 1, "pole": 1}
-
-
-@pytest.mark.parametrize(
-    ("message", "fields"),
-    [
-        ({"x": 1.0, "y": 2.0, "z": 0.0, "class": "tree", "conf": 0.5}, " x=x y=y z=z label=class score=conf"),
-        ({"linear": {"x": 1.0, "y": 0.0}}, ""),
-        ({"seen": [{"at": [1, 2, 3]}], "header": {"stamp": 1}}, ""),
-        ({"seen": [{"pos": [1, 2], "size": {"x": 1, "y": 1}}]}, "seen[] position=pos"),
-        (
-            {"a": [{"class": {"name": "tree"}, "pose": {"position": {"x": 1, "y": 2}}}]},
-            "a[] position=pose.position label=class.name",
-        ),
-        ([{"x": 1, "y": 2, "type": "tree"}], " x=x y=y label=type"),
-        ({"seen": []}, ""),
-        ({"my plants": [{"x": 1, "y": 2}]}, ""),  # no mapping can name it
-        ([1], ""),
-    ],
-)
-def test_suggestions_for_other_messages(message: Any, fields: str) -> None:
-    channel = Channel(1, "/seen", "json", Schema(1, "Seen", "jsonschema", b"{}"))
-    assert guess_mapping(RawMessage(channel, 9, 9, 0, json.dumps(message).encode())) == fields
 
 
 @pytest.mark.parametrize("fields", ["plants[] label=kind", "plants[] position=place colour=kind"])

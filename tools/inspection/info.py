@@ -100,7 +100,6 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     listed["gaps, order"] = "\n".join(faults)
     uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in _selected(summary).items())
     listed |= {"replay uses": uses, "no replay": "" if uses else _obstacle(summary)}
-    listed["perhaps"] = "\n".join(f"--topic '{each}'" for each in summary.suggestions)
     listed["lost"] = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items())
     if summary.status is not None:
         listed["status"] = f"{summary.status.level}: {summary.status.message}"
