@@ -35,7 +35,6 @@ _EXTRA_OF = {
     "matplotlib": "pictures",
     "jinja2": "pictures",
     "torch": "learn",
-    "rerun": "view",
     "foxglove": "live",
     "osmium": "osm",
 }

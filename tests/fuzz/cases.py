@@ -67,7 +67,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         config --config ?settings.toml --json"""),
     "maps": (1, """
         info ?map --json
-        view ?map --save out.rrd
+        view ?map --save out.png
         export ?map --csv a.csv
         replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
 from logs.reader import LogReader
-from logs.scene import decode_points
 from logs.writer import LogWriter
 from slam.library import read_map
 from slam.object_map.map_io import GRAVITY, METADATA, POINTS_TOPIC
@@ -121,7 +121,8 @@ def test_every_kind_of_map_is_shown_viewed_and_exported(dslam: Run, town: Path, 
     assert picture.read_bytes().startswith(b"\x89PNG")
     with LogReader(map_log) as reader:
         (points,) = reader.messages([POINTS_TOPIC])
-    assert len(decode_points(points.data)) == count
+    cloud = PointCloud.FromString(points.data)
+    assert len(cloud.data) == count * cloud.point_stride
 
 
 def test_no_solver_is_loaded_to_look_into_a_map(town: Path) -> None:

@@ -92,14 +92,6 @@ def test_settings_of_a_file_and_of_the_command_are_joined(dslam: Run, tmp_path: 
     assert json.loads(dslam("info", log, "--json").out)["duration_s"] > 60.0
 
 
-@pytest.mark.slow
-def test_view_of_a_truncated_log(dslam: Run, mapped: Path, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptellation-slam[view]'")
-    (tmp_path / "cut.mcap").write_bytes(mapped.read_bytes()[:-100])
-    result = dslam("view", tmp_path / "cut.mcap", "--save", tmp_path / "cut.rrd")
-    assert_refused(result, "Rerun cannot read", "make the log again")
-
-
 def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> None:
     assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
     assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
