@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from logs.errors import InvalidRecordError
-from logs.validation import rotation_errors
-
-ROTATION_TOLERANCE = 1e-3
-"""Of the entries of R^T R: float32 and four digits stay below it."""
+from logs.validation import ROTATION_TOLERANCE, rotation_errors
 
 
 def check_pose(record: Any, name: str, frames: tuple[str, ...] = ()) -> None:

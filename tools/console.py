@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from io import StringIO
 from typing import Any
 
-from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -19,8 +18,6 @@ from logs.container.json_text import plain
 from logs.container.names import visible
 
 PIPE_WIDTH = 120
-_MAX_NUMBER_WIDTH = 12
-"""Words of so many characters are not folded on a narrow terminal: a number that loses digits is another number."""
 
 
 _STYLE: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": None, "pad_edge": False}
@@ -66,8 +63,7 @@ def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
     """Names and values below one another, without lines."""
     table = _PlainTable(title=title, show_header=False, **_STYLE)
     table.add_column(overflow="fold", style="cyan")
-    words = (cell_len(word) for value in rows.values() for word in value.split())
-    table.add_column(overflow="fold", min_width=min(max(words, default=1), _MAX_NUMBER_WIDTH))
+    table.add_column(overflow="fold")
     for name, value in rows.items():
         table.add_row(name, value)
     return table
@@ -78,8 +74,7 @@ def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), tit
     shown = _PlainTable(title=title, header_style="cyan", **_STYLE)
     for heading in rows[0] if rows else ():
         is_number = bool(shown.columns) and heading not in texts
-        width = max(cell_len(row[heading]) for row in rows) if is_number else None  # a number keeps its digits
-        shown.add_column(visible(heading), justify="right" if is_number else "left", overflow="fold", min_width=width)
+        shown.add_column(visible(heading), justify="right" if is_number else "left", overflow="fold", no_wrap=is_number)
     for row in rows:
         shown.add_row(*row.values())
     return shown

@@ -68,7 +68,6 @@ DECODERS = {
         for name in ("TrackedObjects", "DetectedObjects")
     },
     "visualization_msgs/msg/MarkerArray": MessageDecoder(_DETECTIONS, objects.markers),
-    "geometry_msgs/msg/PoseArray": MessageDecoder(_DETECTIONS, objects.poses),
     "vision_msgs/msg/Detection2DArray": MessageDecoder(_DETECTIONS, images.detections_2d),
     "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(_DETECTIONS, images.tags),
     "sensor_msgs/msg/CameraInfo": MessageDecoder((RecordKind.CAMERA_INFO,), images.camera_info),

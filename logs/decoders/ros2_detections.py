@@ -8,7 +8,6 @@ that is empty, of the array's.
   the log's own definition gives its number.
 * visualization_msgs/msg/MarkerArray: cubes, spheres, cylinders and meshes that are added, not deleted; a class is the
   marker's text, else its namespace.
-* geometry_msgs/msg/PoseArray: the class is the name of the topic ("/map/poles": "poles").
 """
 
 from __future__ import annotations
@@ -98,13 +97,6 @@ def markers(message: Any, context: Context) -> Records:
                 Detection(xyz(marker.pose.position), marker.text or marker.ns, size=xyz(marker.scale), track_id=track)
             )
     return detection_records(scans, context.counters)
-
-
-def poses(message: Any, context: Context) -> Records:
-    """Records of a PoseArray."""
-    label = context.raw.topic.rstrip("/").rpartition("/")[2]
-    found = [Detection(xyz(pose.position), label) for pose in message.poses]
-    return detection_records({place_of(message.header, context): found}, context.counters)
 
 
 def best_result(detection: Any) -> Any:

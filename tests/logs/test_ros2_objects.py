@@ -114,13 +114,6 @@ def test_markers() -> None:
     assert (in_map.labels, in_map.track_ids) == (("tree", "pole"), ("tree/4", "poles/5"))
 
 
-def test_poses_are_named_after_their_topic() -> None:
-    values = {"header": header(SECOND, "lidar"), "poses": [at(1, 2, 3), at(4, 5, 6)]}
-    (record,) = decoded("geometry_msgs/msg/PoseArray", values)
-    assert (record.labels, record.frame_id) == (("poles", "poles"), "lidar")
-    np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
-
-
 def test_boxes_in_image() -> None:
     box = {"center": {"position": {"x": 1.0, "y": 2.0}}, "size_x": 3.0, "size_y": 4.0}
     results = [{"hypothesis": {"class_id": "tree", "score": 0.5}}]

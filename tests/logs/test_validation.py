@@ -17,7 +17,6 @@ from logs.schemas import dslam_pb2 as pb
 from logs.selection import Selection
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
-from tests.logs.examples import random_transform
 
 
 def raw(message, topic="/topic", log_time_ns=77):
@@ -134,14 +133,6 @@ def test_stored_matrix_that_is_no_rotation_is_refused(first):
     message = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=[first, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0])
     with pytest.raises(InvalidRecordError, match="not a rotation"):
         decode(raw(message), "trajectory")
-
-
-def test_rounded_stored_matrix_is_made_orthonormal():
-    T = random_transform(np.random.default_rng(5))
-    message = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=T[:3].astype(np.float32).ravel().tolist())
-    (record,) = decode(raw(message), "trajectory")
-    R = record.T_map_body[0, :3, :3]
-    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
 
 
 def test_bytes_that_are_no_message_are_refused():

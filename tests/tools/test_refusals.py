@@ -106,7 +106,6 @@ def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> No
         (ZeroDivisionError("one\nof ours"), 70, "ZeroDivisionError: one of ours"),
         (ModuleNotFoundError("No module", name="torch.nn"), 2, "pip install 'descriptellation-slam[learn]'"),
         (MemoryError(), 2, "out of memory"),
-        (KeyboardInterrupt(), 130, "interrupted"),
     ],
     ids=lambda value: type(value).__name__,
 )

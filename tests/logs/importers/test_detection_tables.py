@@ -128,7 +128,6 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         (ROW + ",a,1,2,3,0.5,1\n", r"line 3, column stamp_s: '' is not a time"),
         ("time,x,y\n2024-05-41 12:00:00,1,2\n", r"line 2, column time: '2024-05-41 12:00:00' is not a time"),
         ("2024-05-01T12:00:00,1,2\n", r"does not begin with the names of its columns"),
-        ("stamp_s,object_class,x,y\n0,a,1,2\n", r"no column label, but object_class; name .* label, or remove"),
         ("stamp_ns,x,y\n0.5,1,2\n", r"line 2, column stamp_ns: '0\.5' is not whole nanoseconds; .*stamp_s"),
         ("timestamp,x,y\n1700000000000000000,1,2\n", r"line 2, column timestamp: .*year 2116; .*stamp_ns"),
         ("timestamp,x,y\n1e999999999999999999,1,2\n", r"line 2, column timestamp: .*not a time"),

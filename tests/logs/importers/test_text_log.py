@@ -60,12 +60,6 @@ def test_damaged_gzip_is_refused(drive: TextDrive) -> None:
         read(drive, odometry="odometry.tum.gz")
 
 
-def test_parquet_is_refused_with_the_way_to_make_csv_of_it(drive: TextDrive) -> None:
-    (drive.root / "table.parquet").write_bytes(b"PAR1\x15\x04\xff")
-    with pytest.raises(DatasetError, match=r"read_parquet\('table\.parquet'\)\.to_csv\('table\.csv'\)"):
-        read(drive, detections="table.parquet")
-
-
 @pytest.mark.slow
 def test_gzip_bomb_is_refused_before_it_fills_memory(drive: TextDrive) -> None:
     path = drive.write("odometry.tum.gz", TUM)

@@ -101,8 +101,6 @@ class TestGeoJson:
             read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
         with pytest.raises(DatasetError, match="they are swapped"):
             read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
-        with pytest.raises(DatasetError, match="no column label, but object_class"):
-            read_geojson(geojson(tmp_path / "a.json", feature(24.9, 60.1, object_class="tree")))
         with pytest.raises(DatasetError, match="holds no objects"):
             read_geojson(geojson(tmp_path / "a.json"))
         with pytest.raises(DatasetError, match=r"features\.0\.geometry: "):
