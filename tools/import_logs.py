@@ -43,8 +43,8 @@ def csv(
 ) -> None:
     """Text files: poses of the odometry, a table of detections, true poses. Files may be compressed with gzip.
 
-    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ..., diameter_m,
-    track_id, frame, object_id (the truth). Other columns are listed and ignored.
+    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ..., frame,
+    object_id (the truth). Other columns are listed and ignored.
 
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
     """

@@ -2,8 +2,8 @@
 
 Before the first blank stands the field with the list of objects (nothing, for a message that is one object), then for
 each part of a detection the field that holds it: ``position`` (x, y and z in it, or three numbers), or ``x``, ``y`` and
-``z``; and perhaps ``label``, ``score``, ``size`` (as the position) and ``track_id``. A field in a field is "a.b". Stamp
-and frame are those of the field ``header``, as ROS has it, else the log time and the body.
+``z``; and perhaps ``label`` and ``score``. A field in a field is "a.b". Stamp and frame are those of the field
+``header``, as ROS has it, else the log time and the body.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from logs.errors import TopicSelectionError
 from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
-_PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
+_PARTS = ("position", "x", "y", "z", "label", "score")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +66,10 @@ class FieldMapping:
             return _field(item, self.fields[name]) if name in self.fields else otherwise
 
         position = part("position", None)
-        size = part("size", None)
         return Detection(
             (float(part("x", 0)), float(part("y", 0)), float(part("z", 0))) if position is None else _xyz(position),
             str(part("label", "")),
             float(part("score", 1.0)),
-            size=None if size is None else _xyz(size),
-            track_id=str(part("track_id", "")),
         )
 
 

@@ -20,7 +20,6 @@ MAX_RANGE_M = 1000.0
 """A median beyond it is no range at which objects are detected, but another unit or another frame."""
 
 _SCORES = ("score", "confidence", "probability")
-_SIDES = (("sx", "length"), ("sy", "width"), ("sz", "height"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +37,8 @@ class DetectionTable:
 def read_detections(table: Table) -> DetectionTable:
     """The detections of ``table``: those of one stamp and frame are a scan.
 
-    Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), sizes
-    (sx, sy, sz) or a diameter, track_id, frame and object_id (the truth). A row without position and label is a scan
+    Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), frame
+    and object_id (the truth). A row without position and label is a scan
     in which nothing was seen.
 
     Raises:
@@ -50,7 +49,7 @@ def read_detections(table: Table) -> DetectionTable:
     stamps.check_increasing(strictly=False)
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
-    has_tracks, has_truth = table.find(("track_id",)), table.find(("object_id",))
+    has_truth = table.find(("object_id",))
     every = ObjectDetections(
         0,
         BODY_FRAME,
@@ -58,8 +57,6 @@ def read_detections(table: Table) -> DetectionTable:
         tuple(label or UNLABELLED for label in labels),
         _scores(table),
         _covariances(table),
-        _sizes(table),
-        tuple(table.columns[has_tracks.name]) if has_tracks else None,
     )
     frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
     scans: dict[tuple[int, str], list[int]] = {}
@@ -119,9 +116,9 @@ def _scores(table: Table) -> FloatArray:
     return scores
 
 
-def _lengths(table: Table, fields: tuple[str, ...]) -> FloatArray | None:
-    """Lengths (R,) m, NaN where a cell is empty or 0; None without such a column."""
-    column = table.find(fields, LENGTH_UNITS)
+def _sigmas(table: Table, axis: str) -> FloatArray | None:
+    """Standard deviations (R,) m, NaN where a cell is empty or 0; None without such a column."""
+    column = table.find((f"sigma_{axis}",), LENGTH_UNITS)
     if column is None:
         return None
     values = table.optional_numbers(column)
@@ -131,7 +128,7 @@ def _lengths(table: Table, fields: tuple[str, ...]) -> FloatArray | None:
 
 def _covariances(table: Table) -> FloatArray | None:
     """Covariances (R, 3, 3) m^2 from sigmas; zeros in rows where one is not known."""
-    x, y, z = (_lengths(table, (f"sigma_{axis}",)) for axis in "xyz")
+    x, y, z = (_sigmas(table, axis) for axis in "xyz")
     if x is None and y is None and z is None:
         return None
     if x is None or y is None:
@@ -140,17 +137,3 @@ def _covariances(table: Table) -> FloatArray | None:
     variances = np.stack([x**2, y**2, variance_z], axis=1)
     variances[np.isnan(variances).any(axis=1)] = 0.0
     return variances[:, :, None] * np.eye(3)
-
-
-def _sizes(table: Table) -> FloatArray | None:
-    diameter = _lengths(table, ("diameter", "size"))
-    sides = [_lengths(table, names) for names in _SIDES]
-    if diameter is None and all(side is None for side in sides):
-        return None
-    sizes = np.full((len(table.lines), 3), np.nan)
-    if diameter is not None:
-        sizes[:, :2] = diameter[:, None]  # that of a pole or a stem is not its height
-    for i, side in enumerate(sides):
-        if side is not None:
-            sizes[:, i] = side
-    return sizes

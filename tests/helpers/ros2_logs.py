@@ -76,10 +76,9 @@ def tf(stamp_ns: int, parent: str, child: str, T: np.ndarray) -> dict[str, Any]:
 
 def detection3d(position: Sequence[float], label: str, score: float = 1.0, **fields: Any) -> dict[str, Any]:
     covariance = fields.pop("covariance", np.zeros((6, 6)))
-    size = fields.pop("size", (0.5, 0.5, 1.0))
     return {
         "results": [{"hypothesis": {"class_id": label, "score": score}, "pose": {"covariance": covariance}}],
-        "bbox": {"center": at(*position), "size": vector(*size)},
+        "bbox": {"center": at(*position), "size": vector(0.5, 0.5, 1.0)},
         **fields,
     }
 
@@ -119,11 +118,7 @@ def detections3d(record: m.ObjectDetections) -> dict[str, Any]:
         covariance = np.zeros((6, 6))
         if record.covariances is not None:
             covariance[:3, :3] = record.covariances[i]
-        size = (0.5, 0.5, 0.5) if record.sizes is None else record.sizes[i]
-        track_id = record.track_ids[i] if record.track_ids else ""
-        listed.append(
-            detection3d(record.positions[i], label, record.scores[i], covariance=covariance, size=size, id=track_id)
-        )
+        listed.append(detection3d(record.positions[i], label, record.scores[i], covariance=covariance))
     return {"header": header(record.stamp_ns, record.frame_id), "detections": listed}
 
 

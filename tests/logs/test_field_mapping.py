@@ -20,10 +20,10 @@ from logs.writer import LogWriter
 from tests.helpers import ros2_logs
 from tests.helpers.ros2_logs import encoded, header, vector
 
-PLANT = "string kind\nfloat32 sure\nuint32 number\ngeometry_msgs/Point place"
+PLANT = "string kind\nfloat32 sure\ngeometry_msgs/Point place"
 PLANTS = "std_msgs/Header header\nfarm_msgs/Plant[] plants"
-MAPPING = "/plants:plants[] position=place label=kind score=sure track_id=number"
-TREE: dict[str, Any] = {"kind": "tree", "sure": 0.5, "number": 7, "place": vector(1, 2, 3)}
+MAPPING = "/plants:plants[] position=place label=kind score=sure"
+TREE: dict[str, Any] = {"kind": "tree", "sure": 0.5, "place": vector(1, 2, 3)}
 SEEN = [TREE, {"kind": "pole", "place": vector(4, 5, 6)}]
 
 
@@ -36,7 +36,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     values = {"header": header(5, "lidar"), "plants": SEEN}
     raw = encoded(("/plants", "farm_msgs/msg/Plants", 9, values))
     if request.param == "json":
-        plants = [{"sure": 1.0, "number": 0, **plant} for plant in SEEN]
+        plants = [{"sure": 1.0, **plant} for plant in SEEN]
         channel = Channel(1, "/plants", "json", Schema(1, "Plants", "jsonschema", b"{}"))
         raw = RawMessage(channel, 9, 9, 0, json.dumps({**values, "plants": plants}).encode())
     with LogWriter(tmp_path / "log.mcap") as writer:
@@ -53,7 +53,7 @@ def test_fields_of_own_messages_become_detections(log: Path) -> None:
         assert reader.counters == {"invalid_messages": 1}
     record = entry.record
     assert (record.stamp_ns, record.frame_id, record.labels) == (5, "lidar", ("tree", "pole"))
-    assert (record.track_ids, record.scores[0]) == (("7", "0"), 0.5)
+    assert record.scores[0] == 0.5
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
 
 

@@ -59,8 +59,6 @@ def test_stamps(stamp_ns: Any) -> None:
         ({"labels": (1, 2)}, "labels is not a tuple of strings"),
         ({"labels": ["a", "b"]}, "labels is not a tuple of strings"),
         ({"labels": None}, "labels is not a tuple of strings"),
-        ({"track_ids": ("1",)}, "track_ids is not a tuple of 2 strings; give one for each label"),
-        ({"sizes": np.zeros(2)}, r"sizes .* of shape \(2, 3\)"),
         ({"covariances": np.zeros((2, 3))}, r"covariances .* of shape \(2, 3, 3\)"),
         ({"frame_id": None}, "frame_id is None; give a string"),
     ],

@@ -71,35 +71,14 @@ def test_objects_without_a_position_are_dropped_and_counted():
         labels=["a", "b", "c", "d"],
         scores=[0.5, 0.5, 0.5, 7.0],
         covariances=np.tile(np.eye(3), (4, 1, 1)).ravel().tolist(),
-        sizes=np.arange(12.0),
-        track_ids=["1", "2", "3", "4"],
     )
     counters = Counter()
     (record,) = decode(raw(message), "detections", counters)
     assert counters == {"dropped_objects": 2}
-    assert (record.labels, record.track_ids) == (("a", "d"), ("1", "4"))
+    assert record.labels == ("a", "d")
     np.testing.assert_array_equal(record.positions, [[0, 0, 0], [2, 2, 2]])
     np.testing.assert_array_equal(record.scores, [0.5, 1.0])
-    np.testing.assert_array_equal(record.sizes, [[0, 1, 2], [9, 10, 11]])
     assert record.covariances.shape == (2, 3, 3)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "expected", "ignored"),
-    [
-        ([0.3, 0.3, math.nan, *[math.nan] * 3], [[0.3, 0.3, np.nan], [np.nan] * 3], {}),
-        ([0.3, math.inf, 1.0, *[math.nan] * 3], [[0.3, np.nan, 1.0], [np.nan] * 3], {"ignored_sizes": 1}),
-        ([math.nan] * 6, None, {}),
-    ],
-)
-def test_size_may_be_known_in_part(sizes, expected, ignored):
-    counters = Counter()
-    fields = {"stamp_ns": 1, "positions": [0.0] * 6, "labels": ["a", "b"], "scores": [1.0, 1.0]}
-    (record,) = decode(raw(pb.ObjectDetections(**fields, sizes=sizes)), "detections", counters)
-    assert counters == ignored
-    assert (record.sizes is None) == (expected is None)
-    if expected is not None:
-        np.testing.assert_array_equal(record.sizes, expected)
 
 
 @pytest.mark.parametrize(
@@ -109,8 +88,6 @@ def test_size_may_be_known_in_part(sizes, expected, ignored):
         {"positions": [0.0] * 11},
         {"scores": [1.0]},
         {"covariances": [1.0]},
-        {"sizes": [1.0]},
-        {"track_ids": ["1"]},
     ],
 )
 def test_detections_whose_lengths_disagree_are_refused(change):

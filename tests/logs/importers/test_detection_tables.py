@@ -24,7 +24,7 @@ def test_read_detections_needs_stamp_x_and_y() -> None:
     np.testing.assert_array_equal(found.positions, [[1, 2, 0]])
     assert (found.labels, found.frame_id, len(table.records)) == (("object",), "base_link", 1)
     np.testing.assert_array_equal(found.scores, [1.0])
-    assert (found.covariances, found.sizes, found.track_ids) == (None, None, None)
+    assert found.covariances is None
 
 
 @pytest.mark.parametrize(
@@ -36,9 +36,8 @@ def test_read_stamps_by_unit_of_column(name: str, cell: str) -> None:
 
 
 def test_read_detections_by_unit_of_column() -> None:
-    (found,) = scans(read("stamp_s,x_mm,y_cm,z [m],diameter_cm\n0,1500,250,3,40\n"))
+    (found,) = scans(read("stamp_s,x_mm,y_cm,z [m]\n0,1500,250,3\n"))
     np.testing.assert_allclose(found.positions, [[1.5, 2.5, 3.0]])
-    np.testing.assert_allclose(found.sizes, [[0.4, 0.4, np.nan]])
 
 
 @pytest.mark.parametrize(
@@ -71,13 +70,11 @@ def test_empty_cells_at_the_end_of_a_line_between_tabs() -> None:
 
 
 def test_scans_by_stamp_and_frame() -> None:
-    table = read(
-        "stamp_s,label,x,y,frame,track_id,object_id\n0,a,1,2,front,4,1\n0,b,3,4,rear,5,-1\n0,c,5,6,front,6,3\n1,,,,,,\n"
-    )
-    assert [(d.stamp_ns, d.frame_id, d.labels, d.track_ids) for d in scans(table)] == [
-        (0, "front", ("a", "c"), ("4", "6")),
-        (0, "rear", ("b",), ("5",)),
-        (1_000_000_000, "base_link", (), ()),
+    table = read("stamp_s,label,x,y,frame,object_id\n0,a,1,2,front,1\n0,b,3,4,rear,-1\n0,c,5,6,front,3\n1,,,,,\n")
+    assert [(d.stamp_ns, d.frame_id, d.labels) for d in scans(table)] == [
+        (0, "front", ("a", "c")),
+        (0, "rear", ("b",)),
+        (1_000_000_000, "base_link", ()),
     ]
     truths = [record.object_ids for record in table.records if isinstance(record, DetectionTruth)]
     assert truths == [("1", "3"), ("",), ()]
@@ -97,14 +94,7 @@ def test_read_covariances(columns: str, cells: str, expected: object) -> None:
     np.testing.assert_allclose(found.covariances, [expected])
 
 
-def test_read_sizes() -> None:
-    (sides,) = scans(read("stamp_s,x,y,sx,sy,sz\n0,1,2,1,2,3\n0,1,2,0,,3\n"))
-    np.testing.assert_array_equal(sides.sizes, [[1, 2, 3], [np.nan, np.nan, 3]])
-    (pole,) = scans(read("stamp_s,x,y,size,height_m\n0,1,2,.5,4\n"))
-    np.testing.assert_array_equal(pole.sizes, [[0.5, 0.5, 4]])
-
-
-ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
+ROW = "stamp_s,label,x_m,y_m,z_m,score,sigma_x\n0,a,1,2,3,0.5,0.2\n"
 
 
 @pytest.mark.parametrize(
@@ -123,7 +113,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         (ROW + "0,a,1,inf,3,0.5,0.2\n", r"det\.csv, line 3, column y_m: 'inf' is not a finite number"),
         (ROW + "1,a,,,,,\n", r"det\.csv, line 3, column x_m: empty; give a number"),
         (ROW + "0,a,1,2,3,95,0.2\n", r"det\.csv, line 3, column score: 95 is not in \[0, 1\]; scale"),
-        (ROW + "0,a,1,2,3,0.5,-1\n", r"det\.csv, line 3, column diameter_m: -1 is not a length; leave it empty"),
+        (ROW + "0,a,1,2,3,0.5,-1\n", r"det\.csv, line 3, column sigma_x: -1 is not a length; leave it empty"),
         (ROW + "0.2,a,1,2,3,,\n\n0.1,a,1,2,3,,\n", r"line 5, column stamp_s: 0\.1 comes after a later stamp; sort"),
         (ROW + ",a,1,2,3,0.5,1\n", r"line 3, column stamp_s: '' is not a time"),
         ("time,x,y\n2024-05-41 12:00:00,1,2\n", r"line 2, column time: '2024-05-41 12:00:00' is not a time"),
