@@ -13,7 +13,6 @@ from rosbags.rosbag1 import Writer
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
-from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.writer import LogWriter
@@ -23,12 +22,9 @@ from tests.logs.examples import assert_same_record
 
 BAGS = {
     "mcap": {},
-    "split": {"files": 3},
     "file_zstd": {"files": 2, "compression": "file"},
     "db3": {"storage": "sqlite3"},
-    "db3_split_zstd": {"storage": "sqlite3", "files": 2, "compression": "file"},
     "db3_message_zstd": {"storage": "sqlite3", "compression": "message"},
-    "mcap_message_zstd": {"compression": "message"},
 }
 
 
@@ -55,22 +51,6 @@ def test_every_kind_of_bag_holds_the_same(bags: dict[str, Path], name: str) -> N
         assert reader.counters == {}
 
 
-def test_bag_holds_the_records_of_the_drive(bags: dict[str, Path]) -> None:
-    expected = [
-        record for _, _, record in keep_until(drive(), 12.0) if isinstance(record, (Odometry, ObjectDetections))
-    ]
-    with LogReader(bags["mcap"]) as reader:
-        entries = reader.records(select_topics(reader.topics()))
-        found = [entry.record for entry in entries if isinstance(entry.record, (Odometry, ObjectDetections))]
-    assert [(type(each), each.stamp_ns) for each in found] == [(type(each), each.stamp_ns) for each in expected]
-    for a, b in zip(found, expected, strict=True):
-        if isinstance(b, Odometry):
-            np.testing.assert_allclose(a.T_odom_body, b.T_odom_body, atol=1e-12)
-        else:
-            assert (a.labels, a.frame_id) == (b.labels, b.frame_id)
-            np.testing.assert_array_equal(a.positions, b.positions)
-
-
 def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
     for name, pattern in (("mcap", "*.mcap"), ("db3", "*.db3"), ("file_zstd", "*_0.mcap.zstd")):
         (path,) = bags[name].glob(pattern)
@@ -80,13 +60,13 @@ def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
         assert len(found) in (len(expected), len(expected) // 2)
 
 
-def break_bag(bag: Path, tmp_path: Path, statement: str = "", *values: object) -> Path:
+def break_bag(bag: Path, tmp_path: Path, statement: str = "") -> Path:
     """A copy of a bag, whose database is altered by a statement."""
     broken = tmp_path / "broken"
     shutil.copytree(bag, broken)
     if statement:
         with sqlite3.connect(next(broken.glob("*.db3"))) as database:
-            database.execute(statement, values)
+            database.execute(statement)
     return broken
 
 
@@ -101,9 +81,9 @@ def test_database_without_definitions(bags: dict[str, Path], tmp_path: Path) -> 
 
 
 def test_a_missing_file_is_named(bags: dict[str, Path], tmp_path: Path) -> None:
-    bag = break_bag(bags["split"], tmp_path)
-    (bag / "part_1.mcap").unlink()
-    with pytest.raises(UnreadableLogError, match=r"metadata\.yaml names part_1\.mcap, which are not there; copy"):
+    bag = break_bag(bags["file_zstd"], tmp_path)
+    (bag / "part_1.mcap.zstd").unlink()
+    with pytest.raises(UnreadableLogError, match=r"metadata\.yaml names part_1\.mcap\.zstd, which are not there; copy"):
         LogReader(bag)
 
 
@@ -114,14 +94,7 @@ def test_folder_without_metadata_and_metadata_alone_are_refused(bags: dict[str, 
         LogReader(bags["mcap"] / "metadata.yaml")
 
 
-NONE = "rosbag2_bagfile_information: "
-ODD = (
-    *("", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}"),
-    *(f"a: {value}" for value in ("!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000)),
-)
-
-
-@pytest.mark.parametrize("text", ODD)
+@pytest.mark.parametrize("text", ["a: [1", "a: 3", "a: !!int ''", 'a: "\\Uffffffff"', "a: " + "[" * 3000])
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
     bag = break_bag(bags["mcap"], tmp_path)
     (bag / "metadata.yaml").write_text(text)
@@ -132,10 +105,9 @@ def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("bag", "name"), [("split", "part_2.mcap"), ("file_zstd", "part_1.mcap.zstd")])
-def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path, bag: str, name: str) -> None:
-    broken = break_bag(bags[bag], tmp_path)
-    path = broken / name
+def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = break_bag(bags["file_zstd"], tmp_path)
+    path = broken / "part_1.mcap.zstd"
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
     with LogReader(broken) as reader:
         assert 0 < len(list(reader.messages())) < len(contents(bags["mcap"]))
@@ -151,9 +123,8 @@ def test_database_that_ends_early_is_refused(bags: dict[str, Path], tmp_path: Pa
         LogReader(broken)
 
 
-@pytest.mark.parametrize("value", ["soon", 1e300, b"x"])
-def test_messages_without_time_in_database_are_left_out(bags: dict[str, Path], tmp_path: Path, value: object) -> None:
-    broken = break_bag(bags["db3"], tmp_path, "UPDATE messages SET timestamp = ? WHERE id = 3", value)
+def test_messages_without_time_in_database_are_left_out(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = break_bag(bags["db3"], tmp_path, "UPDATE messages SET timestamp = 'soon' WHERE id = 3")
     with LogReader(broken) as reader:
         assert len(list(reader.messages())) == len(contents(bags["db3"])) - 1
         assert reader.counters == {"messages_without_time": 1}
@@ -174,7 +145,6 @@ VIEW = (
 @pytest.mark.parametrize(
     ("statements", "fault"),
     [
-        (["UPDATE topics SET name = x'ff'"], r"part_0\.db3: topic .*a damaged one"),
         (["UPDATE topics SET serialization_format = x'ff'"], r"part_0\.db3: topic .*a damaged one"),
         (["ALTER TABLE messages RENAME TO others", VIEW], "no table messages"),
     ],
