@@ -76,7 +76,7 @@ class FieldMapping:
 def _tree(raw: RawMessage) -> Any:
     if raw.channel.message_encoding == "json":
         return json.loads(raw.data)
-    if raw.channel.schema is None or raw.channel.message_encoding not in ("cdr", "ros1"):
+    if raw.channel.schema is None or raw.channel.message_encoding != "cdr":
         raise Refusal("fields are mapped in JSON and ROS messages", f"encoding {raw.channel.message_encoding!r}")
     from logs.decoders.cdr import parse  # loads rosbags
 

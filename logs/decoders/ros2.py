@@ -1,4 +1,4 @@
-"""Messages of ROS 2 and ROS 1, read by the definitions that the log itself carries."""
+"""Messages of ROS 2, read by the definitions that the log itself carries."""
 
 from __future__ import annotations
 

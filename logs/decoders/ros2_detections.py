@@ -97,7 +97,7 @@ def best_result(detection: Any) -> Any:
 
 
 def hypothesis_of(result: Any) -> tuple[str, float]:
-    """Class and score of a result, "" and 1 of None; vision_msgs of ROS 1 has them, the class by its number, in it."""
+    """Class and score of a result, "" and 1 of None; early vision_msgs have them, the class by its number, in it."""
     if result is None:
         return "", 1.0
     hypothesis = getattr(result, "hypothesis", result)

@@ -22,7 +22,7 @@ from logs.storage.storage import Storage
 SQLITE_MAGIC = b"SQLite format 3\x00"
 ROS1_MAGIC = b"#ROSBAG V"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
+_SUFFIXES = (".mcap", ".db3", ".zstd")
 _PIECE_BYTES = 2**20
 METADATA_FILE = "metadata.yaml"
 _MAX_BYTES = 1_000_000
@@ -80,19 +80,19 @@ def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack, nam
         from logs.storage.sqlite_file import SqliteFile  # loads rosbags
 
         storage = SqliteFile(path, name, limits)
-    elif magic.startswith(ROS1_MAGIC):
-        from logs.storage.ros1_file import Ros1File  # loads rosbags
-
-        storage = Ros1File(path, name, limits)
     if storage is not None:
         until_closed.callback(storage.close)
         return storage
+    if magic.startswith(ROS1_MAGIC):
+        raise UnreadableLogError(
+            f"{name} is a bag of ROS 1; convert it by 'rosbags-convert --src {name} --dst FOLDER --dst-storage mcap'"
+        )
     if path.name == METADATA_FILE:
         raise UnreadableLogError(f"{name} describes a rosbag2 recording; give the folder that it is in")
     what = "is not an MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
-        f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3, .zstd), or a "
-        "bag of ROS 1. Text files become a log by 'dslam import'"
+        f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3, .zstd). "
+        "Text files become a log by 'dslam import'"
     )
 
 

@@ -60,15 +60,11 @@ def checkpoint_arguments(trainings: dict[str, bytes], folder: Path, rng: np.rand
 
 
 def write_bag_of(files: dict[str, bytes], folder: Path, rng: np.random.Generator) -> str:
-    """A bag of ROS 1, or a recording of rosbag2 in a database with its description or its cells altered; its name."""
-    if rng.random() < 0.3:
-        (folder / "drive.bag").write_bytes(mutate_bytes(files["drive.bag"], rng))
-        return "drive.bag"
+    """A recording of rosbag2 in a database with its description or its cells altered; its name."""
     bag = folder / "bag"
     bag.mkdir()
     for name, content in files.items():
-        if name != "drive.bag":
-            (bag / name).write_bytes(content)
+        (bag / name).write_bytes(content)
     (database,) = bag.glob("*.db3")
     match int(rng.integers(4)):
         case 0:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf.json_format import MessageToDict
-from rosbags.rosbag1 import Writer as Ros1Writer
 
 from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
@@ -20,7 +19,7 @@ from logs.writer import LogWriter
 from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.ros2_logs import Message as RosMessage
-from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag, write_ros1_bag
+from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag
 from tests.logs.examples import every_kind
 from tests.tools.runs import SAMPLE
 from tools import cli
@@ -64,7 +63,7 @@ def make_seeds(folder: Path) -> Seeds:
     return Seeds(
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
-        bag={path.name: path.read_bytes() for path in (*_write_bag(folder).iterdir(), folder / "drive.bag")},
+        bag={path.name: path.read_bytes() for path in _write_bag(folder).iterdir()},
         trainings={name: _checkpoint(folder, name) for name in NETWORKS},
     )
 
@@ -138,7 +137,7 @@ def _write_kinds(path: Path) -> None:
 
 
 def _write_ros(path: Path) -> None:
-    """The same drive as MCAP with messages of ROS 2 and as a bag of ROS 1, beside it."""
+    """The same drive as MCAP with messages of ROS 2."""
     rng = np.random.default_rng(4)
     objects = rng.uniform(-20.0, 20.0, size=(30, 3)) * (1.0, 1.0, 0.05)
     mounted = np.eye(4)
@@ -157,7 +156,6 @@ def _write_ros(path: Path) -> None:
     with LogWriter(path) as writer:
         for message in messages:
             writer.write_raw(encoded(message))
-    write_ros1_bag(path.with_name("drive.bag"), messages, Ros1Writer.CompressionFormat.LZ4)
 
 
 def _detections_table(drive: Path) -> str:

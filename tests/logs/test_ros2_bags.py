@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer
 
-from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.reader import LogReader
 from logs.selection import select_topics
-from logs.writer import LogWriter
-from tests.helpers.ros2_logs import Message, ros2_messages, write_bag, write_ros1_bag
+from tests.helpers.ros2_logs import Message, ros2_messages, write_bag
 from tests.helpers.short_drives import drive, keep_until, raw_messages
-from tests.logs.examples import assert_same_record
 
 BAGS = {
     "mcap": {},
@@ -198,29 +193,7 @@ def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monk
         assert len(set(loaded)) == 10
 
 
-@pytest.mark.parametrize("compression", [None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4])
-def test_bag_of_ros1_gives_the_same_records(
-    messages: list[Message], bags: dict[str, Path], tmp_path: Path, compression: Writer.CompressionFormat | None
-) -> None:
-    path = write_ros1_bag(tmp_path / "drive.bag", messages, compression)
-    with LogReader(path) as reader, LogReader(bags["mcap"]) as ros2:
-        selection = select_topics(reader.topics())
-        assert selection == select_topics(ros2.topics())
-        for found, expected in zip(reader.records(selection), ros2.records(selection), strict=True):
-            assert (found.topic, found.log_time_ns) == (expected.topic, expected.log_time_ns)
-            assert_same_record(found.record, expected.record)
-        assert reader.counters == {}
-    with LogWriter(tmp_path / "drive.mcap") as writer:
-        for raw in raw_messages(path):
-            assert raw.channel.schema is not None
-            schema = replace(raw.channel.schema, name=raw.channel.schema_name.replace("/msg/", "/"))
-            writer.write_raw(replace(raw, channel=replace(raw.channel, schema=schema)))
-    with LogReader(path) as bag, LogReader(tmp_path / "drive.mcap") as mcap:
-        assert select_topics(bag.topics()) == select_topics(mcap.topics())
-    assert contents(tmp_path / "drive.mcap") == contents(path)
-    with LogReader(path, ReadingLimits(chunk_mb=0.001)) as reader:
-        assert list(reader.messages()) == []
-        assert reader.counters == {"truncated": 1}
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(UnreadableLogError, match=r"drive\.bag: .*'rosbag reindex'"):
-        LogReader(path)
+def test_bag_of_ros1_is_refused_with_the_way_to_convert_it(tmp_path: Path) -> None:
+    (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    with pytest.raises(UnreadableLogError, match=r"drive\.bag is a bag of ROS 1; convert it by 'rosbags-convert --src"):
+        LogReader(tmp_path / "drive.bag")
