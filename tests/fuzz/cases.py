@@ -16,11 +16,10 @@ from slam.common.config import Config
 from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 from tests.fuzz.dataset_cases import checkpoint_arguments, dataset_arguments, write_bag_of
-from tests.fuzz.log_mutations import mutate_log
+from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
 from tests.fuzz.seeds import WEIGHTS, Seeds
-from tests.fuzz.weights_mutations import mutate_weights
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
 _OUTPUT = re.compile(r"(out|saved)\.\w+")
@@ -124,7 +123,7 @@ def _intact(name: str, seeds: Seeds) -> bytes:
 
 def _mutated(name: str, seeds: Seeds, rng: np.random.Generator) -> bytes:
     if name == WEIGHTS.name:
-        return mutate_weights(seeds.files[name], rng)
+        return _mutated_weights(seeds.files[name], rng)
     if name.endswith(".gz"):
         return mutate_bytes(gzip.compress(_mutated(name.removesuffix(".gz"), seeds, rng)), rng)
     if name not in seeds.logs:
@@ -132,6 +131,15 @@ def _mutated(name: str, seeds: Seeds, rng: np.random.Generator) -> bytes:
     whole = rng.random() < 0.15
     log = mutate_bytes(_intact(name, seeds), rng) if whole else mutate_log(seeds.logs[name], rng)
     return mutate_bytes(zstandard.compress(log), rng) if rng.random() < 0.03 else log
+
+
+def _mutated_weights(content: bytes, rng: np.random.Generator) -> bytes:
+    """Weights (safetensors) with another header, which is JSON after its length, or with other bytes anywhere."""
+    if rng.random() < 0.5:
+        return mutate_bytes(content, rng)
+    size = int.from_bytes(content[:8], "little")
+    header = mutate_json(content[8 : 8 + size], rng)
+    return len(header).to_bytes(8, "little") + header + content[8 + size :]
 
 
 def _bags(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:

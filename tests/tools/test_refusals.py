@@ -11,25 +11,20 @@ import pytest
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 
 
-@pytest.mark.parametrize("command", ["info", "replay", "evaluate", "export"])
-def test_input_that_is_no_log(dslam: Run, tmp_path: Path, command: str) -> None:
-    more = {"replay": ["-o", tmp_path / "out.mcap"], "export": ["--tum", tmp_path / "out.txt"]}.get(command, [])
-    text = tmp_path / "text.mcap"
-    text.write_text("no log, but long enough to have a signature")
-    assert_refused(dslam(command, tmp_path / "none.mcap", *more), "none.mcap", "No such file")
-    assert_refused(dslam(command, text, *more), "text.mcap", "not an MCAP")
-    assert_refused(dslam(command, tmp_path, *more), "directory")
-    assert not list(tmp_path.glob("out*"))
+@pytest.mark.parametrize("command", [("info",), ("replay", "-o", "out.mcap"), ("evaluate",), ("export", "--csv", "a")])
+def test_input_that_is_no_log(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.mcap").write_text("no log, but long enough to have a signature")
+    assert_refused(dslam(*command, "text.mcap"), "text.mcap", "not an MCAP")
+    assert [path.name for path in tmp_path.iterdir()] == ["text.mcap"]
 
 
-def test_topics_that_are_missing_or_fit_twice(dslam: Run, tmp_path: Path) -> None:
+def test_topics_that_fit_twice(dslam: Run, tmp_path: Path) -> None:
     output = ("-o", tmp_path / "out.mcap")
-    blind = write_log(tmp_path / "blind.mcap", detections=())
-    assert_refused(dslam("replay", blind, *output), "no topic gives detections", "/odom")
-    assert "no topic gives detections" in dslam("info", blind).out
     log = write_log(tmp_path / "log.mcap", odometry=("/visual", "/wheels"))
     assert_refused(dslam("replay", log, *output), "/visual, /wheels", "--topic odometry=/visual")
-    assert_refused(dslam("replay", log, *output, "--topic", "speed=/wheels"), "unknown part")
     assert_refused(dslam("replay", log, *output, "--topic", "/wheels"), "KIND=/TOPIC")
     assert dslam("replay", log, *output, "--topic", "odometry=/wheels").code == 0
 
