@@ -39,7 +39,9 @@ def town(folder: Path) -> Path:
     return folder / "map.mcap"
 
 
-def test_relocalize_finds_the_robot(dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
+def test_relocalize_finds_the_robot_and_the_covariances_hold(
+    dslam: Run, folder: Path, town: Path, tmp_path: Path
+) -> None:
     """Both drives start at the same true place, so the map's frame is that of the truth at the first pose."""
     before, output = town.read_bytes(), tmp_path / "found.mcap"
     command = ("relocalize", folder / "second.mcap", "--map", town, "-o", output)
@@ -51,8 +53,13 @@ def test_relocalize_finds_the_robot(dslam: Run, folder: Path, town: Path, tmp_pa
     T_world_map = records_of(folder / "first.mcap", "/ground_truth")[0].T_world_body
     records = records_of(output, "/slam/relocalizations")
     assert len(records) > 20
-    for record in records:
-        assert np.linalg.norm((T_world_map @ record.T_map_body - truth[record.stamp_ns])[:2, 3]) < 1.0
+    T_errors = [
+        np.linalg.inv(record.T_map_body) @ np.linalg.inv(T_world_map) @ truth[record.stamp_ns] for record in records
+    ]
+    errors_m = np.array([T[:2, 3] for T in T_errors])
+    sigmas_m = np.sqrt([np.diag(record.covariance)[3:5] for record in records])
+    assert np.linalg.norm(errors_m, axis=1).max() < 1.0
+    assert np.median(np.abs(errors_m) / sigmas_m) < 2.0
     assert min(pose.stamp_ns for pose in records_of(output, "/slam/pose")) >= records[0].stamp_ns
     told = json.loads(dslam(*command, "--set", "loop_closure.descriptor=gosmatch_vertex", "--json").out)
     assert told["found"] is True
