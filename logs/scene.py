@@ -15,7 +15,6 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs.messages import FloatArray, IntArray, SceneLines, SceneMarkers, ScenePoints
 
-_SHAPES = ("cubes", "spheres", "cylinders")
 _SHAPE_SIZE_M = 0.6
 _TEXT_HEIGHT_M = 0.5
 _LINE_PIXELS = 2.0
@@ -49,11 +48,9 @@ def encode_markers(markers: SceneMarkers) -> Message:
         label = markers.vocabulary[number]
         entity = update.entities.add(timestamp=now, frame_id=markers.frame_id, id=object_id)
         entity.metadata.add(key="label", value=label)
-        shape = getattr(entity, _SHAPES[number % len(_SHAPES)]).add(color=color)
+        shape = entity.spheres.add(color=color)
         _place(shape.pose, x, y, z)
         shape.size.x = shape.size.y = shape.size.z = _SHAPE_SIZE_M
-        if shape.DESCRIPTOR.name == "CylinderPrimitive":
-            shape.bottom_scale = shape.top_scale = 1.0
         text = entity.texts.add(billboard=True, font_size=_TEXT_HEIGHT_M, color=color, text=label)
         _place(text.pose, x, y, z + _SHAPE_SIZE_M + 0.5 * _TEXT_HEIGHT_M)
     return update
