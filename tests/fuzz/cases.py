@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import zstandard
 
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
@@ -129,8 +128,7 @@ def _mutated(name: str, seeds: Seeds, rng: np.random.Generator) -> bytes:
     if name not in seeds.logs:
         return mutate_text(seeds.files[name], rng)
     whole = rng.random() < 0.15
-    log = mutate_bytes(_intact(name, seeds), rng) if whole else mutate_log(seeds.logs[name], rng)
-    return mutate_bytes(zstandard.compress(log), rng) if rng.random() < 0.03 else log
+    return mutate_bytes(_intact(name, seeds), rng) if whole else mutate_log(seeds.logs[name], rng)
 
 
 def _mutated_weights(content: bytes, rng: np.random.Generator) -> bytes:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
 
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 
@@ -66,15 +65,11 @@ def write_bag_of(files: dict[str, bytes], folder: Path, rng: np.random.Generator
     for name, content in files.items():
         (bag / name).write_bytes(content)
     (database,) = bag.glob("*.db3")
-    match int(rng.integers(4)):
+    match int(rng.integers(3)):
         case 0:
             (bag / "metadata.yaml").write_bytes(mutate_text(files["metadata.yaml"], rng))
         case 1:
             database.write_bytes(mutate_bytes(database.read_bytes(), rng))
-        case 2:
-            packed = database.with_name(f"{database.name}.zstd")
-            packed.write_bytes(mutate_bytes(zstandard.compress(database.read_bytes()), rng))
-            return f"bag/{packed.name}"
         case _:
             _mutate_database(database, rng)
     return str(rng.choice(["bag", f"bag/{database.name}"]))
