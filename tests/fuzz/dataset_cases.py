@@ -21,7 +21,7 @@ _OBJECTS = {
     "objects/07/centroids/000002.txt": b"",
     "poses.txt": b"".join(b"1 0 0 0 0 1 0 0 0 0 1 %d\n" % z for z in range(3)),
     "calib.txt": b"P0: 0 0 0 0 0 0 0 0 0 0 0 0\nTr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3\n",
-    "times.txt": b"0.000000e+00\n1.037359e-01\n4.705816123456789e+02\n",
+    "times.txt": b"0.000000e+00\n1.037359e-01\n2.05816123456789e-01\n",
 }
 
 
