@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from io import StringIO
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -74,7 +75,8 @@ def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), tit
     shown = _PlainTable(title=title, header_style="cyan", **_STYLE)
     for heading in rows[0] if rows else ():
         is_number = bool(shown.columns) and heading not in texts
-        shown.add_column(visible(heading), justify="right" if is_number else "left", overflow="fold", no_wrap=is_number)
+        width = max(cell_len(row[heading]) for row in rows) if is_number else None  # a number keeps its digits
+        shown.add_column(visible(heading), justify="right" if is_number else "left", overflow="fold", min_width=width)
     for row in rows:
         shown.add_row(*row.values())
     return shown
