@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from descriptors.constellation import Constellations
     from descriptors.descriptor import Descriptor
     from descriptors.errors import DescriptorError
+    from logs.clouds.labelled_cloud import LabelledCloud
+    from logs.clouds.objects import find_objects
     from logs.errors import LogError
     from logs.messages import (
         GroundTruthPose,
@@ -57,6 +59,7 @@ __all__ = [
     "ImportedMap",
     "InitialPose",
     "InputDataError",
+    "LabelledCloud",
     "LogError",
     "LogReader",
     "LogWriter",
@@ -76,6 +79,7 @@ __all__ = [
     "calibrate",
     "class_vectors",
     "evaluate_log",
+    "find_objects",
     "landmark_table",
     "load_config",
     "load_imported_map",
@@ -92,6 +96,8 @@ _NAMES_OF_MODULES = {
     "descriptors.constellation": ("Constellations",),
     "descriptors.descriptor": ("Descriptor",),
     "descriptors.errors": ("DescriptorError",),
+    "logs.clouds.labelled_cloud": ("LabelledCloud",),
+    "logs.clouds.objects": ("find_objects",),
     "logs.errors": ("LogError",),
     "logs.messages": (
         "GroundTruthPose",

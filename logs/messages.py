@@ -93,6 +93,17 @@ class DepthImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LabelledScan:
+    """One scan of a LiDAR in ``frame_id``: positions (N, 3) m; classes (N,); instances (N,), 0: none, or None."""
+
+    stamp_ns: int
+    frame_id: str
+    positions: FloatArray
+    classes: IntArray
+    instances: IntArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Transform:
     """Pose of frame ``child_frame_id`` in frame ``parent_frame_id``."""
 
@@ -426,6 +437,7 @@ Record = (
     | ImageDetections
     | CameraModel
     | DepthImage
+    | LabelledScan
     | GeodeticFix
     | Transform
     | GroundTruthPose

@@ -37,6 +37,8 @@ _WEAKER = {
 """Rank of schemas that are taken where none of a smaller rank is there; that of others is 0: a topic that calls itself
 odometry is one, a bare pose may come from anywhere; likewise a message made for detections, and a picture that may show
 anything."""
+_WHEN_ASKED_FOR = ("sensor_msgs/msg/PointCloud2",)
+"""Most of these are scans without classes."""
 
 _MAPPING_HINT = "name its fields, for example --topic 'detections=/plants:plants[] position=position label=kind'"
 
@@ -159,7 +161,7 @@ def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind
 def _is_chosen(info: TopicInfo, kind: RecordKind) -> bool:
     """Whether a topic may be of that kind without being asked for: frames on /tf may not be the odometry."""
     is_frames = RecordKind.TRANSFORMS in info.kinds
-    return kind in info.kinds and info.message_count > 0 and not is_frames
+    return kind in info.kinds and info.message_count > 0 and not is_frames and info.schema_name not in _WHEN_ASKED_FOR
 
 
 def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:

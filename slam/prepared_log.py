@@ -19,6 +19,7 @@ from slam.common.errors import InputDataError
 from slam.display.drive_display import FRAMES
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
+from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, LoggingDelays, StampClocks
 from slam.self_calibration.calibration import CalibratedLog, calibrate
@@ -43,7 +44,7 @@ class PreparedLog:
 
     ``selection``: all topics that were chosen; ``mapped``: those of them that are mapped, without transforms, which are
     in ``frames``; ``copied``: topics that go into the output as they are; ``first_ns``, ``last_ns``: log times of the
-    first and the last message that is mapped; ``drift``: of the clock of
+    first and the last message that is mapped; ``scans``: objects of point clouds and images; ``drift``: of the clock of
     the detections; ``lost``: what could not be decoded of the transforms and of the beginning, by reason.
     """
 
@@ -54,13 +55,14 @@ class PreparedLog:
     last_ns: int
     labels: LabelMap
     frames: SensorFrames
+    scans: ScanObjects
     calibration: CalibratedLog
     drift: ClockDrift
     lost: Mapping[str, int]
 
     def inputs(self) -> InputRecords:
         """Conversion of records of the log to those of the estimator, by the calibration."""
-        return InputRecords(self.calibration.config, self.labels, self.frames)
+        return InputRecords(self.calibration.config, self.labels, self.frames, self.scans)
 
 
 def prepare_log(
@@ -123,14 +125,16 @@ def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, c
     # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
     frames = _read_frames(reader, mapped)
     lost = reader.decoding_counters
+    labels = LabelMap(config.labels)
     return PreparedLog(
         selection,
         mapped.without(RecordKind.TRANSFORMS),
         copied,
         first_ns,
         last_ns,
-        LabelMap(config.labels),
+        labels,
         frames,
+        ScanObjects(labels, frames),
         CalibratedLog(config),
         NO_DRIFT,
         lost,

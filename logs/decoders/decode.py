@@ -8,16 +8,18 @@ from logs.container.limits import ReadingLimits
 from logs.decoders.parts import Context, Records
 from logs.decoders.registry import Decoder, decoder_of
 from logs.errors import InvalidRecordError
-from logs.messages import ImageDetections, ObjectDetections, Odometry, Record, Transform
+from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
 from logs.validation import LAST_NS, Refusal
 
 _LARGE = frozenset(
     {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH, RecordKind.DEPTH}
 )  # each a whole result, or an image, in one message
+_CLOUD = "sensor_msgs/msg/PointCloud2"
 _NAMES = {
     ObjectDetections: ("frame_id", "labels"),
     ImageDetections: ("frame_id", "labels"),
+    LabelledScan: ("frame_id",),
     Odometry: ("frame_id", "child_frame_id"),
     Transform: ("parent_frame_id", "child_frame_id"),
 }
@@ -50,7 +52,8 @@ def decode(
     """
     limits = limits or ReadingLimits()
     try:
-        if kind not in _LARGE and len(raw.data) > limits.input_bytes:
+        is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
+        if not is_large and len(raw.data) > limits.input_bytes:
             raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
         context = Context(raw, kind, Counter() if counters is None else counters)
         records = (decoder or decoder_of(raw.channel))(context)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from logs.decoders import ros2_clouds as clouds
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
 from logs.decoders.parts import FRAMES, POSE, Context, MessageDecoder, Records, fix_records, frame_records, pose_records
@@ -70,6 +71,7 @@ DECODERS = {
     "visualization_msgs/msg/MarkerArray": MessageDecoder(_DETECTIONS, objects.markers),
     "vision_msgs/msg/Detection2DArray": MessageDecoder(_DETECTIONS, images.detections_2d),
     "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(_DETECTIONS, images.tags),
+    "sensor_msgs/msg/PointCloud2": MessageDecoder(_DETECTIONS, clouds.labelled_scan),
     "sensor_msgs/msg/CameraInfo": MessageDecoder((RecordKind.CAMERA_INFO,), images.camera_info),
     "sensor_msgs/msg/Image": MessageDecoder((RecordKind.DEPTH,), images.depth_image),
 }

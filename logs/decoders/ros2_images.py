@@ -66,7 +66,7 @@ def depth_image(message: Any, context: Context) -> Records:
 
 
 def image_rows(message: Any, step: int, width: int) -> NDArray[np.uint8]:
-    """The first ``width`` bytes of each of the rows of ``step`` bytes of an image: (height, width).
+    """The first ``width`` bytes of each of the rows of ``step`` bytes of an image or cloud: (height, width).
 
     Raises:
         Refusal: a row is shorter, or there are fewer rows than the message says.

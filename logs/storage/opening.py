@@ -81,7 +81,7 @@ def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> 
     what = "is not an MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
         f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3). "
-        "Text files become a log by 'dslam import'"
+        "Text files and point clouds become a log by 'dslam import'"
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
-from tests.fuzz.dataset_cases import checkpoint_arguments, dataset_arguments, write_bag_of
+from tests.fuzz.dataset_cases import checkpoint_arguments, cloud_arguments, dataset_arguments, write_bag_of
 from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
@@ -155,6 +155,7 @@ def _setting(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:
 _MAKERS: dict[str, tuple[float, Callable[[Seeds, Path, np.random.Generator], list[str]]]] = {
     "setting": (1.5, _setting),
     "checkpoints": (0.7, lambda seeds, folder, rng: checkpoint_arguments(seeds.trainings, folder, rng)),
+    "clouds": (1.5, lambda _, folder, rng: cloud_arguments(folder, rng)),
     "datasets": (0.7, lambda _, folder, rng: dataset_arguments(folder, rng)),
     "bags": (1, _bags),
     "paths": (1.5, lambda seeds, folder, rng: odd_arguments(make_odd_paths(seeds, folder), rng)),

@@ -1,4 +1,4 @@
-"""Command lines on data of others: folders of centroids, bags, and trainings that go on."""
+"""Command lines on data of others: clouds, folders of centroids, bags, and trainings that go on."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
+from tests.fuzz.cloud_mutations import mutate_ply
 
 NETWORKS = {"likelihood": "descriptellation_lr", "network": "descriptellation"}
 """Whose checkpoints are altered, by the name of the folder."""
@@ -36,6 +37,13 @@ def make_trainings_small() -> None:
 
 def training_arguments(folder: str) -> list[str]:
     return ["train", folder, "--network", NETWORKS[folder], "--epochs", "1", "--threads", "1", "--json"]
+
+
+def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
+    """A labelled cloud that is altered."""
+    named = [[], ["--name", "80=pole"], ["--name", "80=pole", "--name", "81=trunk"]][int(rng.integers(3))]
+    (folder / "cloud.ply").write_bytes(mutate_ply(rng))
+    return ["import", "map", "out.mcap", "--file", "cloud.ply", *named]
 
 
 def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:

@@ -19,7 +19,7 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.pa
              "osmium",
              "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.evaluation.comparison",
              "slam.sweeps.sweep",
-             "tools.evaluation.evaluate", "tools.evaluation.compare",
+             "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
              "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from logs.clouds.cloud_files import read_points
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError
 from logs.importers.maps.object_table import read_object_table
@@ -23,6 +24,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
     "digest": file_sha256,
     "table": read_source_text,
+    "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
 }

@@ -147,3 +147,37 @@ def test_images_with_depth(encoding: str, dtype: str) -> None:
     for wrong in ({"encoding": "rgb8"}, {"height": 3}, {"step": 2}):
         with pytest.raises(InvalidRecordError):
             decoded("sensor_msgs/msg/Image", {**values, **wrong}, "depth")
+
+
+def cloud(points: np.ndarray, **fields: Any) -> dict[str, Any]:
+    """A PointCloud2 of a structured array (N,)."""
+    codes = {"<f4": 7, "<u2": 4, "<u4": 6, "|u1": 2}
+    described = [
+        {"name": name, "offset": points.dtype.fields[name][1], "datatype": codes[kind], "count": 1}
+        for name, kind in points.dtype.descr
+    ]
+    values = {"height": 1, "width": len(points), "fields": described, "point_step": points.itemsize}
+    values |= {"row_step": points.nbytes, "data": np.frombuffer(points.tobytes(), np.uint8)}
+    return {"header": header(SECOND, "lidar"), **values, **fields}
+
+
+def test_clouds_with_classes() -> None:
+    points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("label", "<u4"), ("id", "|u1")])
+    points["x"], points["label"], points["id"] = [1.0, np.nan, 3.0], [80, 80, 71], [5, 6, 0]
+    (record,) = decoded("sensor_msgs/msg/PointCloud2", cloud(points))
+    assert (record.stamp_ns, record.frame_id, record.positions[:, 0].tolist()) == (SECOND, "lidar", [1.0, 3.0])
+    assert (record.classes.tolist(), record.instances.tolist()) == ([80, 71], [5, 0])
+
+
+@pytest.mark.parametrize(
+    ("fields", "fault"),
+    [
+        ({}, r"no field holds the class of a point .*; it has x, y, z, intensity"),
+        ({"width": 4}, "lengths disagree"),
+        ({"point_step": 4, "row_step": 12}, "fields of the points are invalid"),
+    ],
+)
+def test_clouds_without_classes_or_cut_off_are_refused(fields: dict[str, int], fault: str) -> None:
+    points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+    with pytest.raises(InvalidRecordError, match=fault):
+        decoded("sensor_msgs/msg/PointCloud2", cloud(points, **fields))

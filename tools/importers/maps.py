@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +22,8 @@ Origin = Annotated[
 ]
 Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Assign this class to all objects.")]
 SURVEYED_SIGMA_M, DRAWN_SIGMA_M = 0.3, 1.0
+_LONGEST_NUMBER = 18
+"""Digits of the number of a class, so that 64 bits hold it."""
 
 
 def map_of_objects(
@@ -29,8 +32,8 @@ def map_of_objects(
         Path,
         typer.Option(
             metavar="FILE",
-            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), "
-            "or a table: CSV with a header.",
+            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), a labelled "
+            "point cloud (.ply with x, y, z, class or label, and perhaps instance), or a table: CSV with a header.",
         ),
     ],
     tag: Annotated[
@@ -38,6 +41,13 @@ def map_of_objects(
         typer.Option(
             metavar="KEY[=VALUE]",
             help="Tag of the objects in OpenStreetMap, instead of those of street furniture. Repeatable.",
+        ),
+    ] = None,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NUMBER=CLASS",
+            help="Number and name of a class of a point cloud; by default all classes but 0. Repeatable.",
         ),
     ] = None,
     origin: Origin = None,
@@ -72,12 +82,30 @@ def map_of_objects(
         from logs.importers.maps.geojson import read_geojson
 
         objects = read_geojson(file)
+    elif suffix == ".ply":
+        from logs.clouds.cloud_files import labelled_cloud, read_points
+        from logs.clouds.map_of_cloud import map_of_cloud
+        from logs.digest import file_sha256
+
+        objects = map_of_cloud(
+            labelled_cloud(read_points(file), str(file)), str(file), file_sha256(file), _parsed_names(name)
+        )
     else:
         from logs.importers.maps.object_table import read_object_table
 
         objects = read_object_table(file)
     sigma_m = sigma or (DRAWN_SIGMA_M if is_drawn else SURVEYED_SIGMA_M)
     _make_map(output, objects, origin, label, sigma_m, json=json)
+
+
+def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
+    named: dict[int, str] = {}
+    for pair in names or ():
+        number, _, label = pair.partition("=")
+        if not number.isdecimal() or len(number) > _LONGEST_NUMBER or not label:
+            raise typer.BadParameter(f"{pair!r} is not NUMBER=CLASS, for example 80=pole.", param_hint="--name")
+        named[int(number)] = label
+    return named or None
 
 
 def _make_map(

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from logs.messages import CameraModel, DepthImage, ImageDetections, ObjectDetections, Odometry, Record
+from logs.messages import CameraModel, DepthImage, ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.image_detections import ImageLifter
 from slam.frontend.input.label_map import LabelMap
+from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
 
 _REMEDIES = {
@@ -27,8 +28,12 @@ _REMEDIES = {
 class InputRecords:
     """Prepares the records of one pass over a log."""
 
-    def __init__(self, config: Config, labels: LabelMap, frames: SensorFrames) -> None:
+    def __init__(
+        self, config: Config, labels: LabelMap, frames: SensorFrames, scans: ScanObjects | None = None
+    ) -> None:
+        """``scans``: those whose objects another pass has found."""
         self._labels = labels
+        self._scans = scans or ScanObjects(labels, frames)
         self._lifter = ImageLifter(config.calibration.detection, frames)
         self._frame = ""
         self._placed = 0
@@ -56,6 +61,8 @@ class InputRecords:
             self._frame = record.frame_id
             record = self._lifter.lift(record)
             self._placed += len(record.labels)
+        elif isinstance(record, LabelledScan):
+            record = self._scans.find(record, self._lifter.body_frame)
         elif isinstance(record, Odometry):
             self._lifter.body_frame = record.child_frame_id
             self._T_odom_body = record.T_odom_body

@@ -15,7 +15,7 @@ from statistics import median_low
 
 import numpy as np
 
-from logs.messages import ImageDetections, ObjectDetections, Odometry, Record
+from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from logs.reader import LogItem
 
 LEAST_MESSAGES = 16
@@ -35,7 +35,7 @@ LEAST_DRIFT = 0.1
 MOST_RATE = 1e-3
 """Oscillators are better than that; where delays grow faster, messages queue."""
 
-Stamped = Odometry | ObjectDetections | ImageDetections
+Stamped = Odometry | ObjectDetections | ImageDetections | LabelledScan
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""Labelled point clouds -> objects. Knows nothing of logs but their records."""

@@ -1,0 +1,192 @@
+"""Labelled points -> objects: instances, or clusters of each class, each with its centre, extent and covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from logs.clouds.labelled_cloud import LabelledCloud
+from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_side
+from logs.errors import DatasetError
+from logs.messages import FloatArray, IntArray, ObjectDetections
+
+NOMINAL_REACH_M = 60.0
+"""Reach of a car's LiDAR. The lengths below are for it, and scaled with the reach of another scan."""
+VOXEL_M = 0.1
+"""Side of the voxels whose means stand for the points."""
+GAP_M = 0.5
+"""A wider gap between two parts of one class makes two objects of them."""
+MAX_EXTENT_M = 15.0
+"""What is longer is a surface and no object."""
+MIN_SHARE = 1.0 / 4000.0
+"""Share of the points of a scan that an object must have: 30 of 120,000."""
+REACH_QUANTILE = 0.99
+MIN_POINTS = 5
+MAX_VOXELS = 2**20
+"""Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudObjects:
+    """N objects in the frame of the cloud.
+
+    positions (N, 3) m; covariances (N, 3, 3) m^2; sizes (N, 3) m: length and width along the horizontal main axes, and
+    height; labels (N,); instances (N,), 0 for a cluster. ``left_out``: how many were
+    too "small" or too "long".
+    """
+
+    positions: FloatArray
+    covariances: FloatArray
+    sizes: FloatArray
+    labels: tuple[str, ...]
+    instances: IntArray
+
+    def detections(self, stamp_ns: int, frame_id: str) -> ObjectDetections:
+        """The record of these objects; each has the score 1."""
+        scores = np.ones(len(self.labels))
+        return ObjectDetections(stamp_ns, frame_id, self.positions, self.labels, scores, self.covariances)
+
+
+def find_objects(
+    cloud: LabelledCloud,
+    names: Mapping[int, str] | None = None,
+    *,
+    viewpoint: FloatArray | None = None,
+    upright: bool = True,
+) -> CloudObjects:
+    """Objects of a labelled cloud.
+
+    Points of one class and instance are one object; those of instance 0, or of a cloud without instances, are clustered
+    class by class. They are down-sampled to voxels, whose mean is the centroid (Xing et al., "Descriptellation", IV-B).
+
+    Args:
+        cloud: one scan, or a whole map.
+        names: class number -> name of the classes that are objects; None: all but 0, named by their numbers.
+        viewpoint: (3,) m, of the sensor in the frame of the cloud, of which it is one scan: objects are then seen from
+            one side, and their centres lie behind what is seen. None: a map, seen from all sides.
+        upright: z of the cloud points up.
+
+    Returns:
+        The objects, by class and instance or the order of their points; none of an empty cloud.
+
+    Raises:
+        DatasetError: points lie more than 2^20 voxels apart.
+    """
+    cloud = cloud.finite()
+    scale = _scale(cloud, viewpoint)
+    voxel_m = VOXEL_M * scale
+    _check_extent(cloud, voxel_m)
+    min_points = MIN_POINTS
+    if viewpoint is not None:
+        min_points = max(min_points, int(np.ceil(MIN_SHARE * len(cloud.positions))))
+    found: list[tuple[str, int, Centre, FloatArray]] = []
+    for label, instance, points in _parts(cloud, names, GAP_M * scale, voxel_m, upright=upright):
+        if len(points) < min_points:
+            continue
+        voxels = voxel_means(points, voxel_m)
+        size = _size(voxels)
+        if viewpoint is None:
+            centre = seen_from_all_sides(voxels, voxel_m)
+        elif size[0] <= MAX_EXTENT_M * scale:
+            spacing_m = _spacing_m(points, viewpoint)
+            centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
+        else:
+            continue
+        found.append((label, instance, centre, size))
+    return CloudObjects(
+        np.array([centre.position for _, _, centre, _ in found]).reshape(-1, 3),
+        np.array([centre.covariance for _, _, centre, _ in found]).reshape(-1, 3, 3),
+        np.array([size for *_, size in found]).reshape(-1, 3),
+        tuple(label for label, *_ in found),
+        np.array([instance for _, instance, _, _ in found], dtype=np.int64),
+    )
+
+
+def _scale(cloud: LabelledCloud, viewpoint: FloatArray | None) -> float:
+    """Power of two by which the reach of a scan differs from the nominal one; 1 for a map."""
+    if viewpoint is None or len(cloud.positions) == 0:
+        return 1.0
+    reach_m = float(np.quantile(np.linalg.norm(cloud.positions - viewpoint, axis=1), REACH_QUANTILE))
+    return float(2.0 ** np.round(np.log2(max(reach_m, 1e-3) / NOMINAL_REACH_M)))
+
+
+def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
+    if len(cloud.positions) == 0:
+        return
+    low, high = cloud.positions.min(axis=0), cloud.positions.max(axis=0)
+    astray = ~((high - low) / voxel_m < MAX_VOXELS) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
+    if astray.any():
+        axis = int(astray.argmax())
+        raise DatasetError(
+            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MAX_VOXELS} voxels "
+            f"of {voxel_m:g} m; remove outliers"
+        )
+
+
+def _parts(
+    cloud: LabelledCloud, names: Mapping[int, str] | None, gap_m: float, voxel_m: float, *, upright: bool
+) -> Iterator[tuple[str, int, FloatArray]]:
+    """Label, instance and points (K, 3) m of each object."""
+    instances = cloud.instances if cloud.instances is not None else np.zeros(len(cloud.classes), dtype=np.int64)
+    wanted = cloud.classes != 0 if names is None else np.isin(cloud.classes, list(names))
+    rows = np.flatnonzero(wanted)
+    rows = rows[np.lexsort((instances[rows], cloud.classes[rows]))]
+    keys = np.stack([cloud.classes[rows], instances[rows]], axis=1)
+    starts = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
+    for part in np.split(rows, starts) if len(rows) else []:
+        number, instance = int(cloud.classes[part[0]]), int(instances[part[0]])
+        label = str(number) if names is None else names[number]
+        points = cloud.positions[part]
+        if instance:
+            yield label, instance, points
+            continue
+        for cluster in _split(points, gap_m, voxel_m, flat=upright):
+            yield label, 0, cluster
+
+
+def _split(points: FloatArray, gap_m: float, voxel_m: float, *, flat: bool) -> list[FloatArray]:
+    """The points of each cluster, as seen from above if ``flat``: beams lie wide apart in height."""
+    corners = np.floor(points[:, : 2 if flat else 3] / voxel_m).astype(np.int64)
+    cells, cell = np.unique(corners, axis=0, return_inverse=True)
+    cluster = clusters(voxel_m * cells.astype(np.float64), max(gap_m, 1.5 * voxel_m))[cell.ravel()]
+    order = np.argsort(cluster, kind="stable")
+    return np.split(points[order], np.flatnonzero(np.diff(cluster[order])) + 1)
+
+
+def _spacing_m(points: FloatArray, viewpoint: FloatArray) -> float:
+    """The widest gap between points (K, 3) m beside each other, as seen from the viewpoint (3,) m."""
+    xy = (points - viewpoint)[:, :2]
+    middle = complex(*xy.mean(axis=0))
+    bearings = np.sort(np.angle((xy[:, 0] + 1j * xy[:, 1]) * np.conj(middle)))
+    return abs(middle) * float(np.diff(bearings).max(initial=0.0))
+
+
+def _size(voxels: FloatArray) -> FloatArray:
+    """Length and width along the horizontal main axes, and height, (3,) m."""
+    flat = voxels[:, :2] - voxels[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(flat.T @ flat)
+    width_m, length_m = np.ptp(flat @ axes, axis=0)
+    return np.array([max(length_m, width_m), min(length_m, width_m), np.ptp(voxels[:, 2])])
+
+
+def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:
+    """The mean of the points (N, 3) m in each voxel of side ``voxel_m``: (M, 3) m, M <= N."""
+    corners = np.floor((points - points.min(axis=0)) / voxel_m).astype(np.int64)
+    _, voxels, counts = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
+    sums = [np.bincount(voxels.ravel(), weights=axis) for axis in points.T]
+    return np.stack(sums, axis=1) / counts[:, None]
+
+
+def clusters(points: FloatArray, gap_m: float) -> IntArray:
+    """Cluster (N,) of each of the points (N, D) m, from 0 on: those that a chain of steps of at most ``gap_m`` joins.
+
+    DBSCAN (Ester et al., KDD 1996) in which every point is a core point.
+    """
+    i, j = cKDTree(points).query_pairs(gap_m, output_type="ndarray").T
+    edges = coo_array((np.ones(len(i), dtype=np.bool_), (i, j)), shape=(len(points), len(points)))
+    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)

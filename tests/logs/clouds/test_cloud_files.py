@@ -1,0 +1,119 @@
+"""Labelled clouds in PLY files: their fields, the maps they become, and what is wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.clouds.cloud_files import labelled_cloud, read_points
+from logs.clouds.labelled_cloud import LabelledCloud
+from logs.clouds.map_of_cloud import map_of_cloud
+from logs.errors import DatasetError
+from tests.logs.clouds.clouds import cloud, post
+
+_CODES = {"f4": "float", "f8": "double", "u4": "uint", "i4": "int", "u1": "uchar"}
+LAMP, SIGN, TREE = 302_020_400, 302_020_600, 304_020_000
+
+
+def write_ply(path: Path, points: np.ndarray, order: str = "binary_little_endian") -> Path:
+    """``points``: a structured array (N,)."""
+    lines = ["ply", f"format {order} 1.0", "comment made by a test", f"element vertex {len(points)}"]
+    lines += [f"property {_CODES[kind[1:]]} {name}" for name, kind in points.dtype.descr]
+    header = "\n".join([*lines, "element face 0", "property list uchar int vertex_indices", "end_header\n"]).encode()
+    path.write_bytes(header + points.astype(points.dtype.newbyteorder("<" if "little" in order else ">")).tobytes())
+    return path
+
+
+def read_cloud(path: Path) -> LabelledCloud:
+    return labelled_cloud(read_points(path), path.name)
+
+
+def street(class_name: str, instance_name: str) -> np.ndarray:
+    """Six posts with the published fields; the scanner passes them."""
+    numbers = [LAMP, SIGN, LAMP, TREE, SIGN, LAMP]
+    parts = [(number, 10 + i, post(12.0 * i, 5.0)) for i, number in enumerate(numbers)]
+    parts += [(0, 0, np.zeros((20, 3)))]
+    made = cloud(parts)
+    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("x_origin", "<f4"), ("y_origin", "<f4")]
+    kinds += [("GPS_time", "<f8"), ("reflectance", "<u1")]
+    points = np.zeros(len(made.positions), np.dtype([*kinds, (instance_name, "<u4"), (class_name, "<u4")]))
+    for axis, name in enumerate("xyz"):
+        points[name] = made.positions[:, axis]
+    points["x_origin"] = made.positions[:, 0]
+    points[class_name] = made.classes
+    points[instance_name] = made.instances
+    return points
+
+
+@pytest.mark.parametrize("order", ["binary_little_endian", "binary_big_endian"])
+def test_published_fields_are_read_in_every_form(tmp_path: Path, order: str) -> None:
+    points = street("class", "label")
+    found = read_cloud(write_ply(tmp_path / "Lille1.ply", points, order))
+    np.testing.assert_array_equal(found.classes, points["class"])
+    np.testing.assert_array_equal(found.instances, points["label"])
+    np.testing.assert_allclose(found.positions[:, 0], points["x"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("names", [("class", "id"), ("scalar_Classification", "scalar_label")])
+def test_class_and_instance_are_found_by_their_names(tmp_path: Path, names: tuple[str, str]) -> None:
+    points = street(*names)
+    found = read_cloud(write_ply(tmp_path / "cloud.ply", points))
+    np.testing.assert_array_equal(found.classes, points[names[0]])
+    np.testing.assert_array_equal(found.instances, points[names[1]])
+
+
+def test_a_label_alone_is_the_class_and_the_instance_may_be_in_its_upper_half(tmp_path: Path) -> None:
+    points = street("label", "unused")[["x", "y", "z", "label"]]
+    points = np.array(points.tolist(), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
+    points["label"] = 80 + (7 << 16)
+    found = read_cloud(write_ply(tmp_path / "cloud.ply", points))
+    assert set(found.classes.tolist()) == {80}
+    assert found.instances is not None
+    assert set(found.instances.tolist()) == {7}
+    points["label"] = 80
+    assert read_cloud(write_ply(tmp_path / "cloud.ply", points)).instances is None
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "fault"),
+    [
+        (b"uint class", b"uint kind", "no field holds the class of a point .*; it has x, y, z"),
+        (b"float x\n", b"float u\n", "no fields x, y and z; it has u, y"),
+        (b"element vertex ", b"element vertex 9999999999", "not all of 9.* points are there; the file is truncated"),
+        (b"element vertex ", b"element vertex 1", "not all of 1.* points are there; the file is truncated"),
+        (b"float y\n", b"float x\n", "field .x. occurs more than once"),
+        (b"ply\n", b"solid stl\n", "does not begin with a header"),
+        (b"end_header", b"comment end", "not a readable binary PLY file"),
+        (b"uchar reflectance", b"list uchar int reflectance", "not a readable binary PLY file .'list'"),
+        (b"element vertex", b"element edge", "whose first element is the vertex"),
+    ],
+)
+def test_damaged_ply_is_refused(tmp_path: Path, right: bytes, wrong: bytes, fault: str) -> None:
+    path = write_ply(tmp_path / "cloud.ply", street("class", "id"))
+    path.write_bytes(path.read_bytes().replace(right, wrong, 1))
+    with pytest.raises(DatasetError, match=fault) as refused:
+        read_cloud(path)
+    assert "cloud.ply" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("astray", [1e9, 1e30, -1e300])
+def test_points_that_lie_astray_are_told(tmp_path: Path, astray: float) -> None:
+    points = np.array([*post(3.0, 0.0), [0.0, astray, 0.0]])
+    labelled = LabelledCloud(points, np.full(len(points), 7))
+    with pytest.raises(
+        DatasetError, match=r"a\.ply: a cloud reaches from y = .* m, more than 1048576 voxels of 0\.1 m"
+    ):
+        map_of_cloud(labelled, "a.ply", "")
+
+
+def test_map_of_cloud_has_named_classes(tmp_path: Path) -> None:
+    found = read_cloud(write_ply(tmp_path / "cloud.ply", street("class", "id")))
+    objects = map_of_cloud(found, "cloud.ply", "", {LAMP: "lamp", SIGN: "sign"})
+    assert sorted(objects.labels) == ["lamp"] * 3 + ["sign"] * 2
+    assert len(set(objects.ids)) == 5
+    assert str(LAMP) in map_of_cloud(found, "cloud.ply", "").labels
+    with pytest.raises(DatasetError, match=r"cloud.ply: 0 objects; a map needs .* The classes of its points: 0, "):
+        map_of_cloud(found, "cloud.ply", "", {5: "lamp"})
