@@ -162,8 +162,6 @@ CODECS: Mapping[type, Codec] = {
         positions="N 3",
         scores="N",
         covariances="N 3 3?",
-        sizes="N 3?",
-        track_ids="N?",
     ),
     m.DetectionTruth: Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
     m.DetectionAssociations: Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),

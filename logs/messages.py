@@ -44,8 +44,7 @@ class Odometry:
 class ObjectDetections:
     """Objects seen in one sensor frame: ``positions`` (N, 3) m in ``frame_id``, a label and a score in [0, 1] each.
 
-    ``covariances`` (N, 3, 3) m^2 and ``sizes`` (N, 3) m are None where the detector gives none; a covariance of
-    zeros is unknown, and so is a side of a size that is NaN.
+    ``covariances`` (N, 3, 3) m^2 are None where the detector gives none; one of zeros is unknown.
     """
 
     stamp_ns: int
@@ -54,8 +53,6 @@ class ObjectDetections:
     labels: tuple[str, ...]
     scores: FloatArray
     covariances: FloatArray | None = None
-    sizes: FloatArray | None = None
-    track_ids: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         check_objects(self)

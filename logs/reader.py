@@ -8,12 +8,10 @@ import os
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
-
-import zstandard
 
 from logs.container.limits import ReadingLimits
 from logs.decoders.record_decoder import RecordDecoder
@@ -21,7 +19,7 @@ from logs.decoders.registry import kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
 from logs.selection import Selection
-from logs.storage.opening import ZSTD_MAGIC, find_files, open_storage
+from logs.storage.opening import find_files, open_storage
 from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import RawMessage, TopicInfo
 
@@ -45,9 +43,9 @@ class LogItem:
 class LogReader:
     """Reads the log at ``path``; a context manager.
 
-    The log is an MCAP file, a database of rosbag2 (.db3), either of them compressed as a whole (.zstd), or the folder
-    of a rosbag2 recording with any number of them. Messages come in the order of log time, those of equal time in the
-    order of the file. What is damaged, or larger than ``limits`` allow, is left out; ``counters`` tells what.
+    The log is an MCAP file, a database of rosbag2 (.db3), or the folder of a rosbag2 recording with any number of them.
+    Messages come in the order of log time, those of equal time in the order of the file. What is damaged, or larger
+    than ``limits`` allow, is left out; ``counters`` tells what.
 
     Raises:
         UnreadableLogError: no file, no permission, an empty file, no log, one beyond the limits, or a folder that is no
@@ -131,13 +129,7 @@ class LogReader:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
         streams = [storage.messages(topics, without_content) for storage in self._storages]
-        in_order = heapq.merge(*streams, key=lambda message: message.log_time_ns) if len(streams) > 1 else streams[0]
-        for raw in in_order:
-            # rosbag2 can compress each message by itself.
-            if raw.data.startswith(ZSTD_MAGIC) and raw.channel.message_encoding == "cdr":
-                yield _unpacked(raw, self._limits.message_bytes)
-            else:
-                yield raw
+        return heapq.merge(*streams, key=lambda message: message.log_time_ns) if len(streams) > 1 else streams[0]
 
     def items(
         self, selection: Selection, copy: Collection[str] = (), times_of: Collection[str] = ()
@@ -168,11 +160,3 @@ class LogReader:
         """Hexadecimal SHA-256 of the file; of a folder, of those of its files, one after another."""
         digests = [file_sha256(file) for file in self.files]
         return digests[0] if not self.path.is_dir() else hashlib.sha256("".join(digests).encode()).hexdigest()
-
-
-def _unpacked(raw: RawMessage, max_bytes: int) -> RawMessage:
-    try:
-        content = zstandard.ZstdDecompressor().stream_reader(raw.data).read(max_bytes)
-        return replace(raw, data=content)
-    except zstandard.ZstdError:
-        return raw

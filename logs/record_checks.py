@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from logs.errors import InvalidRecordError
-from logs.validation import rotation_errors
-
-ROTATION_TOLERANCE = 1e-3
-"""Of the entries of R^T R: float32 and four digits stay below it."""
+from logs.validation import ROTATION_TOLERANCE, rotation_errors
 
 
 def check_pose(record: Any, name: str, frames: tuple[str, ...] = ()) -> None:
@@ -39,24 +36,21 @@ def check_pose(record: Any, name: str, frames: tuple[str, ...] = ()) -> None:
 
 
 def check_objects(record: Any) -> None:
-    """See that detections have a row of each array, and a track if there are any, for each label.
+    """See that detections have a row of each array for each label.
 
     Raises:
         InvalidRecordError: another shape or type; names the field and the remedy.
     """
     _check_stamp(record)
     _check_text(record, "frame_id")
-    labels, tracks = record.labels, record.track_ids
-    if not _are_texts(labels):
+    labels = record.labels
+    if not (isinstance(labels, tuple) and {*map(type, labels)} <= {str, np.str_}):
         raise _error(record, "labels", "not a tuple of strings; give one for each position")
     count = len(labels)
-    if tracks is not None and not (_are_texts(tracks) and len(tracks) == count):
-        raise _error(record, "track_ids", f"not a tuple of {count} strings; give one for each label")
     _check_array(record, "positions", (count, 3))
     _check_array(record, "scores", (count,))
-    for name, shape in (("covariances", (count, 3, 3)), ("sizes", (count, 3))):
-        if getattr(record, name) is not None:
-            _check_array(record, name, shape)
+    if record.covariances is not None:
+        _check_array(record, "covariances", (count, 3, 3))
 
 
 def _check_stamp(record: Any) -> None:
@@ -67,10 +61,6 @@ def _check_stamp(record: Any) -> None:
 def _check_text(record: Any, name: str) -> None:
     if not isinstance(getattr(record, name), str):
         raise _error(record, name, f"{getattr(record, name)!r:.40}; give a string")
-
-
-def _are_texts(values: Any) -> bool:
-    return isinstance(values, tuple) and {*map(type, values)} <= {str, np.str_}
 
 
 def _check_array(record: Any, name: str, shape: tuple[int, ...]) -> None:

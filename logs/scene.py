@@ -1,11 +1,6 @@
-"""The map as viewers draw it: objects and lines as foxglove.SceneUpdate, points as foxglove.PointCloud.
-
-Foxglove draws both, Rerun only the points.
-"""
+"""The map as viewers draw it: objects and lines as foxglove.SceneUpdate, points as foxglove.PointCloud."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -13,16 +8,13 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.message import DecodeError, Message
+from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from logs.errors import UnreadableLogError
 from logs.messages import FloatArray, IntArray, SceneLines, SceneMarkers, ScenePoints
 
-_SHAPES = ("cubes", "spheres", "cylinders")
 _SHAPE_SIZE_M = 0.6
 _TEXT_HEIGHT_M = 0.5
 _LINE_PIXELS = 2.0
@@ -56,11 +48,9 @@ def encode_markers(markers: SceneMarkers) -> Message:
         label = markers.vocabulary[number]
         entity = update.entities.add(timestamp=now, frame_id=markers.frame_id, id=object_id)
         entity.metadata.add(key="label", value=label)
-        shape = getattr(entity, _SHAPES[number % len(_SHAPES)]).add(color=color)
+        shape = entity.spheres.add(color=color)
         _place(shape.pose, x, y, z)
         shape.size.x = shape.size.y = shape.size.z = _SHAPE_SIZE_M
-        if shape.DESCRIPTOR.name == "CylinderPrimitive":
-            shape.bottom_scale = shape.top_scale = 1.0
         text = entity.texts.add(billboard=True, font_size=_TEXT_HEIGHT_M, color=color, text=label)
         _place(text.pose, x, y, z + _SHAPE_SIZE_M + 0.5 * _TEXT_HEIGHT_M)
     return update
@@ -81,21 +71,6 @@ def encode_lines(lines: SceneLines) -> Message:
     return update
 
 
-def decode_lines(data: bytes) -> tuple[FloatArray, ...]:
-    """The polylines (n, 3) m of an update that :func:`encode_lines` made."""
-    return tuple(
-        np.array([(point.x, point.y, point.z) for point in line.points]).reshape(-1, 3)
-        for entity in _parse(SceneUpdate, data).entities
-        for line in entity.lines
-    )
-
-
-def decode_position(data: bytes) -> FloatArray:
-    """The position (3,) m of a foxglove.PoseInFrame."""
-    position = _parse(PoseInFrame, data).pose.position
-    return np.array([position.x, position.y, position.z])
-
-
 def encode_points(points: ScenePoints) -> Message:
     """``points`` as a cloud of float32 metres and one byte a colour."""
     columns = np.hstack([points.positions, np.rint(255.0 * points.colors)])
@@ -111,30 +86,10 @@ def encode_points(points: ScenePoints) -> Message:
     return cloud
 
 
-def decode_points(data: bytes) -> FloatArray:
-    """The positions (N, 3) m of a cloud that :func:`encode_points` made."""
-    points = _parse(PointCloud, data).data
-    if len(points) % _POINT.itemsize:
-        raise UnreadableLogError(
-            f"a cloud of {len(points)} bytes is not of points of {_POINT.itemsize} bytes; make the map again"
-        )
-    rows = np.frombuffer(points, dtype=_POINT)
-    return np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
-
-
 def timestamp(stamp_ns: int) -> Timestamp:
     """``stamp_ns`` as protobuf has times."""
     seconds, nanos = divmod(int(stamp_ns), 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=nanos)
-
-
-def _parse(message_class: Any, data: bytes) -> Any:
-    try:
-        return message_class.FromString(data)
-    except DecodeError as error:
-        raise UnreadableLogError(
-            f"{len(data)} bytes do not decode as {message_class.DESCRIPTOR.full_name}; make the map again"
-        ) from error
 
 
 def _place(pose: Message, x: float, y: float, z: float) -> None:

@@ -37,10 +37,10 @@ _WEAKER = {
 """Rank of schemas that are taken where none of a smaller rank is there; that of others is 0: a topic that calls itself
 odometry is one, a bare pose may come from anywhere; likewise a message made for detections, and a picture that may show
 anything."""
-_WHEN_ASKED_FOR = ("geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2")
-"""Most of these are particles, paths and scans without classes."""
+_WHEN_ASKED_FOR = ("sensor_msgs/msg/PointCloud2",)
+"""Most of these are scans without classes."""
 
-_MAPPING_HINT = "; name its fields, for example --topic 'detections=/plants:plants[] position=position label=kind'"
+_MAPPING_HINT = "name its fields, for example --topic 'detections=/plants:plants[] position=position label=kind'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +191,7 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: d
     elif not any(kind in info.kinds for info in of_topic):
         raise TopicSelectionError(
             f"--topic {kind}={topic}: {of_topic[0].schema_name or 'a topic without a schema'} does not decode to "
-            f"{kind}{_MAPPING_HINT if kind == RecordKind.DETECTIONS else ''}. {_listing(there)}"
+            f"{kind}{f'; {_MAPPING_HINT}' if kind == RecordKind.DETECTIONS else ''}. {_listing(there)}"
         )
     return topic
 
@@ -202,7 +202,7 @@ def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordK
         return TopicSelectionError(f"no topic gives {kind}: 'dslam replay' wrote this log; give the log of the drive")
     remedy = "record a topic with a schema that does (docs/log.md lists them)"
     if kind == RecordKind.DETECTIONS:
-        remedy += ", or name the fields of its messages by --topic ('dslam info LOG' suggests them)"
+        remedy += f", or {_MAPPING_HINT}"
     if fitting:
         remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"
     return TopicSelectionError(f"no topic gives {kind}; {remedy}. {_listing(there)}")

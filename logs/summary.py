@@ -6,16 +6,14 @@ import os
 import re
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from itertools import islice
 
 import numpy as np
 
 from logs import messages as m
 from logs.closures import find_final_decisions, rank_stage
 from logs.container.limits import ReadingLimits
-from logs.decoders.field_mapping import guess_mapping
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
 from logs.selection import Selection, select_all, select_topics
@@ -32,8 +30,6 @@ MAX_FRAMES = 100
 MAX_CLOSURES = 100_000
 """Later records of loop closures are not kept."""
 
-_GUESSED_MESSAGES = 100
-"""The first ones may hold no object."""
 _FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
@@ -75,8 +71,7 @@ class ClosureCount:
 
 @dataclass(frozen=True, slots=True)
 class LogSummary:
-    """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why;
-    ``suggestions`` are then values of ``--topic`` that messages of other schemas suggest.
+    """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
     ``closure_candidates`` are the final decisions by query stamp, ``closures`` counts them. ``first_stamp_ns`` is the
@@ -92,7 +87,6 @@ class LogSummary:
     odometry_length_m: float | None
     selection: Selection | None
     obstacle: str
-    suggestions: tuple[str, ...]
     closures: tuple[ClosureCount, ...]
     closure_candidates: tuple[m.LoopClosureRecord, ...]
     first_stamp_ns: int | None
@@ -138,7 +132,6 @@ def summarize(
             odometry_length_m=gathering.odometry_length_m(),
             selection=selection,
             obstacle=obstacle,
-            suggestions=() if selection is not None else tuple(_suggestions(reader, topics)),
             closures=_count_closures(candidates),
             closure_candidates=candidates,
             first_stamp_ns=gathering.first_stamp_ns,
@@ -146,14 +139,6 @@ def summarize(
             counters=reader.counters,
             status=gathering.status,
         )
-
-
-def _suggestions(reader: LogReader, topics: Iterable[TopicInfo]) -> Iterator[str]:
-    """Detections by the fields of messages that nothing decodes, from the first ones of each topic."""
-    for topic in dict.fromkeys(info.topic for info in topics if not info.kinds):
-        guesses = map(guess_mapping, islice(reader.messages([topic]), _GUESSED_MESSAGES))
-        if guess := next(filter(None, guesses), ""):
-            yield f"detections={topic}:{guess}"
 
 
 def _count_closures(candidates: Iterable[m.LoopClosureRecord]) -> tuple[ClosureCount, ...]:

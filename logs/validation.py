@@ -16,8 +16,8 @@ FloatArray = NDArray[np.float64]
 QUATERNION_NORM_TOLERANCE = 1e-2
 """A quaternion whose norm is off by at most this was rounded and is normalised; beyond it, it is no rotation."""
 
-ROTATION_TOLERANCE = 1e-6
-"""A rotation matrix with R^T R off by at most this was rounded and is made orthonormal; beyond it, it is refused."""
+ROTATION_TOLERANCE = 1e-3
+"""Of the entries of R^T R of a rotation matrix: float32 and four digits stay below it."""
 
 MAX_COORDINATE_M = 1e9
 """Positions further from the origin, beyond the moon, are mistakes; up to it, float64 still tells micrometres apart."""
@@ -29,7 +29,6 @@ _MAX_VARIANCE = MAX_COORDINATE_M**2
 
 # A covariance whose smallest eigenvalue is that little of its largest entry is singular to double precision.
 _SINGULAR = 1e-14
-_EXACT = 1e-12  # below this, a matrix keeps its bits: reading must not change what writing stored
 
 
 class Refusal(ValueError):  # noqa: N818  it names what happens to the message
@@ -126,8 +125,6 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
     error = rotation_errors(T[:, :3, :3])
     if (error > ROTATION_TOLERANCE).any():
         raise Refusal("matrix is not a rotation", f"{what}: R^T R off by {error.max():.2g}")
-    rounded = error > _EXACT
-    T[rounded, :3, :3] = nearest_rotations(T[rounded, :3, :3])
     return T
 
 

@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     from slam.common.georeference import Georeference
 
-InputLog = Annotated[Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 2 bag (folder or file) or ROS 1 bag.")]
+InputLog = Annotated[Path, typer.Argument(metavar="LOG", help="MCAP file, or ROS 2 bag (folder or file).")]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")]
 NewLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The log to write.")]
 SlamLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote.")]

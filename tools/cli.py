@@ -13,7 +13,6 @@ from typing import Annotated
 
 import typer
 
-from tools import Stopped, stopped
 from tools import main as main
 
 
@@ -22,7 +21,6 @@ class ExitCode(IntEnum):
 
     BAD_INPUT = 2
     INTERNAL_ERROR = 70
-    INTERRUPTED = 130
 
 
 _LONGEST_MESSAGE = 1000
@@ -34,11 +32,8 @@ _PREFIX = __name__.removesuffix("tools.cli")
 _EXTRA_OF = {
     "matplotlib": "pictures",
     "torch": "learn",
-    "rerun": "view",
     "foxglove": "live",
     "osmium": "osm",
-    "geopandas": "gis",
-    "pyogrio": "gis",
 }
 """The extra that installs each module which is not needed by all commands."""
 
@@ -120,10 +115,6 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = make_app(rest)(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
         sys.stdout.flush()
-    except KeyboardInterrupt:
-        code = ExitCode.INTERRUPTED
-    except Stopped as error:
-        return _fail(_with_notes(error), error.code)
     except typer.TyperException as error:
         message = error.format_message().rstrip(".")
         if not message:  # no command was given, and the help has been printed
@@ -131,12 +122,10 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(error, "ctx", None)
         return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", ExitCode.BAD_INPUT)
     except Exception as error:
-        if (stop := stopped()) is not None:  # it became another error on its way
-            return _fail(str(stop), stop.code)
         if debug:
             traceback.print_exc()
         if _is_expected(error):
-            return _fail(_with_notes(error), ExitCode.BAD_INPUT)
+            return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), ExitCode.BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
             return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
         if isinstance(error, MemoryError):
@@ -144,8 +133,6 @@ def run(arguments: Sequence[str]) -> int:
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)
-    if code == ExitCode.INTERRUPTED:  # Typer makes it of a KeyboardInterrupt
-        return _fail("interrupted", ExitCode.INTERRUPTED)
     return code if isinstance(code, int) else 0
 
 
@@ -161,10 +148,6 @@ def _message_format(pattern: str) -> logging.Formatter:
     from tools.console import VisibleFormatter
 
     return VisibleFormatter(pattern)
-
-
-def _with_notes(error: BaseException) -> str:
-    return "; ".join([str(error), *getattr(error, "__notes__", ())])
 
 
 def _fail(message: str, code: int) -> int:

@@ -19,8 +19,6 @@ from logs.container.json_text import plain
 from logs.container.names import visible
 
 PIPE_WIDTH = 120
-_MAX_NUMBER_WIDTH = 12
-"""Words of so many characters are not folded on a narrow terminal: a number that loses digits is another number."""
 
 
 _STYLE: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": None, "pad_edge": False}
@@ -66,8 +64,7 @@ def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
     """Names and values below one another, without lines."""
     table = _PlainTable(title=title, show_header=False, **_STYLE)
     table.add_column(overflow="fold", style="cyan")
-    words = (cell_len(word) for value in rows.values() for word in value.split())
-    table.add_column(overflow="fold", min_width=min(max(words, default=1), _MAX_NUMBER_WIDTH))
+    table.add_column(overflow="fold")
     for name, value in rows.items():
         table.add_row(name, value)
     return table

@@ -17,45 +17,17 @@ app = typer.Typer(
 app.command("map")(maps.map_of_objects)
 
 
-@app.command("kitti-objects")
-def kitti_objects(
-    output: NewLog,
-    detections: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", help="Folder with bow.txt and centroids/, as in the archives of GOSMatch."),
-    ],
-    odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the left camera, KITTI format.")],
-    calib: Annotated[Path, typer.Option(metavar="FILE", help="KITTI's calib.txt; Tr is velodyne to left camera.")],
-    times: Annotated[Path, typer.Option(metavar="FILE", help="KITTI's times.txt, seconds.")],
-    ground_truth: Annotated[
-        Path | None, typer.Option(metavar="POSES", help="True poses of the left camera; for evaluation only.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """KITTI odometry with objects clustered from its scans.
-
-    Example: dslam import kitti-objects kitti00.mcap --detections 00 --odometry vo.txt --calib calib.txt
-    --times times.txt --ground-truth poses/00.txt
-    """
-    check_outputs([output], [detections, odometry, calib, times, ground_truth])
-    from logs.importers.imported_log import write_drive
-    from logs.importers.kitti_objects import read_kitti_objects
-
-    drive = read_kitti_objects(
-        detections=detections,
-        odometry=odometry,
-        calib=calib,
-        times=times,
-        ground_truth=ground_truth,
-    )
-    show_written(output, write_drive(output, drive.records(), drive.source), json=json)
-
-
 @app.command("csv")
 def csv(
     output: NewLog,
     odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the body: TUM, KITTI or CSV.")],
-    detections: Annotated[Path, typer.Option(metavar="TABLE", help="CSV with a header; positions in the body frame.")],
+    detections: Annotated[
+        Path,
+        typer.Option(
+            metavar="TABLE",
+            help="CSV with a header, positions in the body frame; or a folder of GOSMatch (bow.txt and centroids/).",
+        ),
+    ],
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the body; for evaluation only.")
     ] = None,
@@ -71,8 +43,8 @@ def csv(
 ) -> None:
     """Text files: poses of the odometry, a table of detections, true poses. Files may be compressed with gzip.
 
-    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ..., diameter_m,
-    track_id, frame, object_id (the truth). Other columns are listed and ignored.
+    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ..., frame,
+    object_id (the truth). Other columns are listed and ignored.
 
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
     """

@@ -48,17 +48,8 @@ class CloudObjects:
 
     def detections(self, stamp_ns: int, frame_id: str) -> ObjectDetections:
         """The record of these objects; each has the score 1."""
-        tracks = tuple(str(i) if i else "" for i in self.instances.tolist())
-        return ObjectDetections(
-            stamp_ns,
-            frame_id,
-            self.positions,
-            self.labels,
-            np.ones(len(self.labels)),
-            self.covariances,
-            self.sizes,
-            tracks if any(tracks) else None,
-        )
+        scores = np.ones(len(self.labels))
+        return ObjectDetections(stamp_ns, frame_id, self.positions, self.labels, scores, self.covariances)
 
 
 def find_objects(

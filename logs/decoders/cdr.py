@@ -1,4 +1,4 @@
-"""Bytes of ROS 2 (CDR) or ROS 1 -> messages, by the definition in the log: ``ros2msg``, ``ros2idl`` or ``ros1msg``."""
+"""Bytes of ROS 2 (CDR) -> messages, by the definition in the log: ``ros2msg`` or ``ros2idl``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,6 @@ _MAX_FIELDS = 1024
 """Of a message and all its parts; each element of an array of fixed length counts, as code is generated for it."""
 _MAX_DEPTH = 32
 _DAMAGE = (SerdeError, struct.error, ValueError, IndexError, KeyError, OverflowError, MemoryError)
-_ROS1_TIMES = {  # which are no messages in ROS 1, so that its definitions lack them
-    name: definition
-    for kind in ("Time", "Duration")
-    for name, definition in get_types_from_msg("int32 sec\nuint32 nanosec", f"builtin_interfaces/msg/{kind}").items()
-}
 _SEPARATOR = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
 
@@ -39,8 +34,6 @@ def parse(schema: Schema, data: bytes) -> Any:
     """
     store = _typestore(schema)
     try:
-        if schema.encoding == "ros1msg":
-            return store.deserialize_ros1(data, schema.name)
         return store.deserialize_cdr(data, schema.name)
     except _DAMAGE as error:
         raise Refusal("bytes do not decode", f"{len(data)} bytes as {schema.name}") from error
@@ -76,7 +69,7 @@ def _read_definition(schema: Schema) -> Typestore | str:
             parts = [_DIRECTIVE.sub("", part) for part in _SEPARATOR.split(text)]
             store.register({name: t for part in parts if part.strip() for name, t in get_types_from_idl(part).items()})
         else:
-            store.register({**_ROS1_TIMES, **get_types_from_msg(text, schema.name)})
+            store.register(get_types_from_msg(text, schema.name))
         _count_fields(store, schema.name, _MAX_DEPTH)
     except (TypesysError, SyntaxError, RecursionError, *_DAMAGE) as error:
         return " ".join(str(error).split())[:200]

@@ -17,7 +17,7 @@ _LARGE = frozenset(
 )  # each a whole result, or an image, in one message
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _NAMES = {
-    ObjectDetections: ("frame_id", "labels", "track_ids"),
+    ObjectDetections: ("frame_id", "labels"),
     ImageDetections: ("frame_id", "labels"),
     LabelledScan: ("frame_id",),
     Odometry: ("frame_id", "child_frame_id"),
@@ -75,7 +75,7 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
     names: list[str] = []
     for field in _NAMES.get(type(record), ()):
-        value = getattr(record, field) or ""
+        value = getattr(record, field)
         values = value if isinstance(value, tuple) else (value,)
         if len(values) > limits.objects:
             raise Refusal("more objects than limits.objects", f"{len(values)}, more than {limits.objects}")

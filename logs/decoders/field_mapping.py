@@ -2,14 +2,13 @@
 
 Before the first blank stands the field with the list of objects (nothing, for a message that is one object), then for
 each part of a detection the field that holds it: ``position`` (x, y and z in it, or three numbers), or ``x``, ``y`` and
-``z``; and perhaps ``label``, ``score``, ``size`` (as the position) and ``track_id``. A field in a field is "a.b". Stamp
-and frame are those of the field ``header``, as ROS has it, else the log time and the body.
+``z``; and perhaps ``label`` and ``score``. A field in a field is "a.b". Stamp and frame are those of the field
+``header``, as ROS has it, else the log time and the body.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,14 +18,7 @@ from logs.errors import TopicSelectionError
 from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
-_PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
-_PLAIN = re.compile(r"(\w{1,50}\[\])?( \w+=[\w.]{1,50})+")
-_USUAL_NAMES = {
-    "position": ("position", "pos", "location", "center", "xyz"),
-    "label": ("label", "class", "class_name", "category", "kind", "species", "type", "name", "class_id"),
-    "score": ("score", "confidence", "probability", "conf"),
-}
-"""Names by which other messages call these parts, likeliest first."""
+_PARTS = ("position", "x", "y", "z", "label", "score")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,55 +66,17 @@ class FieldMapping:
             return _field(item, self.fields[name]) if name in self.fields else otherwise
 
         position = part("position", None)
-        size = part("size", None)
         return Detection(
             (float(part("x", 0)), float(part("y", 0)), float(part("z", 0))) if position is None else _xyz(position),
             str(part("label", "")),
             float(part("score", 1.0)),
-            size=None if size is None else _xyz(size),
-            track_id=str(part("track_id", "")),
         )
-
-
-def guess_mapping(raw: RawMessage) -> str:
-    """The mapping that a message suggests by its names and values, "" for none."""
-    try:
-        message = _tree(raw)
-    except Exception:  # whatever the bytes are, there is nothing to guess
-        return ""
-    for name, value in {"": message if isinstance(message, list) else [message], **_fields(message)}.items():
-        item = _fields(value[0]) if isinstance(value, list | tuple) and value else {}
-        item = item | {f"{field}.{part}": at for field, whole in item.items() for part, at in _fields(whole).items()}
-        usual = {
-            part: [field for name in names for field in item if field.rpartition(".")[2] == name]
-            for part, names in _USUAL_NAMES.items()
-        }
-        places = [field for field in usual.pop("position") if isinstance(item[field], list) or _is_place(item[field])]
-        places += [field for field, at in item.items() if _is_place(at)]
-        place = f"position={places[0]}" if places else ""
-        if _is_place(item):
-            place = " ".join(f"{axis}={axis}" for axis in "xyz" if axis in item)
-        named = {part: next((f for f in fields if not _fields(item[f])), "") for part, fields in usual.items()}
-        others = [f"{part}={field}" for part, field in named.items() if field]
-        mapping = " ".join([f"{name}[]" if name else "", place, *others])
-        is_object = place and (name or named["label"])  # a position alone is none
-        if is_object and _PLAIN.fullmatch(mapping):
-            return mapping
-    return ""
-
-
-def _is_place(value: Any) -> bool:
-    return {"x", "y"} <= _fields(value).keys()
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else getattr(value, "__dict__", {})
 
 
 def _tree(raw: RawMessage) -> Any:
     if raw.channel.message_encoding == "json":
         return json.loads(raw.data)
-    if raw.channel.schema is None or raw.channel.message_encoding not in ("cdr", "ros1"):
+    if raw.channel.schema is None or raw.channel.message_encoding != "cdr":
         raise Refusal("fields are mapped in JSON and ROS messages", f"encoding {raw.channel.message_encoding!r}")
     from logs.decoders.cdr import parse  # loads rosbags
 

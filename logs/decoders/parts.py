@@ -52,14 +52,12 @@ class MessageDecoder(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """One object: position and size (3,) m, covariance (3, 3) m^2."""
+    """One object: position (3,) m, covariance (3, 3) m^2."""
 
     position: tuple[float, float, float]
     label: str
     score: float = 1.0
     covariance: FloatArray | None = None
-    size: tuple[float, float, float] | None = None
-    track_id: str = ""
 
 
 def xyz(vector: Any) -> tuple[float, float, float]:
@@ -121,18 +119,13 @@ def fix_records(context: Context, place: Place, message: Any) -> Records:
 
 
 def detection_records(scans: Mapping[Place, Sequence[Detection]], counters: Counter[str]) -> Records:
-    """A record for each stamp and frame with objects, in their order; without any object, an empty one of the first.
-
-    A record has sizes and track ids only where every object has a size, or any a track id.
-    """
+    """A record for each stamp and frame with objects, in their order; without any object, an empty one of the first."""
     filled = {place: found for place, found in scans.items() if found} or dict(list(scans.items())[:1])
     return tuple(_scan_record(place, found, counters) for place, found in filled.items())
 
 
 def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str]) -> ObjectDetections:
     n = len(found)
-    sizes = [each.size for each in found]
-    track_ids = tuple(each.track_id for each in found)
     covariances = [np.zeros((3, 3)) if each.covariance is None else each.covariance for each in found]
     record = ObjectDetections(
         *place,
@@ -140,8 +133,6 @@ def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str
         tuple(each.label for each in found),
         np.array([each.score for each in found], dtype=np.float64),
         np.array(covariances).reshape(n, 3, 3),
-        np.array(sizes, dtype=np.float64) if n and None not in sizes else None,
-        track_ids if any(track_ids) else None,
     )
     return usable_detections(record, counters)
 
@@ -151,22 +142,17 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
     ("dropped_objects").
 
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
-    ("ignored_covariances"), and None where none is known. So it is with sizes: NaN is unknown, absurd ones become NaN
-    ("ignored_sizes").
+    ("ignored_covariances"), and None where none is known.
     """
     with np.errstate(invalid="ignore"):
         good = (np.abs(record.positions) <= MAX_COORDINATE_M).all(axis=1) & np.isfinite(record.scores)
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
         record = take_rows(record, N=np.flatnonzero(good))
-    covariances, sizes = record.covariances, record.sizes
+    covariances = record.covariances
     if covariances is not None and len(covariances):
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
-    if sizes is not None:
-        infinite = np.abs(sizes) > MAX_COORDINATE_M
-        counters.update({"ignored_sizes": int(infinite.sum())} if infinite.any() else {})
-        sizes = None if (infinite | np.isnan(sizes)).all() else np.where(infinite, np.nan, sizes)
     labels = tuple(label or UNKNOWN_LABEL for label in record.labels)
     scores = np.clip(record.scores, 0.0, 1.0)
-    return replace(record, labels=labels, scores=scores, covariances=covariances, sizes=sizes)
+    return replace(record, labels=labels, scores=scores, covariances=covariances)

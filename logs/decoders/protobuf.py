@@ -3,7 +3,7 @@
 Objects in a foxglove.SceneUpdate: each cube, sphere, cylinder and model of an entity is one detection; an entity with
 none of these, but with a text, is one at the place of the text. Its class is the entity's metadata "label", else
 "class", else its first text, else its id up to a trailing number ("tree/12" is a "tree"). Its score is the metadata
-"score", else 1; its track id is the entity's id. Entities of other frames or times become records of their own.
+"score", else 1. Entities of other frames or times become records of their own.
 
 In JSON, fields have the names of the schema or those of protobuf's JSON. A time is ``{"sec": 1, "nsec": 2}``, as
 Foxglove writes it, or text as in RFC 3339; bytes are base64.
@@ -108,16 +108,10 @@ def _frame_transforms(message: Any, context: Context) -> Records:
 def _scene_update(message: Any, context: Context) -> Records:
     scans: dict[Place, list[Detection]] = defaultdict(list)
     for entity in message.entities:
-        objects: list[tuple[Any, Any]] = [
-            (p.pose.position, xyz(p.size)) for p in (*entity.cubes, *entity.spheres, *entity.cylinders)
-        ]
-        objects += [(p.pose.position, None) for p in entity.models]
-        objects = objects or [(t.pose.position, None) for t in entity.texts[:1]]
-        if objects:
+        objects: list[Any] = [*entity.cubes, *entity.spheres, *entity.cylinders, *entity.models]
+        if objects := objects or [*entity.texts[:1]]:
             label, score = _class_and_score(entity)
-            scans[_place(entity, context)] += [
-                Detection(xyz(position), label, score, size=size, track_id=entity.id) for position, size in objects
-            ]
+            scans[_place(entity, context)] += [Detection(xyz(p.pose.position), label, score) for p in objects]
     return detection_records(scans, context.counters)
 
 

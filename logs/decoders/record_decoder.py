@@ -24,7 +24,7 @@ class RecordDecoder:
     """Decodes messages, and counts those that are unfit.
 
     ``counters``: ``invalid_messages``, ``undecodable`` (messages whose schema does not fit), ``dropped_objects``,
-    ``ignored_covariances``, ``ignored_sizes``. Invalid messages are reported once for each topic and reason;
+    ``ignored_covariances``. Invalid messages are reported once for each topic and reason;
     ``reported``: the topics and reasons that earlier passes reported.
     """
 

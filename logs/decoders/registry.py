@@ -11,8 +11,8 @@ from logs.topics import Channel, RecordKind
 Decoder = Callable[[Context], Records]
 """Gives the records of one message for the part that its topic plays; raises Refusal for values no record may have."""
 
-_ROS_ENCODINGS = {"cdr": ("ros2msg", "ros2idl"), "ros1": ("ros1msg",)}
-"""Encoding of messages -> encodings of their definitions."""
+_DEFINITIONS = ("ros2msg", "ros2idl")
+"""Encodings of definitions of ROS 2."""
 
 
 def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
@@ -20,11 +20,11 @@ def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
     known: MessageDecoder | None = None
     if channel.message_encoding in ("protobuf", "json"):
         known = protobuf.DECODERS.get(channel.schema_name)
-    elif channel.schema and channel.schema.encoding in _ROS_ENCODINGS.get(channel.message_encoding, ()):
+    elif channel.message_encoding == "cdr" and channel.schema and channel.schema.encoding in _DEFINITIONS:
         known = ros2.DECODERS.get(channel.schema_name)
     return known.kinds if known is not None else ()
 
 
 def decoder_of(channel: Channel) -> Decoder:
     """The decoder of a ``channel`` of which ``kinds_of`` knows any."""
-    return ros2.decode if channel.message_encoding in _ROS_ENCODINGS else protobuf.decode
+    return ros2.decode if channel.message_encoding == "cdr" else protobuf.decode

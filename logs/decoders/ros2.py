@@ -1,4 +1,4 @@
-"""Messages of ROS 2 and ROS 1, read by the definitions that the log itself carries."""
+"""Messages of ROS 2, read by the definitions that the log itself carries."""
 
 from __future__ import annotations
 
@@ -69,7 +69,6 @@ DECODERS = {
         for name in ("TrackedObjects", "DetectedObjects")
     },
     "visualization_msgs/msg/MarkerArray": MessageDecoder(_DETECTIONS, objects.markers),
-    "geometry_msgs/msg/PoseArray": MessageDecoder(_DETECTIONS, objects.poses),
     "vision_msgs/msg/Detection2DArray": MessageDecoder(_DETECTIONS, images.detections_2d),
     "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(_DETECTIONS, images.tags),
     "sensor_msgs/msg/PointCloud2": MessageDecoder(_DETECTIONS, clouds.labelled_scan),

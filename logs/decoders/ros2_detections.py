@@ -8,7 +8,6 @@ that is empty, of the array's.
   the log's own definition gives its number.
 * visualization_msgs/msg/MarkerArray: cubes, spheres, cylinders and meshes that are added, not deleted; a class is the
   marker's text, else its namespace.
-* geometry_msgs/msg/PoseArray: the class is the name of the topic ("/map/poles": "poles").
 """
 
 from __future__ import annotations
@@ -39,17 +38,14 @@ def detections_3d(message: Any, context: Context) -> Records:
     scans: dict[Place, list[Detection]] = defaultdict(list, {own: []})
     for detection in message.detections:
         best = best_result(detection)
-        position, size = xyz(detection.bbox.center.position), xyz(detection.bbox.size)
-        has_box = any(position) or any(size)
-        if best is not None and not has_box:
+        position = xyz(detection.bbox.center.position)
+        if best is not None and not any(position) and not any(xyz(detection.bbox.size)):
             position = xyz(best.pose.pose.position)
         scans[place_of(detection.header, context, own)].append(
             Detection(
                 position,
                 *hypothesis_of(best),
                 covariance=None if best is None else position_covariance(best.pose.covariance),
-                size=size if has_box else None,
-                track_id=getattr(detection, "id", ""),
             )
         )
     return detection_records(scans, context.counters)
@@ -63,15 +59,12 @@ def autoware_objects(message: Any, context: Context) -> Records:
         best = max(seen.classification, key=lambda c: c.probability, default=None)
         placed = seen.kinematics.pose_with_covariance
         is_known = getattr(seen.kinematics, "has_position_covariance", True)
-        identity = getattr(seen, "object_id", None)
         found.append(
             Detection(
                 xyz(placed.pose.position),
                 "" if best is None else names.get(best.label, f"class {best.label}"),
                 seen.existence_probability,
                 covariance=position_covariance(placed.covariance) if is_known else None,
-                size=xyz(seen.shape.dimensions),
-                track_id="" if identity is None else bytes(identity.uuid).hex(),
             )
         )
     return detection_records({place_of(message.header, context): found}, context.counters)
@@ -93,18 +86,9 @@ def markers(message: Any, context: Context) -> Records:
     scans: dict[Place, list[Detection]] = defaultdict(list)
     for marker in message.markers:
         if marker.action == _ADD and marker.type in _SHAPES:
-            track = f"{marker.ns}/{marker.id}"
-            scans[place_of(marker.header, context)].append(
-                Detection(xyz(marker.pose.position), marker.text or marker.ns, size=xyz(marker.scale), track_id=track)
-            )
+            found = Detection(xyz(marker.pose.position), marker.text or marker.ns)
+            scans[place_of(marker.header, context)].append(found)
     return detection_records(scans, context.counters)
-
-
-def poses(message: Any, context: Context) -> Records:
-    """Records of a PoseArray."""
-    label = context.raw.topic.rstrip("/").rpartition("/")[2]
-    found = [Detection(xyz(pose.position), label) for pose in message.poses]
-    return detection_records({place_of(message.header, context): found}, context.counters)
 
 
 def best_result(detection: Any) -> Any:
@@ -113,7 +97,7 @@ def best_result(detection: Any) -> Any:
 
 
 def hypothesis_of(result: Any) -> tuple[str, float]:
-    """Class and score of a result, "" and 1 of None; vision_msgs of ROS 1 has them, the class by its number, in it."""
+    """Class and score of a result, "" and 1 of None; early vision_msgs have them, the class by its number, in it."""
     if result is None:
         return "", 1.0
     hypothesis = getattr(result, "hypothesis", result)

@@ -45,8 +45,7 @@ def tags(message: Any, context: Context) -> Records:
 
 def camera_info(message: Any, context: Context) -> Records:
     """The record of a CameraInfo; none where the camera was not calibrated."""
-    is_ros1 = context.raw.channel.message_encoding == "ros1"
-    k, d = (message.K, message.D) if is_ros1 else (message.k, message.d)
+    k, d = (message.k, message.d) if hasattr(message, "k") else (message.K, message.D)  # as converted from ROS 1
     K = np.array(k, dtype=np.float64).reshape(3, 3)
     if not K.any():
         return ()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from logs.dslam_codec import take_rows
 from logs.errors import DatasetError
-from logs.importers.stamps import Stamps, read_stamps
+from logs.importers.stamps import read_stamps
 from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections
 
@@ -20,45 +20,26 @@ MAX_RANGE_M = 1000.0
 """A median beyond it is no range at which objects are detected, but another unit or another frame."""
 
 _SCORES = ("score", "confidence", "probability")
-_SIDES = (("sx", "length"), ("sy", "width"), ("sz", "height"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionTable:
-    """Rows (R,) in the order of their stamps.
+    """The detections of each scan, each followed by its truth where that is known, in the order of the stamps.
 
-    ``detections``: of all rows; ``frames`` (R,); ``true_ids`` (R,): the object that each shows, "" for a false
-    positive, None where the file has none; ``is_empty`` (R,): rows without position and label, for scans in which
-    nothing was seen; ``left_out``: the columns that have no place in a log; ``unlabelled_count``: how many became
-    ``UNLABELLED``.
+    ``left_out``: the columns that have no place in a log; ``notes``: what a user should know of the others.
     """
 
-    stamps: Stamps
-    detections: ObjectDetections
-    frames: Sequence[str]
-    true_ids: Sequence[str] | None
-    is_empty: NDArray[np.bool_]
-    left_out: tuple[str, ...]
-    unlabelled_count: int
-
-    def scans(self) -> Iterator[tuple[ObjectDetections, DetectionTruth | None]]:
-        """The detections of each stamp and frame, and their truth, in the order of the stamps."""
-        scans: dict[tuple[int, str], list[int]] = {}
-        for row, place in enumerate(zip(self.stamps.stamps_ns.tolist(), self.frames, strict=True)):
-            scans.setdefault(place, []).extend([] if self.is_empty[row] else [row])
-        for (stamp_ns, frame), rows in scans.items():
-            seen = take_rows(self.detections, N=np.array(rows, dtype=np.int64))
-            truth = None
-            if self.true_ids is not None:
-                truth = DetectionTruth(stamp_ns, tuple(self.true_ids[row] for row in rows))
-            yield replace(seen, stamp_ns=stamp_ns, frame_id=frame), truth
+    records: Sequence[ObjectDetections | DetectionTruth]
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def read_detections(table: Table) -> DetectionTable:
-    """The detections of ``table``.
+    """The detections of ``table``: those of one stamp and frame are a scan.
 
-    Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), sizes
-    (sx, sy, sz) or a diameter, track_id, frame and object_id (the truth).
+    Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), frame
+    and object_id (the truth). A row without position and label is a scan
+    in which nothing was seen.
 
     Raises:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
@@ -68,26 +49,39 @@ def read_detections(table: Table) -> DetectionTable:
     stamps.check_increasing(strictly=False)
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
-    has_tracks, has_truth = table.find(("track_id",)), table.find(("object_id",))
-    detections = ObjectDetections(
+    has_truth = table.find(("object_id",))
+    every = ObjectDetections(
         0,
         BODY_FRAME,
         positions,
         tuple(label or UNLABELLED for label in labels),
         _scores(table),
         _covariances(table),
-        _sizes(table),
-        tuple(table.columns[has_tracks.name]) if has_tracks else None,
     )
-    return DetectionTable(
-        stamps=stamps,
-        detections=detections,
-        frames=[frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))],
-        true_ids=["" if name == "-1" else name for name in table.columns[has_truth.name]] if has_truth else None,
-        is_empty=is_empty,
-        left_out=tuple(name for name in table.columns if name and name not in table.used),
-        unlabelled_count=sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True)),
-    )
+    frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
+    scans: dict[tuple[int, str], list[int]] = {}
+    for row, place in enumerate(zip(stamps.stamps_ns.tolist(), frames, strict=True)):
+        scans.setdefault(place, []).extend([] if is_empty[row] else [row])
+    records: list[ObjectDetections | DetectionTruth] = []
+    for (stamp_ns, frame), rows in scans.items():
+        seen = take_rows(every, N=np.array(rows, dtype=np.int64))
+        records.append(replace(seen, stamp_ns=stamp_ns, frame_id=frame))
+        if has_truth is not None:
+            names = (table.columns[has_truth.name][row] for row in rows)
+            records.append(DetectionTruth(stamp_ns, tuple("" if name == "-1" else name for name in names)))
+    left_out = tuple(name for name in table.columns if name and name not in table.used)
+    unlabelled = sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True))
+    return DetectionTable(records, left_out, tuple(_notes(unlabelled, len(labels), {*frames} - {BODY_FRAME})))
+
+
+def _notes(unlabelled: int, count: int, frames: set[str]) -> Iterator[str]:
+    if unlabelled:
+        yield f"{unlabelled} of {count} detections have no label and are of the class {UNLABELLED}"
+    if frames:
+        yield (
+            f"detections are in {', '.join(sorted(frames))}, whose place on the body is not in these files: "
+            "replay with --set calibration.detection.assume_body_frame=true if it is the body"
+        )
 
 
 def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], FloatArray]:
@@ -122,9 +116,9 @@ def _scores(table: Table) -> FloatArray:
     return scores
 
 
-def _lengths(table: Table, fields: tuple[str, ...]) -> FloatArray | None:
-    """Lengths (R,) m, NaN where a cell is empty or 0; None without such a column."""
-    column = table.find(fields, LENGTH_UNITS)
+def _sigmas(table: Table, axis: str) -> FloatArray | None:
+    """Standard deviations (R,) m, NaN where a cell is empty or 0; None without such a column."""
+    column = table.find((f"sigma_{axis}",), LENGTH_UNITS)
     if column is None:
         return None
     values = table.optional_numbers(column)
@@ -134,7 +128,7 @@ def _lengths(table: Table, fields: tuple[str, ...]) -> FloatArray | None:
 
 def _covariances(table: Table) -> FloatArray | None:
     """Covariances (R, 3, 3) m^2 from sigmas; zeros in rows where one is not known."""
-    x, y, z = (_lengths(table, (f"sigma_{axis}",)) for axis in "xyz")
+    x, y, z = (_sigmas(table, axis) for axis in "xyz")
     if x is None and y is None and z is None:
         return None
     if x is None or y is None:
@@ -143,17 +137,3 @@ def _covariances(table: Table) -> FloatArray | None:
     variances = np.stack([x**2, y**2, variance_z], axis=1)
     variances[np.isnan(variances).any(axis=1)] = 0.0
     return variances[:, :, None] * np.eye(3)
-
-
-def _sizes(table: Table) -> FloatArray | None:
-    diameter = _lengths(table, ("diameter", "size"))
-    sides = [_lengths(table, names) for names in _SIDES]
-    if diameter is None and all(side is None for side in sides):
-        return None
-    sizes = np.full((len(table.lines), 3), np.nan)
-    if diameter is not None:
-        sizes[:, :2] = diameter[:, None]  # that of a pole or a stem is not its height
-    for i, side in enumerate(sides):
-        if side is not None:
-            sizes[:, i] = side
-    return sizes

@@ -11,8 +11,7 @@ from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import read_table
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray
-from logs.record_checks import ROTATION_TOLERANCE
-from logs.validation import MAX_COORDINATE_M, nearest_rotations, rotation_errors
+from logs.validation import MAX_COORDINATE_M, ROTATION_TOLERANCE, nearest_rotations, rotation_errors
 
 POSE_COLUMNS = [f"T{row}{column}" for row in range(3) for column in range(4)]
 """The rows of a 3x4 pose, one after another."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.errors import DatasetError
 from logs.importers.tables import Column, Table
@@ -93,22 +92,3 @@ def _date_ns(cell: str) -> int:
         return int(pd.Timestamp(cell).as_unit("ns").value)
     except ValueError as error:
         raise ValueError("not a time") from error
-
-
-def match_clock(stamps: Stamps, odometry: Stamps) -> NDArray[np.bool_]:
-    """Which rows (R,) lie in the time of the odometry.
-
-    Raises:
-        DatasetError: fewer than half of them do: another unit or another clock.
-    """
-    first_ns, last_ns = int(odometry.stamps_ns[0]), int(odometry.stamps_ns[-1])
-    inside = (stamps.stamps_ns >= first_ns) & (stamps.stamps_ns <= last_ns)
-    if 2 * np.count_nonzero(inside) < len(inside):
-        stamps.table.refuse(
-            ~inside,
-            stamps.column,
-            f"CELL and {np.count_nonzero(~inside) - 1} more of {len(inside)} stamps are outside the odometry's time; "
-            f"{odometry.table.name} lasts from {first_ns * 1e-9:.9g} s to {last_ns * 1e-9:.9g} s; give both by one "
-            f"clock, or {UNIT_REMEDY}",
-        )
-    return np.asarray(inside)

@@ -37,7 +37,6 @@ UNLABELLED = "object"
 """Class of objects that have none."""
 
 _DELIMITERS = ",;\t"
-_LIKE_LABELS = re.compile("label|class|cls|categor|kind|type|^object$|^tag", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,19 +94,8 @@ class Table:
         return next(filter(any, (self.columns[column.name] for column in named)), [""] * len(self.lines))
 
     def labels(self) -> Sequence[str]:
-        """The classes (R,) of the rows, empty where a cell is, or where there is no such column.
-
-        Raises:
-            DatasetError: only a column of another name may hold the classes.
-        """
-        labels = self.first_texts(LABEL_NAMES)
-        alike = [name for name in self.columns if name not in self.used and _LIKE_LABELS.search(name)]
-        if alike and not any(labels):
-            raise DatasetError(
-                f"{self.name}: no column label, but {', '.join(alike)}; name the column with the classes label, or "
-                "remove it"
-            )
-        return labels
+        """The classes (R,) of the rows, empty where a cell is, or where there is no such column."""
+        return self.first_texts(LABEL_NAMES)
 
     def numbers(self, column: Column) -> FloatArray:
         """The cells (R,) as finite numbers in the unit that all have.

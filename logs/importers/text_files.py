@@ -13,7 +13,7 @@ from pathlib import Path
 from logs.errors import DatasetError
 from logs.storage.regular_file import max_unpacked_bytes, read_regular
 
-_GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
+_GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,9 @@ def source_text(name: str, content: bytes) -> SourceText:
             raise UnicodeDecodeError("utf-8", plain, plain.index(b"\0"), len(plain), "not text")
         return SourceText(name, plain.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
     except UnicodeDecodeError as error:
-        remedy = "save it as text in UTF-8, for example as CSV"
-        if plain.startswith(_PARQUET):
-            remedy = f"make CSV of this Parquet file: pandas.read_parquet({Path(name).name!r}).to_csv('table.csv')"
-        raise DatasetError(f"{name}: not a text file in UTF-8 (byte {error.start}); {remedy}") from error
+        raise DatasetError(
+            f"{name}: not a text file in UTF-8 (byte {error.start}); save it as text, for example as CSV"
+        ) from error
 
 
 def _unpacked(name: str, packed: bytes) -> bytes:
@@ -75,9 +74,9 @@ def _unpacked(name: str, packed: bytes) -> bytes:
     return content
 
 
-def describe_sources(dataset: str, sources: Iterable[tuple[str, SourceText]]) -> dict[str, str]:
+def describe_sources(sources: Iterable[tuple[str, SourceText]]) -> dict[str, str]:
     """What the metadata of an imported log say of its files: by role the name, without folders, and the SHA-256."""
-    described = {"dataset": dataset}
+    described: dict[str, str] = {}
     for role, source in sources:
         described |= {role: Path(source.name).name, f"{role}_sha256": source.sha256}
     return described

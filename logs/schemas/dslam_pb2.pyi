@@ -7,24 +7,20 @@ from typing import ClassVar as _ClassVar, Optional as _Optional
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class ObjectDetections(_message.Message):
-    __slots__ = ("stamp_ns", "frame_id", "positions", "labels", "scores", "covariances", "sizes", "track_ids")
+    __slots__ = ("stamp_ns", "frame_id", "positions", "labels", "scores", "covariances")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     POSITIONS_FIELD_NUMBER: _ClassVar[int]
     LABELS_FIELD_NUMBER: _ClassVar[int]
     SCORES_FIELD_NUMBER: _ClassVar[int]
     COVARIANCES_FIELD_NUMBER: _ClassVar[int]
-    SIZES_FIELD_NUMBER: _ClassVar[int]
-    TRACK_IDS_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     frame_id: str
     positions: _containers.RepeatedScalarFieldContainer[float]
     labels: _containers.RepeatedScalarFieldContainer[str]
     scores: _containers.RepeatedScalarFieldContainer[float]
     covariances: _containers.RepeatedScalarFieldContainer[float]
-    sizes: _containers.RepeatedScalarFieldContainer[float]
-    track_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, stamp_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., positions: _Optional[_Iterable[float]] = ..., labels: _Optional[_Iterable[str]] = ..., scores: _Optional[_Iterable[float]] = ..., covariances: _Optional[_Iterable[float]] = ..., sizes: _Optional[_Iterable[float]] = ..., track_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    def __init__(self, stamp_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., positions: _Optional[_Iterable[float]] = ..., labels: _Optional[_Iterable[str]] = ..., scores: _Optional[_Iterable[float]] = ..., covariances: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class DetectionTruth(_message.Message):
     __slots__ = ("stamp_ns", "object_ids")

@@ -18,7 +18,6 @@ from logs.storage.mcap_index import DAMAGE, HEADER, read_summary
 
 _CHECKSUM = struct.Struct("<I")
 _NO_HEADER = (TypeError, SyntaxError, TokenError)  # NumPy reads a header as an expression of Python
-_PIECE_BYTES = 1 << 20
 
 
 def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArray[Any]]:
@@ -38,7 +37,7 @@ def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArr
             if summary is None:
                 raise UnreadableLogError(f"{path} is damaged: it ends early")
             for place in summary[AttachmentIndex]:
-                if place.name in checked and not _is_intact(stream, place):
+                if place.name in checked and not _is_intact(path, place):
                     raise UnreadableLogError(f"{path} is damaged: array {place.name} has another checksum")
                 found[place.name] = _map_array(path, stream, place)
     except (*DAMAGE, *_NO_HEADER, OSError) as error:
@@ -46,15 +45,11 @@ def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArr
     return found
 
 
-def _is_intact(stream: BinaryIO, place: AttachmentIndex) -> bool:
+def _is_intact(path: Path, place: AttachmentIndex) -> bool:
     """Whether an attachment has the checksum that follows it; 0 stands for none."""
-    stream.seek(place.offset + HEADER.size)
-    left, checksum = place.length - HEADER.size - _CHECKSUM.size, 0
-    while left > 0 and (data := stream.read(min(left, _PIECE_BYTES))):
-        checksum = zlib.crc32(data, checksum)
-        left -= len(data)
-    (written,) = _CHECKSUM.unpack(stream.read(_CHECKSUM.size))
-    return left == 0 and written in (0, checksum)
+    content = np.memmap(path, np.uint8, "r", place.offset + HEADER.size, place.length - HEADER.size).data
+    (written,) = _CHECKSUM.unpack(content[-_CHECKSUM.size :])
+    return written in (0, zlib.crc32(content[: -_CHECKSUM.size]))
 
 
 def _map_array(path: Path, stream: BinaryIO, place: AttachmentIndex) -> NDArray[Any]:

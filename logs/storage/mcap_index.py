@@ -278,10 +278,7 @@ class _Indexing:
         index, limits = self._index, self._limits
         if isinstance(definition, mcap_records.Schema):
             limits.check_name(self._name, "a schema", definition.name)
-            is_ros1 = definition.encoding == "ros1msg"  # its names lack the folder that those of ROS 2 have
-            name = definition.name.replace("/", "/msg/") if is_ros1 else definition.name
-            schema = Schema(definition.id, name, definition.encoding, definition.data)
-            index.schemas[definition.id] = schema
+            index.schemas[definition.id] = Schema(definition.id, definition.name, definition.encoding, definition.data)
         else:
             limits.check_name(self._name, "a topic", definition.topic)
             index.channels[definition.id] = Channel(

@@ -35,9 +35,5 @@ class SimulationError(SlamError):
     """A world or drive that cannot be simulated."""
 
 
-class ViewerError(SlamError):
-    """A viewer that is not installed, or cannot start."""
-
-
 class FleetError(SlamError):
     """A fleet that cannot be mapped: no logs, or no worker."""

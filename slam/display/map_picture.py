@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -19,17 +18,9 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.display.map_layers import Layer, MapPicture, layers_of
 
-logger = logging.getLogger(__name__)
-
 _INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
 _MAX_NAME_LENGTH, _MAX_TITLE_LENGTH = 40, 60
 """Letters that have room in the key and above the map."""
-_FONTS = ["DejaVu Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Droid Sans Fallback", "Unifont"]
-"""The first that has a letter draws it; those after the first, where they are installed, have Chinese ones."""
-
-
-# Most of these are installed nowhere, and a fallback has no bold face: matplotlib warns of both.
-logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 
 def draw_map(path_png: str | Path, picture: MapPicture) -> None:
@@ -46,16 +37,14 @@ def compose_map(picture: MapPicture) -> Figure:
     """A map from above: x to the right, y up, equal scales.
 
     Raises:
-        EvaluationError: there is nothing to draw, a position is not finite, or labels and landmarks differ in number.
+        EvaluationError: there is nothing to draw.
     """
-    if len(picture.landmarks) != len(picture.labels):
-        raise EvaluationError(f"{len(picture.landmarks)} landmarks have {len(picture.labels)} labels")
     points = picture.points[:, :2]
-    if len(points) == 0 or not np.isfinite(points).all():
-        raise EvaluationError("no position to draw" if len(points) == 0 else "a position to be drawn is not finite")
+    if len(points) == 0:
+        raise EvaluationError("no position to draw")
     low, high = _limits(points)
     # A dollar sign in a name is one.
-    with rc_context({"text.parse_math": False, "font.family": _FONTS}):
+    with rc_context({"text.parse_math": False}):
         height_in = float(min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
         figure = Figure(figsize=(16.0, height_in), dpi=100.0, facecolor="white")
         figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
@@ -85,12 +74,9 @@ def save_figure(figure: Figure, target: Path) -> None:
 def to_png(figure: Figure) -> bytes:
     """The figure as the bytes of a PNG; the same figure gives the same bytes."""
     png = BytesIO()
-    with warnings.catch_warnings(record=True) as missing:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of letters that are in no font
         figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
-    if any("Glyph" in str(each.message) for each in missing):
-        logger.warning(
-            "some letters are in no installed font and are drawn as boxes; install one of: %s", ", ".join(_FONTS[1:])
-        )
     return png.getvalue()
 
 

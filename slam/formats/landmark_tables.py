@@ -1,9 +1,8 @@
-"""Landmarks for other programs: a table (CSV), and places on earth (GeoJSON, GeoPackage)."""
+"""Landmarks for other programs: a table (CSV), and places on earth (GeoJSON)."""
 
 from __future__ import annotations
 
 import json
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from logs.messages import ObjectMapRecord
-from logs.storage.placement import replacing, write_text
+from logs.storage.placement import write_text
 from slam.common.georeference import Georeference
 
 
@@ -56,26 +55,6 @@ def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeferen
     """
     layer = {"type": "FeatureCollection", "features": _features(objects, georeference)}
     write_text(path, json.dumps(layer, indent=1) + "\n")
-
-
-def write_geopackage(path: Path, objects: ObjectMapRecord, georeference: Georeference) -> None:
-    """Write the layer ``landmarks`` of the same points and properties as GeoJSON, and ``id`` (OGC GeoPackage).
-
-    Raises:
-        UnwritableLogError: the file cannot be written.
-    """
-    import geopandas
-    import pyogrio
-
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": "1970-01-01T00:00:00.000Z"})  # the same map, the same bytes
-    rows = [
-        feature | {"properties": {"id": feature["id"], **feature["properties"]}}
-        for feature in _features(objects, georeference)
-    ]
-    content = BytesIO()
-    geopandas.GeoDataFrame.from_features(rows, crs="EPSG:4979").to_file(content, driver="GPKG", layer="landmarks")
-    with replacing(path) as part:
-        part.write_bytes(content.getvalue())
 
 
 def _features(objects: ObjectMapRecord, georeference: Georeference) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from logs.messages import TrajectoryRecord
 from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
-from slam.common.errors import InputDataError
 from slam.common.georeference import Georeference
 
 
@@ -21,10 +20,9 @@ def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
     Numbers other than the stamp are the shortest decimals that read back to the same float64.
 
     Raises:
-        InputDataError: stamps and poses differ in number, or a pose is not finite.
         UnwritableLogError: the file cannot be written.
     """
-    rows = position_and_quaternion(checked_poses(trajectory.T_map_body, trajectory.stamps_ns))
+    rows = position_and_quaternion(trajectory.T_map_body)
     stamps = map(_seconds, trajectory.stamps_ns.tolist())
     write_lines(path, (f"{stamp} {format_numbers(row)}" for stamp, row in zip(stamps, rows, strict=True)))
 
@@ -51,11 +49,9 @@ def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
     provided that both files hold the same frame. The format has no stamps.
 
     Raises:
-        InputDataError: stamps and poses differ in number, or a pose is not finite.
         UnwritableLogError: the file cannot be written.
     """
-    poses = checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
-    write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
+    write_lines(path, (format_numbers(T[:3].ravel()) for T in trajectory.T_map_body))
 
 
 def write_lines(path: str | Path, lines: Iterable[str]) -> None:
@@ -65,21 +61,6 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
         UnwritableLogError: the file cannot be written.
     """
     write_text(path, "".join(f"{line}\n" for line in lines))
-
-
-def checked_poses(poses: FloatArray, names: Sequence[object] | np.ndarray) -> FloatArray:
-    """The poses (N, 4, 4), of which each has a name.
-
-    Raises:
-        InputDataError: another number of them, or one that is not finite.
-    """
-    poses = poses.reshape(-1, 4, 4)
-    if len(poses) != len(names):
-        raise InputDataError(f"{len(names)} stamps or ids do not belong to {len(poses)} transforms")
-    broken = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))
-    if len(broken):
-        raise InputDataError(f"transform {broken[0]} of {len(poses)} is not finite; nothing was exported")
-    return poses
 
 
 def _seconds(stamp_ns: int) -> str:

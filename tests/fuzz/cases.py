@@ -10,17 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import zstandard
 
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 from tests.fuzz.dataset_cases import cloud_arguments, dataset_arguments, write_bag_of
-from tests.fuzz.log_mutations import mutate_log
+from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
 from tests.fuzz.seeds import WEIGHTS, Seeds
-from tests.fuzz.weights_mutations import mutate_weights
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
 _OUTPUT = re.compile(r"(out|saved)\.\w+")
@@ -66,7 +64,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         config --config ?settings.toml --json"""),
     "maps": (1, """
         info ?map --json
-        view ?map --save out.rrd
+        view ?map --save out.png
         export ?map --csv a.csv
         replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """
@@ -121,14 +119,22 @@ def _intact(name: str, seeds: Seeds) -> bytes:
 
 def _mutated(name: str, seeds: Seeds, rng: np.random.Generator) -> bytes:
     if name == WEIGHTS.name:
-        return mutate_weights(seeds.files[name], rng)
+        return _mutated_weights(seeds.files[name], rng)
     if name.endswith(".gz"):
         return mutate_bytes(gzip.compress(_mutated(name.removesuffix(".gz"), seeds, rng)), rng)
     if name not in seeds.logs:
         return mutate_text(seeds.files[name], rng)
     whole = rng.random() < 0.15
-    log = mutate_bytes(_intact(name, seeds), rng) if whole else mutate_log(seeds.logs[name], rng)
-    return mutate_bytes(zstandard.compress(log), rng) if rng.random() < 0.03 else log
+    return mutate_bytes(_intact(name, seeds), rng) if whole else mutate_log(seeds.logs[name], rng)
+
+
+def _mutated_weights(content: bytes, rng: np.random.Generator) -> bytes:
+    """Weights (safetensors) with another header, which is JSON after its length, or with other bytes anywhere."""
+    if rng.random() < 0.5:
+        return mutate_bytes(content, rng)
+    size = int.from_bytes(content[:8], "little")
+    header = mutate_json(content[8 : 8 + size], rng)
+    return len(header).to_bytes(8, "little") + header + content[8 + size :]
 
 
 def _bags(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:

@@ -148,7 +148,7 @@ def _topics(file: McapFile, rng: np.random.Generator) -> None:
         case 2:
             schema = int(rng.choice([0, 1, 2, 3, 65535]))
         case 3:
-            encoding = str(rng.choice(["protobuf", "cdr", "json", "", "ros1"]))
+            encoding = str(rng.choice(["protobuf", "cdr", "json", ""]))
         case _:
             new = int(rng.choice([0, 65535, 77]))
             file.channels[new] = (schema, topic + "2", encoding)

@@ -28,7 +28,7 @@ degrade ODD -o out.mcap --fault dropout=0.1
 import csv out.mcap --odometry ODD --detections detections.csv
 import csv out.mcap --odometry trajectory.tum --detections ODD
 import map out.mcap --file ODD
-import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --calib ODD --times ODD
+import csv out.mcap --detections ODD --odometry trajectory.kitti --calib ODD --times ODD
 simulate out.mcap --config ODD
 simulate out.mcap --objects ODD --trajectory ODD
 config --config ODD

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf.json_format import MessageToDict
-from rosbags.rosbag1 import Writer as Ros1Writer
 
 from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
 from logs.writer import LogWriter
+from slam.simulation.config import SimulationConfig
 from tests.fuzz.mcap_file import McapFile, Message, read_file
-from tests.helpers.ros2_logs import Message as RosMessage
-from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag, write_ros1_bag
+from tests.helpers.ros2_logs import encoded, ros2_messages, write_bag
+from tests.helpers.short_drives import drive as drive_of
+from tests.helpers.short_drives import keep_until, write_log
 from tests.logs.examples import every_kind
-from tests.tools.runs import SAMPLE
+from tests.logs.importers.text_drives import DETECTIONS
 from tools import cli
 
 _SECONDS = 2.0
@@ -40,17 +41,19 @@ class Seeds:
 def make_seeds(folder: Path) -> Seeds:
     """Make them in ``folder``, a few seconds."""
     drive, mapped, saved = folder / "drive.mcap", folder / "mapped.mcap", folder / "map.mcap"
-    _write_drive(drive)
+    entries = keep_until(drive_of(SimulationConfig()), _SECONDS)
+    write_log(drive, entries)
     _run("replay", drive, "-o", mapped, "--save-map", saved)
-    _run("export", mapped, "--tum", folder / "trajectory.tum", "--g2o", folder / "map.g2o")
-    _run("export", mapped, "--kitti", folder / "trajectory.kitti")
+    _run("export", mapped, "--tum", folder / "trajectory.tum", "--kitti", folder / "trajectory.kitti")
     rows = (folder / "trajectory.tum").read_text().splitlines()
     (folder / "times.txt").write_text("\n".join(row.partition(" ")[0] for row in rows))
+    (folder / "detections.csv").write_text(DETECTIONS)
     _write_kinds(folder / "kinds.mcap")
-    _write_ros(folder / "ros.mcap")
+    with LogWriter(folder / "ros.mcap") as writer:
+        for message in ros2_messages(entries):
+            writer.write_raw(encoded(message))
     (folder / "settings.toml").write_text(_run("config"))
     (folder / "simulation.toml").write_text(_run("config", "--simulation"))
-    (folder / "detections.csv").write_text(_detections_table(drive))
     _run("export", mapped, "--csv", folder / "objects.csv")
     _write_objects(folder)
     names = ("drive", "mapped", "map", "kinds", "ros")
@@ -61,7 +64,7 @@ def make_seeds(folder: Path) -> Seeds:
     return Seeds(
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
-        bag={path.name: path.read_bytes() for path in (*_write_bag(folder).iterdir(), folder / "drive.bag")},
+        bag={path.name: path.read_bytes() for path in _write_bag(folder).iterdir()},
     )
 
 
@@ -76,17 +79,6 @@ def _run(*arguments: object) -> str:
     if code != 0:
         raise RuntimeError(f"a seed cannot be made: dslam {arguments} ends with {code}")
     return out.getvalue()
-
-
-def _write_drive(path: Path) -> None:
-    with LogReader(SAMPLE) as reader, LogWriter(path) as writer:
-        for name, values in reader.metadata().items():
-            writer.add_metadata(name, values)
-        first_ns = None
-        for raw in reader.messages():
-            first_ns = raw.log_time_ns if first_ns is None else first_ns
-            if raw.log_time_ns - first_ns < _SECONDS * 1e9:
-                writer.write_raw(raw)
 
 
 def _as_json(file: McapFile) -> McapFile:
@@ -125,40 +117,3 @@ def _write_kinds(path: Path) -> None:
     with LogWriter(path) as writer:
         for topic, _, record in every_kind(np.random.default_rng(3)):
             writer.write(topic, record)
-
-
-def _write_ros(path: Path) -> None:
-    """The same drive as MCAP with messages of ROS 2 and as a bag of ROS 1, beside it."""
-    rng = np.random.default_rng(4)
-    objects = rng.uniform(-20.0, 20.0, size=(30, 3)) * (1.0, 1.0, 0.05)
-    mounted = np.eye(4)
-    mounted[2, 3] = 1.0
-    messages: list[RosMessage] = []
-    for i in range(20):
-        x, now = 0.3 * i, 10**12 + i * 10**8
-        placed = {"pose": at(x, 0.0, 0.0), "covariance": 0.01 * np.eye(6)}
-        odometry = {"header": header(now, "odom"), "child_frame_id": "base_link", "pose": placed}
-        seen = [detection3d(p - (x, 0.0, 0.0), f"class {k % 4}", 0.9, id=str(k)) for k, p in enumerate(objects)]
-        scan = {"header": header(now, "base_link"), "detections": seen}
-        messages.append(("/odom", "nav_msgs/msg/Odometry", now, odometry))
-        messages.append(("/objects", "vision_msgs/msg/Detection3DArray", now, scan))
-        frames = {"transforms": [tf(now, "base_link", "lidar", mounted)]}
-        messages.append(("/tf", "tf2_msgs/msg/TFMessage", now, frames))
-    with LogWriter(path) as writer:
-        for message in messages:
-            writer.write_raw(encoded(message))
-    write_ros1_bag(path.with_name("drive.bag"), messages, Ros1Writer.CompressionFormat.LZ4)
-
-
-def _detections_table(drive: Path) -> str:
-    from logs.messages import ObjectDetections
-    from logs.selection import select_topics
-
-    lines = ["stamp_s,x_m,y_m,z_m,label,score,track_id"]
-    with LogReader(drive) as reader:
-        for entry in reader.records(select_topics(reader.topics())):
-            if isinstance(entry.record, ObjectDetections):
-                record = entry.record
-                for (x, y, z), label in zip(record.positions.tolist(), record.labels, strict=True):
-                    lines.append(f"{record.stamp_ns * 1e-9!r},{x!r},{y!r},{z!r},{label},0.9,7")
-    return "\n".join(lines) + "\n"

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags import rosbag1 as ros1
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
@@ -76,10 +75,9 @@ def tf(stamp_ns: int, parent: str, child: str, T: np.ndarray) -> dict[str, Any]:
 
 def detection3d(position: Sequence[float], label: str, score: float = 1.0, **fields: Any) -> dict[str, Any]:
     covariance = fields.pop("covariance", np.zeros((6, 6)))
-    size = fields.pop("size", (0.5, 0.5, 1.0))
     return {
         "results": [{"hypothesis": {"class_id": label, "score": score}, "pose": {"covariance": covariance}}],
-        "bbox": {"center": at(*position), "size": vector(*size)},
+        "bbox": {"center": at(*position), "size": vector(0.5, 0.5, 1.0)},
         **fields,
     }
 
@@ -119,11 +117,7 @@ def detections3d(record: m.ObjectDetections) -> dict[str, Any]:
         covariance = np.zeros((6, 6))
         if record.covariances is not None:
             covariance[:3, :3] = record.covariances[i]
-        size = (0.5, 0.5, 0.5) if record.sizes is None else record.sizes[i]
-        track_id = record.track_ids[i] if record.track_ids else ""
-        listed.append(
-            detection3d(record.positions[i], label, record.scores[i], covariance=covariance, size=size, id=track_id)
-        )
+        listed.append(detection3d(record.positions[i], label, record.scores[i], covariance=covariance))
     return {"header": header(record.stamp_ns, record.frame_id), "detections": listed}
 
 
@@ -172,19 +166,3 @@ def write_bag(
     with open(folder / "metadata.yaml", "w") as stream:
         yaml.dump(metadata, stream)
     return folder
-
-
-def write_ros1_bag(path: Path, messages: Iterable[Message], compression: ros1.Writer.CompressionFormat | None) -> Path:
-    """A bag of ROS 1 with the same messages."""
-    writer = ros1.Writer(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    with writer:
-        connections: dict[str, Any] = {}
-        for topic, type_name, log_time_ns, values in messages:
-            if topic not in connections:
-                text = TYPES.generate_msgdef(type_name, ros_version=1)[0]
-                text = text.replace("std_msgs/Header\ntime stamp", "std_msgs/Header\nuint32 seq\ntime stamp")
-                connections[topic] = writer.add_connection(topic, type_name, msgdef=text, md5sum="0" * 32)
-            writer.write(connections[topic], log_time_ns, TYPES.cdr_to_ros1(cdr(type_name, values), type_name))
-    return path

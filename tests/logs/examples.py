@@ -36,8 +36,6 @@ def random_detections(rng, count, *, full=True, stamp_ns=1):
         labels=tuple(f"class {i % 3}" for i in range(count)),
         scores=rng.uniform(size=count),
         covariances=covariances(rng, count, 3) if full else None,
-        sizes=rng.uniform(size=(count, 3)) if full else None,
-        track_ids=tuple(f"track/{i}" for i in range(count)) if full else None,
     )
 
 

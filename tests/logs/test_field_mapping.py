@@ -11,21 +11,19 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
 
-from logs.decoders.field_mapping import guess_mapping
 from logs.errors import TopicSelectionError
 from logs.messages import Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from logs.summary import summarize
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
 from tests.helpers import ros2_logs
 from tests.helpers.ros2_logs import encoded, header, vector
 
-PLANT = "string kind\nfloat32 sure\nuint32 number\ngeometry_msgs/Point place"
+PLANT = "string kind\nfloat32 sure\ngeometry_msgs/Point place"
 PLANTS = "std_msgs/Header header\nfarm_msgs/Plant[] plants"
-MAPPING = "/plants:plants[] position=place label=kind score=sure track_id=number"
-TREE: dict[str, Any] = {"kind": "tree", "sure": 0.5, "number": 7, "place": vector(1, 2, 3)}
+MAPPING = "/plants:plants[] position=place label=kind score=sure"
+TREE: dict[str, Any] = {"kind": "tree", "sure": 0.5, "place": vector(1, 2, 3)}
 SEEN = [TREE, {"kind": "pole", "place": vector(4, 5, 6)}]
 
 
@@ -38,7 +36,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     values = {"header": header(5, "lidar"), "plants": SEEN}
     raw = encoded(("/plants", "farm_msgs/msg/Plants", 9, values))
     if request.param == "json":
-        plants = [{"sure": 1.0, "number": 0, **plant} for plant in SEEN]
+        plants = [{"sure": 1.0, **plant} for plant in SEEN]
         channel = Channel(1, "/plants", "json", Schema(1, "Plants", "jsonschema", b"{}"))
         raw = RawMessage(channel, 9, 9, 0, json.dumps({**values, "plants": plants}).encode())
     with LogWriter(tmp_path / "log.mcap") as writer:
@@ -55,38 +53,8 @@ def test_fields_of_own_messages_become_detections(log: Path) -> None:
         assert reader.counters == {"invalid_messages": 1}
     record = entry.record
     assert (record.stamp_ns, record.frame_id, record.labels) == (5, "lidar", ("tree", "pole"))
-    assert (record.track_ids, record.scores[0]) == (("7", "0"), 0.5)
+    assert record.scores[0] == 0.5
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
-
-
-def test_fields_are_suggested_from_the_messages(log: Path) -> None:
-    summary = summarize(log)
-    assert "'dslam info LOG' suggests them" in summary.obstacle
-    assert summary.suggestions == ("detections=/plants:plants[] position=place label=kind",)
-    (suggested,) = summary.suggestions
-    assert summarize(log, dict([suggested.split("=", 1)])).class_counts == {"tree": 1, "pole": 1}
-
-
-@pytest.mark.parametrize(
-    ("message", "fields"),
-    [
-        ({"x": 1.0, "y": 2.0, "z": 0.0, "class": "tree", "conf": 0.5}, " x=x y=y z=z label=class score=conf"),
-        ({"linear": {"x": 1.0, "y": 0.0}}, ""),
-        ({"seen": [{"at": [1, 2, 3]}], "header": {"stamp": 1}}, ""),
-        ({"seen": [{"pos": [1, 2], "size": {"x": 1, "y": 1}}]}, "seen[] position=pos"),
-        (
-            {"a": [{"class": {"name": "tree"}, "pose": {"position": {"x": 1, "y": 2}}}]},
-            "a[] position=pose.position label=class.name",
-        ),
-        ([{"x": 1, "y": 2, "type": "tree"}], " x=x y=y label=type"),
-        ({"seen": []}, ""),
-        ({"my plants": [{"x": 1, "y": 2}]}, ""),  # no mapping can name it
-        ([1], ""),
-    ],
-)
-def test_suggestions_for_other_messages(message: Any, fields: str) -> None:
-    channel = Channel(1, "/seen", "json", Schema(1, "Seen", "jsonschema", b"{}"))
-    assert guess_mapping(RawMessage(channel, 9, 9, 0, json.dumps(message).encode())) == fields
 
 
 @pytest.mark.parametrize("fields", ["plants[] label=kind", "plants[] position=place colour=kind"])

@@ -102,11 +102,11 @@ def test_arrays_whose_header_is_another_expression(tmp_path: Path, header: str) 
         read_arrays(path)
 
 
-def poses_message(seconds: str, frame: str) -> RawMessage:
-    """A geometry_msgs/msg/PoseArray without poses, by a definition with other types of its time and frame."""
-    name, line = "geometry_msgs/msg/PoseArray", f"\n{'=' * 80}\nMSG: "
+def detections_message(seconds: str, frame: str) -> RawMessage:
+    """A vision_msgs/msg/Detection3DArray without detections, by a definition with other types of its time and frame."""
+    name, line = "vision_msgs/msg/Detection3DArray", f"\n{'=' * 80}\nMSG: "
     parts = {"std_msgs/Header": f"my/Time stamp\n{frame} frame_id", "my/Time": f"{seconds} sec\nuint32 nanosec"}
-    text = "std_msgs/Header header\nuint8[] poses" + "".join(f"{line}{part}\n{of}" for part, of in parts.items())
+    text = "std_msgs/Header header\nuint8[] detections" + "".join(f"{line}{part}\n{of}" for part, of in parts.items())
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text, name))
     values: dict[str, Any] = {"float64": 1.5e9, "int32": 1, "string": "a"}
@@ -114,14 +114,14 @@ def poses_message(seconds: str, frame: str) -> RawMessage:
     header = store.types["std_msgs/msg/Header"](stamp, values[frame])
     message = store.types[name](header, np.zeros(0, np.uint8))
     data = bytes(store.serialize_cdr(message, name))
-    return RawMessage(Channel(1, "/poses", "cdr", Schema(1, name, "ros2msg", text.encode())), 5, 5, 0, data)
+    return RawMessage(Channel(1, "/objects", "cdr", Schema(1, name, "ros2msg", text.encode())), 5, 5, 0, data)
 
 
 def test_definitions_that_say_other_types_than_usual() -> None:
-    (record,) = decode(poses_message("int32", "string"), RecordKind.DETECTIONS)
+    (record,) = decode(detections_message("int32", "string"), RecordKind.DETECTIONS)
     assert record.stamp_ns == 10**9
     with pytest.raises(InvalidRecordError, match="give a string"):
-        decode(poses_message("int32", "int32"), RecordKind.DETECTIONS)
+        decode(detections_message("int32", "int32"), RecordKind.DETECTIONS)
     for seconds in ("float64", "string"):
         with pytest.raises(InvalidRecordError, match="a field has an unexpected type"):
-            decode(poses_message(seconds, "string"), RecordKind.DETECTIONS)
+            decode(detections_message(seconds, "string"), RecordKind.DETECTIONS)

@@ -8,16 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import zstandard
 
 from logs.clouds.cloud_files import read_points
 from logs.digest import file_sha256
-from logs.errors import DatasetError, LogError, UnreadableLogError
+from logs.errors import DatasetError, LogError
 from logs.importers.maps.object_table import read_object_table
 from logs.importers.text_files import read_source_text
 from logs.reader import LogReader
 from logs.storage import regular_file
-from logs.storage.regular_file import max_unpacked_bytes, open_regular, read_regular
+from logs.storage.regular_file import open_regular, read_regular
 from slam.common.config import load_config
 from slam.common.errors import SlamError
 
@@ -65,17 +64,3 @@ def test_a_file_that_is_read_as_a_whole_may_not_be_larger_than_the_limit(tmp_pat
         read_source_text(path)
     path.write_bytes(b"1,2\n")
     assert read_regular(path) == b"1,2\n"
-
-
-@pytest.fixture
-def small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(regular_file, "_MIN_UNPACKED_BYTES", 10_000)
-
-
-@pytest.mark.usefixtures("small_limits")
-def test_a_log_that_unpacks_to_far_more_than_any_is_not_unpacked(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap.zstd"
-    path.write_bytes(zstandard.compress(b"\0" * 10_000_000))
-    assert max_unpacked_bytes(path.stat().st_size) < 1_000_000
-    with pytest.raises(UnreadableLogError, match=r"unpacks to more than 0 MB, more than a log; unpack it"):
-        LogReader(path)

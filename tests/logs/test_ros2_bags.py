@@ -4,31 +4,21 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer
 
-from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
-from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from logs.writer import LogWriter
-from tests.helpers.ros2_logs import Message, ros2_messages, write_bag, write_ros1_bag
+from tests.helpers.ros2_logs import Message, ros2_messages, write_bag
 from tests.helpers.short_drives import drive, keep_until, raw_messages
-from tests.logs.examples import assert_same_record
 
 BAGS = {
     "mcap": {},
-    "split": {"files": 3},
-    "file_zstd": {"files": 2, "compression": "file"},
+    "split": {"files": 2},
     "db3": {"storage": "sqlite3"},
-    "db3_split_zstd": {"storage": "sqlite3", "files": 2, "compression": "file"},
-    "db3_message_zstd": {"storage": "sqlite3", "compression": "message"},
-    "mcap_message_zstd": {"compression": "message"},
 }
 
 
@@ -55,24 +45,8 @@ def test_every_kind_of_bag_holds_the_same(bags: dict[str, Path], name: str) -> N
         assert reader.counters == {}
 
 
-def test_bag_holds_the_records_of_the_drive(bags: dict[str, Path]) -> None:
-    expected = [
-        record for _, _, record in keep_until(drive(), 12.0) if isinstance(record, (Odometry, ObjectDetections))
-    ]
-    with LogReader(bags["mcap"]) as reader:
-        entries = reader.records(select_topics(reader.topics()))
-        found = [entry.record for entry in entries if isinstance(entry.record, (Odometry, ObjectDetections))]
-    assert [(type(each), each.stamp_ns) for each in found] == [(type(each), each.stamp_ns) for each in expected]
-    for a, b in zip(found, expected, strict=True):
-        if isinstance(b, Odometry):
-            np.testing.assert_allclose(a.T_odom_body, b.T_odom_body, atol=1e-12)
-        else:
-            assert (a.labels, a.frame_id) == (b.labels, b.frame_id)
-            np.testing.assert_array_equal(a.positions, b.positions)
-
-
 def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
-    for name, pattern in (("mcap", "*.mcap"), ("db3", "*.db3"), ("file_zstd", "*_0.mcap.zstd")):
+    for name, pattern in (("mcap", "*.mcap"), ("db3", "*.db3"), ("split", "*_0.mcap")):
         (path,) = bags[name].glob(pattern)
         expected = contents(bags["mcap"])
         found = contents(path)
@@ -80,13 +54,13 @@ def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
         assert len(found) in (len(expected), len(expected) // 2)
 
 
-def break_bag(bag: Path, tmp_path: Path, statement: str = "", *values: object) -> Path:
+def break_bag(bag: Path, tmp_path: Path, statement: str = "") -> Path:
     """A copy of a bag, whose database is altered by a statement."""
     broken = tmp_path / "broken"
     shutil.copytree(bag, broken)
     if statement:
         with sqlite3.connect(next(broken.glob("*.db3"))) as database:
-            database.execute(statement, values)
+            database.execute(statement)
     return broken
 
 
@@ -114,14 +88,7 @@ def test_folder_without_metadata_and_metadata_alone_are_refused(bags: dict[str, 
         LogReader(bags["mcap"] / "metadata.yaml")
 
 
-NONE = "rosbag2_bagfile_information: "
-ODD = (
-    *("", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}"),
-    *(f"a: {value}" for value in ("!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000)),
-)
-
-
-@pytest.mark.parametrize("text", ODD)
+@pytest.mark.parametrize("text", ["a: [1", "a: 3", "a: !!int ''", 'a: "\\Uffffffff"', "a: " + "[" * 3000])
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
     bag = break_bag(bags["mcap"], tmp_path)
     (bag / "metadata.yaml").write_text(text)
@@ -132,10 +99,9 @@ def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("bag", "name"), [("split", "part_2.mcap"), ("file_zstd", "part_1.mcap.zstd")])
-def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path, bag: str, name: str) -> None:
-    broken = break_bag(bags[bag], tmp_path)
-    path = broken / name
+def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = break_bag(bags["split"], tmp_path)
+    path = broken / "part_1.mcap"
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
     with LogReader(broken) as reader:
         assert 0 < len(list(reader.messages())) < len(contents(bags["mcap"]))
@@ -151,9 +117,8 @@ def test_database_that_ends_early_is_refused(bags: dict[str, Path], tmp_path: Pa
         LogReader(broken)
 
 
-@pytest.mark.parametrize("value", ["soon", 1e300, b"x"])
-def test_messages_without_time_in_database_are_left_out(bags: dict[str, Path], tmp_path: Path, value: object) -> None:
-    broken = break_bag(bags["db3"], tmp_path, "UPDATE messages SET timestamp = ? WHERE id = 3", value)
+def test_messages_without_time_in_database_are_left_out(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = break_bag(bags["db3"], tmp_path, "UPDATE messages SET timestamp = 'soon' WHERE id = 3")
     with LogReader(broken) as reader:
         assert len(list(reader.messages())) == len(contents(bags["db3"])) - 1
         assert reader.counters == {"messages_without_time": 1}
@@ -174,7 +139,6 @@ VIEW = (
 @pytest.mark.parametrize(
     ("statements", "fault"),
     [
-        (["UPDATE topics SET name = x'ff'"], r"part_0\.db3: topic .*a damaged one"),
         (["UPDATE topics SET serialization_format = x'ff'"], r"part_0\.db3: topic .*a damaged one"),
         (["ALTER TABLE messages RENAME TO others", VIEW], "no table messages"),
     ],
@@ -194,13 +158,6 @@ def test_a_damaged_schema_whose_error_is_no_text_is_refused(bags: dict[str, Path
     path.write_bytes(path.read_bytes().replace(b"PRIMARY KEY", b"PRIMARY \x8fEY"))
     with pytest.raises(UnreadableLogError, match=r"part_0\.db3: .* a damaged one"):
         LogReader(broken)
-
-
-def test_unpacked_files_are_removed(bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with LogReader(bags["file_zstd"]):
-        assert len(list(tmp_path.iterdir())) == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,29 +185,19 @@ def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monk
         assert len(set(loaded)) == 10
 
 
-@pytest.mark.parametrize("compression", [None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4])
-def test_bag_of_ros1_gives_the_same_records(
-    messages: list[Message], bags: dict[str, Path], tmp_path: Path, compression: Writer.CompressionFormat | None
+def test_bag_of_ros1_is_refused_with_the_way_to_convert_it(tmp_path: Path) -> None:
+    (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    with pytest.raises(UnreadableLogError, match=r"drive\.bag is a bag of ROS 1; convert it by 'rosbags-convert --src"):
+        LogReader(tmp_path / "drive.bag")
+
+
+@pytest.mark.parametrize("compression", ["file", "message"])
+def test_compressed_recordings_are_refused_with_the_way_to_unpack_them(
+    messages: list[Message], tmp_path: Path, compression: str
 ) -> None:
-    path = write_ros1_bag(tmp_path / "drive.bag", messages, compression)
-    with LogReader(path) as reader, LogReader(bags["mcap"]) as ros2:
-        selection = select_topics(reader.topics())
-        assert selection == select_topics(ros2.topics())
-        for found, expected in zip(reader.records(selection), ros2.records(selection), strict=True):
-            assert (found.topic, found.log_time_ns) == (expected.topic, expected.log_time_ns)
-            assert_same_record(found.record, expected.record)
-        assert reader.counters == {}
-    with LogWriter(tmp_path / "drive.mcap") as writer:
-        for raw in raw_messages(path):
-            assert raw.channel.schema is not None
-            schema = replace(raw.channel.schema, name=raw.channel.schema_name.replace("/msg/", "/"))
-            writer.write_raw(replace(raw, channel=replace(raw.channel, schema=schema)))
-    with LogReader(path) as bag, LogReader(tmp_path / "drive.mcap") as mcap:
-        assert select_topics(bag.topics()) == select_topics(mcap.topics())
-    assert contents(tmp_path / "drive.mcap") == contents(path)
-    with LogReader(path, ReadingLimits(chunk_mb=0.001)) as reader:
-        assert list(reader.messages()) == []
-        assert reader.counters == {"truncated": 1}
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(UnreadableLogError, match=r"drive\.bag: .*'rosbag reindex'"):
-        LogReader(path)
+    bag = write_bag(tmp_path / "bag", messages[:10], compression=compression)
+    with pytest.raises(UnreadableLogError, match=rf"is compressed by {compression}; unpack it by 'rosbags-convert"):
+        LogReader(bag)
+    if compression == "file":
+        with pytest.raises(UnreadableLogError, match="compressed as a whole; unpack it by 'zstd -d'"):
+            LogReader(bag / "part_0.mcap.zstd")

@@ -48,16 +48,14 @@ def test_detection_is_the_best_result_at_its_box_or_pose() -> None:
         for name, score in (("pole", 0.2), ("tree", 0.7))
     )
     box = {"center": at(1, 2, 3), "size": vector(1, 1, 2)}
-    (record,) = decoded(
-        "vision_msgs/msg/Detection3DArray", {"detections": [{"results": [pole, tree], "bbox": box, "id": "7"}]}
-    )
-    assert (record.labels, record.track_ids, record.scores.tolist()) == (("tree",), ("7",), [0.7])
-    np.testing.assert_array_equal([record.positions[0], record.sizes[0]], [[1, 2, 3], [1, 1, 2]])
+    (record,) = decoded("vision_msgs/msg/Detection3DArray", {"detections": [{"results": [pole, tree], "bbox": box}]})
+    assert (record.labels, record.scores.tolist()) == (("tree",), [0.7])
+    np.testing.assert_array_equal(record.positions, [[1, 2, 3]])
     np.testing.assert_allclose(record.covariances, [P[:3, :3]])
     lost, unlabelled = ({"bbox": {"center": at(x, 0, 0)}} for x in (np.nan, 1))
     values = {"detections": [{"results": [tree]}, unlabelled, lost]}
     (record,) = decoded("vision_msgs/msg/Detection3DArray", values, dropped_objects=1)
-    assert (record.labels, record.sizes, record.track_ids) == (("tree", "unknown"), None, None)
+    assert record.labels == ("tree", "unknown")
     np.testing.assert_array_equal(record.positions, [[7, 2, 3], [1, 0, 0]])
 
 
@@ -87,10 +85,9 @@ def test_autoware(package: str, kind: str) -> None:
     values = {"header": header(SECOND, "base_link"), "objects": [seen]}
     (record,) = decoded(f"{package}/msg/{kind}Objects", values)
     assert (record.labels, record.frame_id, record.stamp_ns) == (("pedestrian",), "base_link", SECOND)
-    np.testing.assert_array_equal([record.positions[0], record.sizes[0]], [[1, 2, 3], [0.5, 0.5, 1.75]])
+    np.testing.assert_array_equal(record.positions, [[1, 2, 3]])
     np.testing.assert_allclose(record.covariances, [covariance[:3, :3]])
     assert record.scores.tolist() == [0.75]
-    assert record.track_ids == ((bytes(range(16)).hex(),) if is_tracked else None)
 
 
 def test_markers() -> None:
@@ -111,14 +108,7 @@ def test_markers() -> None:
     }
     in_map, in_lidar = decoded("visualization_msgs/msg/MarkerArray", values)
     assert (in_map.frame_id, in_lidar.frame_id, in_lidar.labels) == ("map", "lidar", ("car",))
-    assert (in_map.labels, in_map.track_ids) == (("tree", "pole"), ("tree/4", "poles/5"))
-
-
-def test_poses_are_named_after_their_topic() -> None:
-    values = {"header": header(SECOND, "lidar"), "poses": [at(1, 2, 3), at(4, 5, 6)]}
-    (record,) = decoded("geometry_msgs/msg/PoseArray", values)
-    assert (record.labels, record.frame_id) == (("poles", "poles"), "lidar")
-    np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
+    assert in_map.labels == ("tree", "pole")
 
 
 def test_boxes_in_image() -> None:

@@ -59,7 +59,6 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
     write(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
     (entry,) = read(tmp_path / "log.mcap")
     assert entry.record.labels == ("tree", "pole")
-    assert entry.record.track_ids == ("L1", "L2")
     assert (entry.record.frame_id, entry.record.stamp_ns) == ("map", 9)
     np.testing.assert_array_equal(entry.record.positions, markers.positions)
 

@@ -26,7 +26,6 @@ def topic(name: str, schema: str, count: int = 10) -> TopicInfo:
 
 ODOM = topic("/odom", ODOMETRY)
 COMMON = [topic("/detections", DETECTIONS), topic("/camera", IMAGE)]
-PARTICLES = topic("/particles", "geometry_msgs/msg/PoseArray")
 MARKERS = topic("/markers", "visualization_msgs/msg/MarkerArray")
 TRACKED = topic("/tracked", "autoware_perception_msgs/msg/TrackedObjects")
 
@@ -37,9 +36,9 @@ TRACKED = topic("/tracked", "autoware_perception_msgs/msg/TrackedObjects")
         ("odometry", [topic("/pose", POSE), topic("/ground_truth", POSE), topic("/slam/pose", POSE)], "/pose"),
         ("odometry", [ODOM, topic("/pose", POSE), topic("/tf", TF), topic("/ground_truth/odom", ODOMETRY)], "/odom"),
         ("odometry", [ODOM, topic("/odom2", ODOMETRY, count=0)], "/odom"),
-        ("detections", [PARTICLES, MARKERS, topic("/scene", SCENE), TRACKED], "/tracked"),
-        ("detections", [PARTICLES, MARKERS, topic("/scene", SCENE), topic("/slam/landmarks", SCENE)], "/scene"),
-        ("detections", [PARTICLES, MARKERS], "/markers"),
+        ("detections", [MARKERS, topic("/scene", SCENE), TRACKED], "/tracked"),
+        ("detections", [MARKERS, topic("/scene", SCENE), topic("/slam/landmarks", SCENE)], "/scene"),
+        ("detections", [MARKERS], "/markers"),
     ],
 )
 def test_strongest_topic_is_chosen(kind: str, topics: list[TopicInfo], chosen: str) -> None:
@@ -52,7 +51,6 @@ def test_strongest_topic_is_chosen(kind: str, topics: list[TopicInfo], chosen: s
         (COMMON, r"gives odometry.*/detections \(dslam.ObjectDetections, 10\)"),
         ([], "The log has no topics"),
         ([*COMMON, topic("/tf", TF), topic("/slam/tf", TF)], r"if one of /tf is meant, say --topic odometry=/tf\."),
-        ([ODOM, PARTICLES], "say --topic detections=/particles"),
         ([*COMMON, ODOM, topic("/wheel", ODOMETRY, 8)], r"/odom, /wheel; choose one with --topic odometry=/odom\."),
         ([ODOM, *COMMON, topic("/right", DETECTIONS)], "or use all: --topic detections=/detections,/right"),
     ],
@@ -78,11 +76,10 @@ def test_overrides_that_do_not_fit_are_refused(overrides: dict[str, str], compla
 
 
 def test_overrides() -> None:
-    there = [ODOM, topic("/left", DETECTIONS), topic("/right", DETECTIONS), PARTICLES, topic("/tf", TF)]
+    there = [ODOM, topic("/left", DETECTIONS), topic("/right", DETECTIONS), topic("/tf", TF)]
     chosen = select_topics(there, {"detections": "/left, /right", "odometry": "/tf"})
     assert chosen.topics_of("detections") == ("/left", "/right")
     assert chosen.kinds["/tf"] == ("odometry", "transforms")
-    assert select_topics(there, {"detections": "/particles"}).topics_of("detections") == ("/particles",)
     assert select_topics(there, needed=["odometry"]).topics_of("detections") == ()
 
 

@@ -11,7 +11,7 @@ import pytest
 from logs.digest import file_sha256
 from logs.errors import LogError, TopicSelectionError
 from logs.importers.imported_log import write_drive
-from logs.importers.kitti_objects import read_kitti_objects
+from logs.importers.text_log import read_text_log
 from logs.messages import (
     DetectionAssociations,
     FactorGraphRecord,
@@ -245,14 +245,14 @@ def test_the_first_half_minute_of_a_real_drive_is_as_good_as_its_odometry(tmp_pa
     times = [float(line) for line in (KITTI / "KITTI_00_gt_times.txt").read_text().split()]
     end_ns = round(times[300] * 1e9)
     shutil.unpack_archive(KITTI / "gosmatch_00.tar.xz", tmp_path, filter="data")
-    recorded = read_kitti_objects(
+    recorded = read_text_log(
         detections=tmp_path / "00",
         odometry=KITTI / "KITTI_00_SPTAM.txt",
         calib=KITTI / "calib.txt",
         times=KITTI / "KITTI_00_gt_times.txt",
         ground_truth=KITTI / "KITTI_00_gt.txt",
     )
-    first_ns = recorded.stamps_ns[0]
+    first_ns = recorded.odometry.stamps.stamps_ns[0]
     records = [record for record in recorded.records() if record.stamp_ns - first_ns < end_ns - round(times[0] * 1e9)]
     write_drive(tmp_path / "in.mcap", records, recorded.source)
     replay(tmp_path / "in.mcap", tmp_path / "out.mcap", Config())

@@ -50,7 +50,6 @@ def scaled(record: Record, scale: float) -> Record:
                 record,
                 positions=record.positions * scale,
                 covariances=None if record.covariances is None else record.covariances * scale**2,
-                sizes=None if record.sizes is None else record.sizes * scale,
             )
         case _:
             return record

@@ -9,7 +9,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 PROJECT = "descriptellation-slam"
-EXTRAS = ("learn", "view", "osm", "docs")
+EXTRAS = ("learn", "live", "osm", "docs")
 """What users install; the tools of developers are not passed on."""
 _COPYLEFT = re.compile(r"\bA?GPL|General Public License", re.IGNORECASE)
 _WEAK = re.compile(r"\bLGPL|Lesser General Public|with GCC|-exception", re.IGNORECASE)

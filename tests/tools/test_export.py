@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
@@ -60,10 +59,6 @@ def test_landmarks_and_poses_on_earth(dslam: Run, mapped: Path, records: Evaluat
     np.testing.assert_allclose(found, earth.to_geodetic(objects.positions)[:, :2], rtol=0, atol=1e-6)
     path = pd.read_csv(poses)[["latitude_deg", "longitude_deg", "altitude_m"]].to_numpy()
     np.testing.assert_allclose(earth.to_map(path), records.trajectory.T_map_body[:, :3, 3], atol=2e-3)
-    assert dslam("export", mapped, "--gpkg", tmp_path / "l.gpkg", "--origin", ORIGIN).code == 0
-    package, layer = gpd.read_file(tmp_path / "l.gpkg"), gpd.read_file(places)
-    assert package.geometry.geom_equals(layer.geometry).all()
-    assert package["label"].tolist() == layer["label"].tolist()
     assert_refused(dslam("export", mapped, "--geodetic", poses), "--origin")
     assert_refused(dslam("export", mapped, "--geojson", places, "--origin", "north"), "LAT,LON")
 

@@ -21,20 +21,15 @@ def options(drive: TextDrive) -> tuple[object, ...]:
     return tuple(part for role, path in drive.files().items() for part in (f"--{role.replace('_', '-')}", path))
 
 
-def test_text_files_become_a_log_that_can_be_replayed_and_evaluated(dslam: Run, drive: TextDrive) -> None:
+def test_text_files_become_a_log(dslam: Run, drive: TextDrive) -> None:
     result = dslam("import", "csv", drive.output, *options(drive))
     assert (result.code, result.err) == (0, "")
     assert "4 objects detected" in result.out
     assert "odometry in tum format, 4 m (10.00 m/s)" in result.out
-    replayed = drive.root / "map.mcap"
-    assert dslam("replay", drive.output, "-o", replayed).code == 0
-    told = json.loads(dslam("evaluate", replayed, "--json").out)
-    assert told["associations"]["detection_count"] == 4
-    assert told["trajectory"]["ate_m"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_json_and_text_tell_what_is_left_out(dslam: Run, drive: TextDrive) -> None:
-    drive.write("detections.csv", DETECTIONS.replace("object_id", "species").replace("100.400", "101"))
+    drive.write("detections.csv", DETECTIONS.replace("object_id", "species").replace("100.400,pole", "100.400,"))
     told = json.loads(dslam("import", "csv", drive.output, *options(drive), "--json").out)
     assert told["message_counts"] == {"/odom": 5, "/detections": 3, "/ground_truth": 5}
     assert (told["detection_count"], told["odometry_format"], told["columns_left_out"]) == (4, "tum", ["species"])

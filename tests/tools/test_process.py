@@ -63,7 +63,7 @@ class TestNames:
 
 
 class TestStreams:
-    @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&-"])
+    @pytest.mark.parametrize("closed", [">&-", "2>&-"])
     def test_that_are_closed(self, closed: str) -> None:
         result = shell(f"{INFO} {closed}")
         assert result.returncode == 0
@@ -116,42 +116,3 @@ class TestSignals:
         command = [sys.executable, "-c", code]
         result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
-
-    @pytest.mark.parametrize(
-        ("summarize", "ended"),
-        [
-            pytest.param(
-                """
-    try: os.kill(os.getpid(), signal.SIGINT)
-    except BaseException: pass
-    time.sleep(60)""",
-                (130, "", "dslam: interrupted\n"),
-                id="swallowed by a library",
-            ),
-            pytest.param(
-                """
-    try: os.kill(os.getpid(), signal.SIGINT)
-    finally:
-        time.sleep(0.5)
-        print('closed')""",
-                (130, "closed\n", "dslam: interrupted\n"),
-                id="while files are closed, which goes on",
-            ),
-            pytest.param(
-                """
-    try: tools._stop(15, None)
-    except BaseException as error: raise ImportError('numpy is broken') from error""",
-                (143, "", "dslam: terminated\n"),
-                id="made another error on its way",
-            ),
-        ],
-    )
-    def test_that_do_not_come_through(self, summarize: str, ended: tuple[int, str, str]) -> None:
-        code = (
-            f"import os, signal, sys, time, tools\ndef summarize(*_):{summarize}\n"
-            "import logs.summary; logs.summary.summarize = summarize\n"
-            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\ntools.main()"
-        )
-        command = [sys.executable, "-c", code]
-        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=50)
-        assert (result.returncode, result.stdout, result.stderr) == ended

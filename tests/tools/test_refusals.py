@@ -11,25 +11,20 @@ import pytest
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 
 
-@pytest.mark.parametrize("command", ["info", "replay", "evaluate", "export"])
-def test_input_that_is_no_log(dslam: Run, tmp_path: Path, command: str) -> None:
-    more = {"replay": ["-o", tmp_path / "out.mcap"], "export": ["--tum", tmp_path / "out.txt"]}.get(command, [])
-    text = tmp_path / "text.mcap"
-    text.write_text("no log, but long enough to have a signature")
-    assert_refused(dslam(command, tmp_path / "none.mcap", *more), "none.mcap", "No such file")
-    assert_refused(dslam(command, text, *more), "text.mcap", "not an MCAP")
-    assert_refused(dslam(command, tmp_path, *more), "directory")
-    assert not list(tmp_path.glob("out*"))
+@pytest.mark.parametrize("command", [("info",), ("replay", "-o", "out.mcap"), ("evaluate",), ("export", "--csv", "a")])
+def test_input_that_is_no_log(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.mcap").write_text("no log, but long enough to have a signature")
+    assert_refused(dslam(*command, "text.mcap"), "text.mcap", "not an MCAP")
+    assert [path.name for path in tmp_path.iterdir()] == ["text.mcap"]
 
 
-def test_topics_that_are_missing_or_fit_twice(dslam: Run, tmp_path: Path) -> None:
+def test_topics_that_fit_twice(dslam: Run, tmp_path: Path) -> None:
     output = ("-o", tmp_path / "out.mcap")
-    blind = write_log(tmp_path / "blind.mcap", detections=())
-    assert_refused(dslam("replay", blind, *output), "no topic gives detections", "/odom")
-    assert "no topic gives detections" in dslam("info", blind).out
     log = write_log(tmp_path / "log.mcap", odometry=("/visual", "/wheels"))
     assert_refused(dslam("replay", log, *output), "/visual, /wheels", "--topic odometry=/visual")
-    assert_refused(dslam("replay", log, *output, "--topic", "speed=/wheels"), "unknown part")
     assert_refused(dslam("replay", log, *output, "--topic", "/wheels"), "KIND=/TOPIC")
     assert dslam("replay", log, *output, "--topic", "odometry=/wheels").code == 0
 
@@ -92,14 +87,6 @@ def test_settings_of_a_file_and_of_the_command_are_joined(dslam: Run, tmp_path: 
     assert json.loads(dslam("info", log, "--json").out)["duration_s"] > 60.0
 
 
-@pytest.mark.slow
-def test_view_of_a_truncated_log(dslam: Run, mapped: Path, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptellation-slam[view]'")
-    (tmp_path / "cut.mcap").write_bytes(mapped.read_bytes()[:-100])
-    result = dslam("view", tmp_path / "cut.mcap", "--save", tmp_path / "cut.rrd")
-    assert_refused(result, "Rerun cannot read", "make the log again")
-
-
 def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> None:
     assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
     assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
@@ -114,7 +101,6 @@ def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> No
         (ZeroDivisionError("one\nof ours"), 70, "ZeroDivisionError: one of ours"),
         (ModuleNotFoundError("No module", name="torch.nn"), 2, "pip install 'descriptellation-slam[learn]'"),
         (MemoryError(), 2, "out of memory"),
-        (KeyboardInterrupt(), 130, "interrupted"),
     ],
     ids=lambda value: type(value).__name__,
 )

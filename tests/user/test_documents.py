@@ -40,7 +40,6 @@ SHORTER = {
 """Of an option that comes twice, the last one counts."""
 ELSEWHERE = {
     r"import map .*\.osm": "pyosmium may not be here; tests/logs/importers/maps",
-    r"^view map\.mcap$|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
     r"mine:Rings": "tests/descriptors/test_own_class.py has the class of the page",
     r"my_bag .*(labelled_points|/front/objects)": "such topics are in tests/logs/test_ros2_objects.py and clouds",
     r"town\.ply": "tests/logs/clouds makes clouds",

@@ -10,25 +10,13 @@ if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
 
 
-def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
-    """A line for each frame, below its parent, with the topics that connect the two; frames without one stand alone."""
+def list_edges(topics: Sequence[TopicSummary]) -> list[str]:
+    """A line for each pair of frames that topics connect: parent, child, and the topics."""
     topics_of = defaultdict[tuple[str, str], list[str]](list)
-    children = defaultdict[str, list[str]](list)
     for topic in topics:
-        for parent, child in topic.frame_edges:
-            children[parent] += [] if (parent, child) in topics_of else [child]
-            topics_of[parent, child].append(topic.topic)
-    frames = {frame for topic in topics for frame in topic.frames}
-    waiting = [(0, "", root) for root in sorted(frames - {child for _, child in topics_of}, reverse=True)]
-    lines: list[str] = []
-    drawn: set[str] = set()
-    while waiting:
-        depth, parent, frame = waiting.pop()
-        lines.append("  " * depth + frame + (f"  ({', '.join(topics_of[parent, frame])})" if parent else ""))
-        if frame not in drawn:
-            waiting += [(depth + 1, frame, child) for child in sorted(children[frame], reverse=True)]
-        drawn.add(frame)
-    return lines
+        for edge in topic.frame_edges:
+            topics_of[edge].append(topic.topic)
+    return [f"{parent} -> {child}  ({', '.join(names)})" for (parent, child), names in sorted(topics_of.items())]
 
 
 def find_faults(summary: LogSummary) -> list[str]:

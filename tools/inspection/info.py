@@ -89,9 +89,9 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     is_mapped = REPLAYED in summary.metadata
     listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
     if not is_mapped:
-        tree = frames.draw_tree(summary.topics)
-        more = [f"and {len(tree) - MAX_LISTED} more"] * (len(tree) > MAX_LISTED)
-        listed["frames"] = "\n".join([*tree[:MAX_LISTED], *more])
+        edges = frames.list_edges(summary.topics)
+        more = [f"and {len(edges) - MAX_LISTED} more"] * (len(edges) > MAX_LISTED)
+        listed["frames"] = "\n".join([*edges[:MAX_LISTED], *more])
         listed["not placed"] = "\n".join(frames.find_faults(summary))
     of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
     faults = [
@@ -100,7 +100,6 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     listed["gaps, order"] = "\n".join(faults)
     uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in _selected(summary).items())
     listed |= {"replay uses": uses, "no replay": "" if uses else _obstacle(summary)}
-    listed["perhaps"] = "\n".join(f"--topic '{each}'" for each in summary.suggestions)
     listed["lost"] = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items())
     if summary.status is not None:
         listed["status"] = f"{summary.status.level}: {summary.status.message}"

@@ -44,7 +44,6 @@ def export(
     g2o: Annotated[Path | None, _file("Keyframes, landmarks and all factors; no robust kernels.")] = None,
     csv: Annotated[Path | None, _file("Landmarks: a table.")] = None,
     geojson: Annotated[Path | None, _file("Landmarks: places on earth (WGS 84).")] = None,
-    gpkg: Annotated[Path | None, _file("The same as a GeoPackage; needs geopandas.")] = None,
     origin: Annotated[
         str | None,
         typer.Option(
@@ -57,11 +56,9 @@ def export(
 
     Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv
     """
-    outputs = [tum, kitti, geodetic, g2o, csv, geojson, gpkg]
+    outputs = [tum, kitti, geodetic, g2o, csv, geojson]
     if not any(outputs):
-        raise typer.BadParameter(
-            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson or --gpkg."
-        )
+        raise typer.BadParameter("nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv or --geojson.")
     check_outputs(outputs, [log])
     from slam.formats import landmark_tables as tables
     from slam.formats import trajectories as text
@@ -73,8 +70,6 @@ def export(
         text.write_geodetic(geodetic, source.track, source.georeference)
     if geojson:
         tables.write_geojson(geojson, source.objects, source.georeference)
-    if gpkg:
-        tables.write_geopackage(gpkg, source.objects, source.georeference)
     if tum:
         text.write_tum(tum, source.track)
     if kitti:
@@ -83,13 +78,13 @@ def export(
         tables.write_csv(csv, source.objects)
     for path in filter(None, (tum, kitti, geodetic)):
         console.show(f"{path}: {len(source.track.stamps_ns)} poses")
-    for path in filter(None, (csv, geojson, gpkg)):
+    for path in filter(None, (csv, geojson)):
         console.show(f"{path}: {len(source.objects.ids)} landmarks")
     if g2o:
-        graph = source.records.graph
-        if graph is None:
+        graph, object_map = source.records.graph, source.records.object_map
+        if graph is None or object_map is None:
             raise _no_result(log)
-        write_g2o(g2o, graph, source.records.object_map)
+        write_g2o(g2o, graph, object_map)
         console.show(f"{g2o}: {len(graph.edge_kinds)} edges, without robust kernels, which g2o cannot hold")
 
 

@@ -81,7 +81,7 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
     """NUMBER false objects a scan are added on average.
 
     They are evenly spread over the range and the bearings of the log's detections, and have heights, labels, scores,
-    sizes and covariances of detections drawn from the log.
+    and covariances of detections drawn from the log.
     """
     places = np.concatenate([from_sensor for _, from_sensor in _from_sensor(log)])
     if not len(places):
@@ -96,7 +96,7 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
         rows = rng.integers(len(places), size=number)
         xyz = np.stack([range_m * np.cos(bearing), range_m * np.sin(bearing), z[rows]], axis=1)
         in_sensor = xyz @ frames(scan.seen.frame_id)[:3, :3]
-        scan.add(replace(take_rows(donors, N=rows), positions=in_sensor, track_ids=None))
+        scan.add(replace(take_rows(donors, N=rows), positions=in_sensor))
 
 
 def claimed_sigma(log: Recording, sigma_m: _Claimed = 1e-3) -> None:

@@ -50,7 +50,7 @@ def lengths_scaled(log: Recording, factor: _LengthFactor = 0.05) -> None:
     """All lengths of the log and of its truth are multiplied."""
     units, cells = np.repeat([1.0, factor], 3), np.ones((4, 4))
     cells[:3, 3] = factor
-    powers = {"positions": factor, "sizes": factor, "covariances": factor**2, "covariance": np.outer(units, units)}
+    powers = {"positions": factor, "covariances": factor**2, "covariance": np.outer(units, units)}
     powers |= dict.fromkeys(("T_odom_body", "T_parent_child", "T_world_body"), cells)
 
     def scaled(message: Message[Any]) -> Message[Any]:

@@ -226,8 +226,8 @@ def seconds_ns(seconds: float) -> int:
 
 
 def joined(every: Sequence[ObjectDetections]) -> ObjectDetections:
-    """All detections as one message, the first that has any; covariances and sizes that only some have are zero for
-    the others, and track ids "".
+    """All detections as one message, the first that has any; covariances that only some have are zero for the
+    others.
     """
     parts = [part for part in every if part.labels] or every[:1]
 
@@ -238,13 +238,10 @@ def joined(every: Sequence[ObjectDetections]) -> ObjectDetections:
         zeros = [np.zeros((len(part.labels), *shape)) for part in parts]
         return np.concatenate([zero if array is None else array for array, zero in zip(arrays, zeros, strict=True)])
 
-    has_ids = any(part.track_ids is not None for part in parts)
     return replace(
         parts[0],
         positions=stack("positions", (3,)),
         labels=tuple(label for part in parts for label in part.labels),
         scores=stack("scores", ()),
         covariances=stack("covariances", (3, 3)),
-        sizes=stack("sizes", (3,)),
-        track_ids=tuple(i for p in parts for i in p.track_ids or ("",) * len(p.labels)) if has_ids else None,
     )

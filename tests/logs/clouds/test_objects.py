@@ -27,7 +27,6 @@ def test_points_of_one_instance_are_one_object_however_far_apart() -> None:
     assert found.instances.tolist() == [3, 4]
     assert found.sizes[0, 0] == pytest.approx(3.0, abs=0.4)
     assert found.sizes[0, 2] == pytest.approx(2.9, abs=0.1)
-    assert found.detections(7, "lidar").track_ids == ("3", "4")
 
 
 def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from logs.errors import TopicSelectionError
 from logs.messages import LoopClosureRecord, StatusRecord, Transform
 from logs.reader import LogReader
-from logs.scene import decode_lines, decode_points
 from slam.common.config import Config
 from slam.display.drive_display import DriveDisplay
 from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, LANDMARKS, PATH, SUBMAP, map_messages
@@ -30,19 +31,25 @@ def logs(tmp_path_factory) -> tuple[Path, Path]:
     return source, folder / "map.mcap"
 
 
+def points_of(cloud: PointCloud) -> np.ndarray:
+    """Positions (N, 3): the first three fields, as its description has it."""
+    rows = np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_stride)
+    return np.ascontiguousarray(rows[:, :12]).view("<f4")
+
+
 @pytest.mark.slow
 def test_viewer_holds_more_of_the_map_as_the_drive_goes_and_all_at_the_end(logs):
     with LogReader(logs[1]) as reader:
-        clouds = [decode_points(raw.data) for raw in reader.messages([LANDMARK_POINTS])]
-        paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]
+        clouds = [points_of(PointCloud.FromString(raw.data)) for raw in reader.messages([LANDMARK_POINTS])]
+        paths = [SceneUpdate.FromString(raw.data).entities[0].lines[0].points for raw in reader.messages([PATH])]
         (markers,) = reader.messages([LANDMARKS])
     final = read_map(logs[1])
     confirmed = final.positions[[state == "confirmed" for state in final.states]]
     assert len(clouds) > 10
     assert 0 < len(clouds[len(clouds) // 2]) < len(clouds[-1])
-    assert len(paths[len(paths) // 2][0]) < len(paths[-1][0])
+    assert len(paths[len(paths) // 2]) < len(paths[-1])
     np.testing.assert_allclose(clouds[-1], confirmed, atol=1e-4)
-    assert len(markers.data) > 50 * len(confirmed)  # an entity with shape and text each
+    assert len(SceneUpdate.FromString(markers.data).entities) == len(confirmed)
 
 
 def test_messages_hold_landmarks_submap_path_and_closures():

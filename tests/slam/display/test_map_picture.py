@@ -59,11 +59,8 @@ def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "picture",
     [
-        MapPicture(estimate=np.zeros((1, 3))),
         MapPicture(estimate=straight_path(9)[:, :3, 3]),
-        MapPicture(estimate=np.outer(np.arange(9.0), [0.0, 1.0, 0.0])),
         MapPicture(estimate=np.zeros((0, 3)), landmarks=np.ones((1, 3)), labels=("tree",)),
-        MapPicture(estimate=np.zeros((0, 3)), truth=np.eye(3)),
     ],
 )
 def test_little_to_draw(tmp_path: Path, picture: MapPicture) -> None:
@@ -73,17 +70,9 @@ def test_little_to_draw(tmp_path: Path, picture: MapPicture) -> None:
     assert 600 <= shape[0] <= 1600
 
 
-@pytest.mark.parametrize(
-    ("picture", "message"),
-    [
-        (MapPicture(estimate=np.zeros((0, 3))), "no position"),
-        (MapPicture(estimate=np.array([[0.0, np.nan, 0.0], [1.0, 1.0, 0.0]])), "finite"),
-        (MapPicture(estimate=np.zeros((2, 3)), landmarks=np.zeros((2, 3)), labels=("a",)), "2 landmarks have 1"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(tmp_path: Path, picture: MapPicture, message: str) -> None:
-    with pytest.raises(EvaluationError, match=message):
-        draw_map(tmp_path / "a.png", picture)
+def test_nothing_to_draw_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(EvaluationError, match="no position"):
+        draw_map(tmp_path / "a.png", MapPicture(estimate=np.zeros((0, 3))))
     assert list(tmp_path.iterdir()) == []
 
 

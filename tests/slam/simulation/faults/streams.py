@@ -54,7 +54,7 @@ def messages() -> list[Message[Record]]:
     for i, stamp_ns in enumerate(STAMPS_NS.tolist()):
         seen = apply(invert(truth[i] @ T_BODY_SENSOR), OBJECTS) + 0.01 * (np.arange(12).reshape(4, 3) - 5.0)
         covariances = np.tile(COVARIANCE, (4, 1, 1))
-        scan = ObjectDetections(stamp_ns, "lidar", seen, LABELS, np.ones(4), covariances, np.ones((4, 3)))
+        scan = ObjectDetections(stamp_ns, "lidar", seen, LABELS, np.ones(4), covariances)
         found += [
             Message("/odom", stamp_ns, Odometry(stamp_ns, odometry[i])),
             Message("/detections", stamp_ns, scan),

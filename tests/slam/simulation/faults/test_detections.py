@@ -110,7 +110,6 @@ def test_lengths_are_scaled_and_angles_are_not() -> None:
     assert positions(changed) == pytest.approx(20.0 * positions(drive()))
     scan = records(changed, ObjectDetections)[0]
     assert scan.covariances[0] == pytest.approx(400.0 * COVARIANCE)
-    assert np.array_equal(scan.sizes, np.full((4, 3), 20.0))
     assert records(changed, Transform)[0].T_parent_child[:3, 3] == pytest.approx(20.0 * T_BODY_SENSOR[:3, 3])
     truth = np.array([pose.T_world_body for pose in records(changed, GroundTruthPose)])
     assert truth[:, :3, 3] == pytest.approx(20.0 * path()[:, :3, 3])
