@@ -106,7 +106,7 @@ class ActiveLandmarks:
 
         Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
         """
-        views = ((self.positions - T[:3, 3]) @ T[:3, :3] for T in (T_before, self.T_local_body))
+        views = (self.positions - T[:3, 3] for T in (T_before, self.T_local_body))
         variances = view_change(*views)[:, None] * self._config.calibration.detection.view_variances
         self._local.move(np.arange(len(variances)), np.zeros_like(variances), variances)
 

@@ -332,9 +332,9 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
     """(7, P, 3): by how much a unit of each component adds to D."""
     squares = np.einsum("ni,ni->n", pairs.x, pairs.x), np.einsum("ni,ni->n", pairs.x_before, pairs.x_before)
     lengths = np.maximum(np.sqrt(squares[0] * squares[1]), 1e-300)
-    travel, turn, _ = pairs.moved[pairs.group].T
+    travel, _, _ = pairs.moved[pairs.group].T
     # Noise changes the view, too; the body has not come farther than its travel.
-    view = np.minimum(view_change(pairs.x_turned, pairs.x), travel / np.sqrt(lengths) + turn)
+    view = np.minimum(view_change(pairs.x_before, pairs.x), travel / np.sqrt(lengths))
     two, zero = np.full_like(view, 2.0), np.zeros_like(view)
     flat, flat_before = pairs.x[:, :2], pairs.x_before[:, :2]
     products = np.maximum(np.linalg.norm(flat, axis=1) * np.linalg.norm(flat_before, axis=1), 1e-300)
