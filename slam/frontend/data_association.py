@@ -26,8 +26,8 @@ from slam.common.calibration import ObjectCalibration
 NEW, AMBIGUOUS = -1, -2
 GATE_PROBABILITY = 0.9995
 """Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
-NEW_OBJECT_GATE_PROBABILITY = 0.999999
-"""A detection outside the gate of every landmark, but not as far off as that, is left out."""
+MAX_SIGMAS = 10.0
+"""Up to so many standard deviations from a landmark, a detection that is not its may be a bad measurement of it."""
 DECIDED = 0.99
 """Probability from which a match, a pose or a landmark is taken to be right."""
 EXCLUDED_RATIO = 0.01
@@ -104,7 +104,7 @@ def associate(
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows, ratios)
     gate = _gate(GATE_PROBABILITY)
-    outer_gate = max(_gate(NEW_OBJECT_GATE_PROBABILITY), gate)
+    outer_gate = MAX_SIGMAS**2
     detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
         return Assignment(rows, ratios)

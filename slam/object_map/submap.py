@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.config import SUBMAP_RANGES
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
@@ -40,6 +40,11 @@ class Submap:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def of(self, chosen: BoolArray) -> Submap:
+        """Some of the landmarks, by a mask (N,); all of them exist."""
+        arrays = (self.positions, self.sigmas, self.labels, self.rows)
+        return Submap(*(each[chosen] for each in arrays), local_sigma_m=self.local_sigma_m)
 
 
 def gravity_frame(T_local_body: FloatArray) -> FloatArray:
