@@ -42,9 +42,14 @@ class Submap:
         return len(self.rows)
 
     def of(self, chosen: BoolArray) -> Submap:
-        """Some of the landmarks, by a mask (N,); all of them exist."""
-        arrays = (self.positions, self.sigmas, self.labels, self.rows)
-        return Submap(*(each[chosen] for each in arrays), local_sigma_m=self.local_sigma_m)
+        """Some of the landmarks, by a mask (N,), where all of them exist."""
+        return replace(
+            self,
+            positions=self.positions[chosen],
+            sigmas=self.sigmas[chosen],
+            labels=self.labels[chosen],
+            rows=self.rows[chosen],
+        )
 
 
 def gravity_frame(T_local_body: FloatArray) -> FloatArray:
