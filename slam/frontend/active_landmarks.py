@@ -76,6 +76,7 @@ class ActiveLandmarks:
         """Restart at a pose, or where the body is, without landmarks."""
         self._pose = pose or self._pose
         self._local.start(self.T_odom_body)
+        self._map.assign(slice(None), is_active=False)
 
     def advance(self, pose: OdometryPose, *, is_guess: bool = False) -> FloatArray:
         """Follow the odometry, or a guess, to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""
@@ -106,7 +107,7 @@ class ActiveLandmarks:
 
         Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
         """
-        views = ((self.positions - T[:3, 3]) @ T[:3, :3] for T in (T_before, self.T_local_body))
+        views = (self.positions - T[:3, 3] for T in (T_before, self.T_local_body))
         variances = view_change(*views)[:, None] * self._config.calibration.detection.view_variances
         self._local.move(np.arange(len(variances)), np.zeros_like(variances), variances)
 
@@ -198,10 +199,12 @@ class ActiveLandmarks:
         """Make landmarks active; they are tentative until they are confirmed."""
         landmarks = self._map.rows[rows]
         self._local.insert(rows, landmarks["position_local"] - self.T_local_body[:3, 3], landmarks["covariance_local"])
+        self._map.assign(rows, is_active=True)
 
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
         self._local.remove(rows)
+        self._map.assign(rows, is_active=False)
 
     def surplus(self) -> BoolArray:
         """(A,) which landmarks are too far to be seen again soon, or too many to keep: the longest unseen ones."""

@@ -103,15 +103,17 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
-    """A keyframe and the landmarks around it, in its gravity frame.
+    """A keyframe and the landmarks around it that its traversal found, in its gravity frame.
 
-    ``before_m``: travel up to which landmarks and keyframes may be the reference of a loop closure.
+    ``before_m``: travel up to which landmarks and keyframes may be the reference of a loop closure; ``tracked``: how
+    many landmarks from before that are around and still associated. These would match themselves.
     """
 
     keyframe: Keyframe
     submap: Submap
     T_local_gravity: FloatArray
     before_m: float
+    tracked: int = 0
 
     @property
     def travel_m(self) -> float:
@@ -123,7 +125,7 @@ class Query:
         """The tilt (4, 4) of the keyframe, by the odometry."""
         return np.asarray(invert(self.T_local_gravity) @ self.keyframe.T_local_body)
 
-    def tracked(self, reference: Keyframe) -> LoopClosureRecord:
+    def refusal_of_tracked(self, reference: Keyframe) -> LoopClosureRecord:
         """The record of a place that landmarks of the traversal of ``reference`` tell, which are still associated."""
         reason = "its landmarks are still associated: there is no loop to close"
         T_reference_query = invert(reference.T_local_body) @ self.keyframe.T_local_body

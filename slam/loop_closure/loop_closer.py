@@ -16,7 +16,6 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import BoolArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
@@ -121,11 +120,10 @@ class LoopCloser:
             return Outcome([self._accept(propagated)])
         # 2. Where landmarks of an earlier traversal are still associated there is no loop to close, ...
         records = list[LoopClosureRecord]()
-        is_new = self._map.rows["first_seen_travel_m"][query.submap.rows] >= query.before_m
-        if (tracked := self._tracked_reference(query, is_new)) is not None:
+        if (tracked := self._tracked_reference(query)) is not None:
             self.closures.add_tracked(keyframe, tracked)
-            records.append(query.tracked(tracked))
-            if np.count_nonzero(is_new) < MIN_INLIERS:
+            records.append(query.refusal_of_tracked(tracked))
+            if len(query.submap) < MIN_INLIERS:
                 return Outcome(records)
         # 3. ... unless there are enough others. Retrieval proposes places.
         if (alike := self._looked_up_alike(query)) is not None:
@@ -168,21 +166,21 @@ class LoopCloser:
         # All of earlier segments may be the reference.
         began_m = self._keyframes[first].odometry.travel_m if first else -np.inf
         before_m = max(pose.travel_m - self._config.closure_travel_m, began_m)
-        submap = recent_submap(self._map, keyframe, self._config.calibration)
-        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before_m)
+        around = recent_submap(self._map, keyframe, self._config.calibration)
+        is_new = self._map.rows["first_seen_travel_m"][around.rows] >= before_m
+        tracked = int(np.count_nonzero(~is_new))
+        query = Query(keyframe, around.of(is_new), gravity_frame(keyframe.T_local_body), before_m, tracked)
         self._recent.append(query)
         while self._recent[0].travel_m < pose.travel_m - self._config.propagation_distance_m:
             self._recent.popleft()
         return query
 
-    def _tracked_reference(self, query: Query, is_new: BoolArray) -> Keyframe | None:
-        """The nearest keyframe of the earlier traversal that most landmarks of the query are from, still associated.
+    def _tracked_reference(self, query: Query) -> Keyframe | None:
+        """The nearest keyframe of the earlier traversal that most landmarks around are from, still associated.
 
-        ``is_new`` (N,): whether a landmark is of this traversal. None if too few are not for a pose, or the robot is
-        lost, so that they do not tell where it is.
+        None if they are too few for a pose, or the robot is lost, so that they do not tell where it is.
         """
-        tracked_count = np.count_nonzero(~is_new)
-        is_known = tracked_count >= MIN_INLIERS and 2 * tracked_count > len(is_new)
+        is_known = query.tracked >= max(MIN_INLIERS, len(query.submap) + 1)
         if not is_known or not self.closures.is_localized(query.keyframe):
             return None
         place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment
@@ -202,9 +200,7 @@ class LoopCloser:
             return None
         candidate = predicted.verified
         agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
-        # A landmark that is still associated matches itself, which says nothing new.
-        is_new = 2 * np.count_nonzero(np.equal(*candidate.pairs.T)) <= len(candidate.pairs)
-        return candidate if agrees and is_new and self._acceptance.is_acceptable(candidate) else None
+        return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
         """Whether landmarks that came into view on the last sensor range of travel make a predicted place less likely

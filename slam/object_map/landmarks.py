@@ -48,6 +48,7 @@ LANDMARK = np.dtype(
         ("last_seen_ns", np.int64),
         ("first_seen_travel_m", np.float64),
         ("last_seen_travel_m", np.float64),
+        ("is_active", np.bool_),  # data association may find it
         ("segment", np.int64),  # of the odometry: positions of one segment have nothing to do with those of another
         # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
         ("position_local", np.float64, 3),

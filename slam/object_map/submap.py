@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.config import SUBMAP_RANGES
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
@@ -40,6 +40,16 @@ class Submap:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def of(self, chosen: BoolArray) -> Submap:
+        """Some of the landmarks, by a mask (N,), where all of them exist."""
+        return replace(
+            self,
+            positions=self.positions[chosen],
+            sigmas=self.sigmas[chosen],
+            labels=self.labels[chosen],
+            rows=self.rows[chosen],
+        )
 
 
 def gravity_frame(T_local_body: FloatArray) -> FloatArray:

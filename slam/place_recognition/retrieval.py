@@ -112,6 +112,7 @@ class PlaceRetriever:
         """
         landmarks = self._map.rows
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
+        usable &= ~landmarks["is_active"]
         places = [
             Place(T_local_query, self._traversal_m(self._rows[entries]), segment, "descriptor")
             for T_local_query, segment, entries in self._index.propose(query, usable[self._rows], self._count)
@@ -143,9 +144,9 @@ class PlaceRetriever:
         return np.concatenate([np.eye(4)[None], poses])
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
-        """The landmarks around a place from its traversal, in the odometry frame.
+        """The inactive landmarks around a place from its traversal, in the odometry frame.
 
-        Those that are seen again by now, because data association never lost them, are of the traversal, too.
+        Active ones have moved with the robot since the traversal, and data association compares what is seen with them.
         """
         centre = place.T_local_query[:3, 3]
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
@@ -158,6 +159,7 @@ class PlaceRetriever:
             & (landmarks["first_seen_travel_m"] < min(place.travel_m + self._extent_m, before_m))
             & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)
+            & ~landmarks["is_active"]
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
         return placed_submap(self._map, rows, centre, self._calibration)

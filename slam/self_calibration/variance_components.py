@@ -33,7 +33,7 @@ import numpy as np
 from scipy.special import roots_genlaguerre
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import transform_from_xyz_yaw, view_change
+from slam.common.geometry import view_change
 from slam.self_calibration.object_tracks import ROUNDING, ObjectTracks
 
 BLOCKS = 8
@@ -161,14 +161,13 @@ class _Displacements:
     """Displacements of objects between two scans, ordered by the pair of scans, all lengths in units of ``unit_m``.
 
     ``d``, ``x``, ``x_before`` (P, 3): displacement, and offset of the object from the body in the second and the first
-    scan; ``x_turned`` (P, 3): the latter as it turned with the body; ``group`` (P,): the pair of scans; ``moved``
+    scan; ``group`` (P,): the pair of scans; ``moved``
     (G, 3): travel, turn and time between them; ``block`` (G,).
     """
 
     d: FloatArray
     x: FloatArray
     x_before: FloatArray
-    x_turned: FloatArray
     group: IntArray
     moved: FloatArray
     block: IntArray
@@ -197,11 +196,9 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     x_before = np.column_stack([tracks.offsets[first], heights[first] - motion.height_m[before]])
     moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
-    turned = transform_from_xyz_yaw(np.zeros((len(before), 3)), motion.heading_rad[after] - motion.heading_rad[before])
-    x_turned = np.einsum("nij,nj->ni", turned[:, :3, :3], x_before)
     block = np.minimum(before[start] * BLOCKS // scans, BLOCKS - 1)
-    d, x, x_before, x_turned = (each / unit_m for each in (d, x, x_before, x_turned))
-    return _Displacements(d, x, x_before, x_turned, group, moved, block, unit_m)
+    d, x, x_before = (each / unit_m for each in (d, x, x_before))
+    return _Displacements(d, x, x_before, group, moved, block, unit_m)
 
 
 def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
@@ -332,9 +329,9 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
     """(7, P, 3): by how much a unit of each component adds to D."""
     squares = np.einsum("ni,ni->n", pairs.x, pairs.x), np.einsum("ni,ni->n", pairs.x_before, pairs.x_before)
     lengths = np.maximum(np.sqrt(squares[0] * squares[1]), 1e-300)
-    travel, turn, _ = pairs.moved[pairs.group].T
+    travel = pairs.moved[pairs.group, 0]
     # Noise changes the view, too; the body has not come farther than its travel.
-    view = np.minimum(view_change(pairs.x_turned, pairs.x), travel / np.sqrt(lengths) + turn)
+    view = np.minimum(view_change(pairs.x_before, pairs.x), travel / np.sqrt(lengths))
     two, zero = np.full_like(view, 2.0), np.zeros_like(view)
     flat, flat_before = pairs.x[:, :2], pairs.x_before[:, :2]
     products = np.maximum(np.linalg.norm(flat, axis=1) * np.linalg.norm(flat_before, axis=1), 1e-300)

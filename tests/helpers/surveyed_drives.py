@@ -86,10 +86,10 @@ class SurveyedDrive:
         self.in_body = np.stack([c * seen[:, 0] + s * seen[:, 1], -s * seen[:, 0] + c * seen[:, 1]], axis=1)
 
     def _view_noise(self, offset: FloatArray) -> FloatArray:
-        """(S, 2): of each object the sum of two random walks, along the bearing, where it is closed, and along the
-        logarithm of the range.
+        """(S, 2): of each object the sum of two random walks, along the direction that it is seen from, where it is
+        closed, and along the logarithm of the range.
         """
-        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - self.true_headings[self.scan]
+        bearing = np.arctan2(offset[:, 1], offset[:, 0])
         log_range = np.log(np.linalg.norm(offset, axis=1))
         steps = self._rng.normal(size=(2, VIEWS, self.object.max() + 1, 2)) * np.sqrt(self.noise.view / VIEWS)
         closed = steps[0] - steps[0].mean(axis=0)

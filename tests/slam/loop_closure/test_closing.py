@@ -50,7 +50,6 @@ class Parts(Patterns):
         self.places = [PLACE]
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
-        self.pairs: list[tuple[int, int]] = []
         self.kidnapped_after_m: float | None = None
         self.closed: dict[int, int] = {}
         self.recognised: list[tuple[int, int]] = []
@@ -73,7 +72,6 @@ class Parts(Patterns):
             reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
             T_local_query=at(query.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
-            pairs=self.pairs,
         )
         return replace(found, place=place)
 
@@ -197,15 +195,18 @@ def test_a_retrieved_closure_predicts_those_after_it(parts):
     assert accepted(drive.close(FIRST + 2)) == {}
 
 
-@pytest.mark.parametrize(
-    ("pairs", "predicts"), [([(1, 1), (2, 2), (3, 4)], False), ([(1, 1), (2, 2), (3, 4), (5, 6)], True)]
-)
-def test_landmarks_that_match_themselves_confirm_no_predicted_closure(parts, pairs, predicts):
+def test_landmarks_of_an_earlier_traversal_are_no_part_of_a_query(parts, monkeypatch):
+    rows = list[list[int]]()
+
+    def verify(query: Query, place: Place) -> LoopClosureRecord:
+        rows.append(query.submap.rows.tolist())
+        return query.refusal(Stage.REGISTRATION, "nothing fits")
+
+    monkeypatch.setattr(parts, "verify", verify)
     drive = Drive(parts)
-    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
+    drive.map.rows["first_seen_travel_m"][[0, 3, 4]] = 10.0
     drive.close(FIRST)
-    parts.pairs = pairs
-    assert bool(accepted(drive.close(FIRST + 1))) == predicts
+    assert rows == [[1, 2, 5, 6, 7, 8, 9]]
 
 
 @pytest.mark.parametrize(
@@ -214,7 +215,7 @@ def test_landmarks_that_match_themselves_confirm_no_predicted_closure(parts, pai
         pytest.param(10, 5, ["accepted"], id="half of the landmarks are of this traversal"),
         pytest.param(10, 10 - MIN_INLIERS, ["association", "accepted"], id="enough are of this traversal for a pose"),
         pytest.param(10, 11 - MIN_INLIERS, ["association"], id="too few are of this traversal for a pose"),
-        pytest.param(MIN_INLIERS, MIN_INLIERS - 1, ["accepted"], id="too few are of the earlier one for a pose"),
+        pytest.param(MIN_INLIERS, MIN_INLIERS - 1, ["retrieval"], id="too few are of either for a pose"),
         pytest.param(MIN_INLIERS, MIN_INLIERS, ["association"], id="all are of the earlier one"),
     ],
 )
@@ -397,7 +398,7 @@ def test_at_the_beginning_there_is_no_loop_to_close(parts):
 
 
 def start_in_map(parts: Parts) -> Drive:
-    drive = Drive(parts, prior=True, min_travel_m=1.0)
+    drive = Drive(parts, prior=True, min_travel_m=2.0 * RECENT_M)
     parts.llrs, parts.objects = {FIRST: SURE_LLR}, 12
     assert accepted(drive.close(FIRST)) == {FIRST: None}
     return drive
@@ -408,8 +409,9 @@ RECENT_M = 30.0
 
 
 def see(drive: Drive, count: int, first_seen_m: float, *, segment: int = 1) -> None:
-    """All others for long."""
-    drive.map.rows["first_seen_travel_m"] = np.where(np.arange(1000) < count, first_seen_m, 0.0)
+    """All others for longer than the last sensor range of travel."""
+    others_m = STEP_M * FIRST - 1.5 * RECENT_M
+    drive.map.rows["first_seen_travel_m"] = np.where(np.arange(1000) < count, first_seen_m, others_m)
     drive.map.rows["segment"][:count] = segment
 
 
@@ -434,7 +436,7 @@ def test_landmarks_seen_for_long_do_not_speak_against_a_place(parts, ago_m, is_l
 
 def test_landmarks_that_were_merged_into_the_map_count_whenever_they_were_seen(parts):
     drive = start_in_map(parts)
-    see(drive, 20, 0.0, segment=0)
+    see(drive, 20, STEP_M * FIRST - 1.5 * RECENT_M, segment=0)
     drive.close(FIRST + 1)
     assert drive.lost_after_m is not None
 

@@ -252,7 +252,7 @@ def test_heights_count_from_the_body() -> None:
     )
     assert low is not None
     assert high is not None
-    for name in ("x", "x_before", "x_turned"):
+    for name in ("x", "x_before"):
         np.testing.assert_allclose(getattr(high, name), getattr(low, name), atol=1e-9)
 
 
@@ -261,7 +261,7 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
     rng = np.random.default_rng(0)
     x, x_before = (np.column_stack([rng.uniform(-20.0, 20.0, (50, 2)), np.zeros(50)]) for _ in range(2))
     heights = np.column_stack([np.zeros((50, 2)), np.ones(50)])
-    still = _Displacements(heights, x, x_before, x_before, np.zeros(50, np.int64), np.zeros((1, 3)), np.zeros(1), 1.0)
+    still = _Displacements(heights, x, x_before, np.zeros(50, np.int64), np.zeros((1, 3)), np.zeros(1), 1.0)
     parts = iter(_own_parts(still))
     axes, axes_before = _axes(still), _axes(replace(still, x=x_before))
     squares = [np.sum(each**2, axis=1)[:, None] for each in (x, x_before)]
@@ -270,6 +270,12 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
         after, before = (np.sum((axes @ each.transpose(0, 2, 1)) ** 2, axis=2) for each in noise)
         np.testing.assert_allclose(next(parts), after + before, atol=1e-9)
         np.testing.assert_allclose(next(parts), after * squares[0] + before * squares[1], atol=1e-9)
+
+
+def test_body_that_turns_on_the_spot_has_the_same_view() -> None:
+    x = np.array([[5.0, 2.0, 0.0], [-3.0, 1.0, 0.0]])
+    turned = _Displacements(x, x, x, np.zeros(2, np.int64), np.array([[0.0, 2.0, 1.0]]), np.zeros(1), 1.0)
+    np.testing.assert_allclose(_own_parts(turned)[5], 0.0, atol=1e-9)
 
 
 @pytest.mark.usefixtures("few_pairs")
