@@ -33,8 +33,7 @@ class MapPicture:
     estimate, odometry, truth (N, 3) positions along the path, N may be 0, a row of NaN where no line is to be drawn;
     landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
     closures that are undecided, true, false; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
-    landmarks of a map that was given, drawn in grey; appeared, gone (J, 3) and moved (J, 2, 3), from and to, of
-    landmarks that changed; length of the path, and errors of estimate and odometry, where they are known.
+    landmarks of a map that was given, drawn in grey; length of the path, and errors of estimate and odometry, where they are known.
     """
 
     estimate: FloatArray
@@ -48,9 +47,6 @@ class MapPicture:
     lost: FloatArray = field(default_factory=_no_points)
     found: FloatArray = field(default_factory=_no_points)
     known: FloatArray = field(default_factory=_no_points)
-    appeared: FloatArray = field(default_factory=_no_points)
-    gone: FloatArray = field(default_factory=_no_points)
-    moved: FloatArray = field(default_factory=_no_lines)
     title: str = "Object map"
     length_m: float | None = None
     ate_m: float | None = None
@@ -59,12 +55,7 @@ class MapPicture:
     @property
     def points(self) -> FloatArray:
         """Points (N, 3) m that the picture has to contain."""
-        every = np.concatenate(
-            [
-                *(self.estimate, self.odometry, self.truth, self.landmarks, self.known),
-                *(self.appeared, self.gone, self.moved.reshape(-1, 3)),
-            ]
-        )
+        every = np.concatenate([self.estimate, self.odometry, self.truth, self.landmarks, self.known])
         return np.asarray(every[~np.isnan(every).all(axis=1)])
 
 
@@ -102,10 +93,6 @@ def layers_of(picture: MapPicture) -> list[Layer]:
         Layer("lost", picture.lost, "#b91c1c", size=13.0, marker="v", count=len(picture.lost)),
         Layer("found", picture.found, "#15803d", size=13.0, marker="^", count=len(picture.found)),
         _strokes("false loop closures", picture.false_closures, FALSE_CLOSURE, 4.0),
-        _strokes("moved", picture.moved, TRUE_CLOSURE, 3.0),
-        Layer("moved to here", picture.moved[:, 1], TRUE_CLOSURE, size=10.0, marker="D"),
-        Layer("appeared", picture.appeared, ESTIMATE, size=13.0, marker="P", count=len(picture.appeared)),
-        Layer("gone", picture.gone, FALSE_CLOSURE, size=13.0, marker="X", count=len(picture.gone)),
     ]
     return [layer for layer in every if len(layer.positions)]
 

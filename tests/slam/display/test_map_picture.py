@@ -83,12 +83,3 @@ def test_most_frequent_classes_have_a_layer_each() -> None:
     assert [layer.name for layer in layers] == names
     assert [layer.count for layer in layers] == [2, *[1] * 11, 8]
     assert len({(layer.color, layer.marker) for layer in layers}) == len(layers)
-
-
-def test_changes_have_a_layer_each_and_fit_into_the_picture() -> None:
-    picture = MapPicture(
-        np.zeros((0, 3)), appeared=np.ones((2, 3)), gone=np.zeros((1, 3)), moved=np.array([[[0.0, 0, 0], [9.0, 9, 0]]])
-    )
-    counts = {layer.name: layer.count for layer in layers_of(picture)}
-    assert counts == {"moved": 1, "moved to here": None, "appeared": 2, "gone": 1}
-    assert picture.points.max() == 9.0
