@@ -33,7 +33,8 @@ class MapPicture:
     estimate, odometry, truth (N, 3) positions along the path, N may be 0, a row of NaN where no line is to be drawn;
     landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
     closures that are undecided, true, false; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
-    landmarks of a map that was given, drawn in grey; length of the path, and errors of estimate and odometry, where they are known.
+    landmarks of a map that was given, drawn in grey; length of the path, and errors of estimate and
+    odometry, where they are known.
     """
 
     estimate: FloatArray
