@@ -74,8 +74,8 @@ def skew(vectors: FloatArray) -> FloatArray:
 
 
 def view_change(before: FloatArray, after: FloatArray) -> FloatArray:
-    """By how much (N,) [rad] the view of objects differs at offsets (N, 3) from a sensor, in its axes: by the direction
-    and by the logarithm of the distance.
+    """By how much (N,) [rad] the view of objects differs from two places, at offsets (N, 3) in axes that do not turn:
+    by the direction that they are seen from and by the logarithm of the distance.
     """
     angle = np.arctan2(np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ni,ni->n", before, after))
     squares = (np.maximum(np.einsum("ni,ni->n", each, each), 1e-300) for each in (before, after))

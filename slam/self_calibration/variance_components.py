@@ -7,8 +7,9 @@ the error xi of the odometry between them in common, a turn about each axis and 
 
 with A_k by the offset of the object from the body, half-way between the scans. The diagonal matrices D_k, along the
 ray, across it and in height, and Q are linear in the variances (:class:`NoiseComponents`) by ranges, the angle b
-between the two rays, change of the view B (:func:`view_change`), travel L, turn A and time T. With the noise of a
-detection at range r along its ray, R = v_r + u_r r^2, and across it, S = v_t + u_t r^2:
+between the two rays, change of the view B (:func:`view_change`), which turning on the spot leaves as it is, travel L,
+turn A and time T. With the noise of a detection at range r along its ray, R = v_r + u_r r^2, and across it,
+S = v_t + u_t r^2:
 
     D:  R1 cos^2 b + S1 sin^2 b + R2 + w B;   S1 cos^2 b + R1 sin^2 b + S2 + w B;   S1 + S2 + 2 h + w_z B
     Q:  2 j_t + a_t L + b_t T for a shift along the ground, 2 j_z + a_z L for one in height;

@@ -121,6 +121,23 @@ def test_error_of_a_landmark_changes_with_the_view_of_it() -> None:
     np.testing.assert_allclose(grown, changed_rad * np.square([0.3, 0.3, 0.1]), rtol=1e-3)
 
 
+def test_body_that_turns_on_the_spot_sees_landmarks_as_before() -> None:
+    bench = Bench(detection={"common_sigma_m": 0.3})
+    bench.add([[5.0, 2.0, 0.0]])
+    turned = OdometryPose(10**9, transform_from_xyz_yaw(np.zeros(3), 1.5), 0.0, 0, 0.0)
+    bench.active.advance(turned)
+    assert bench.sigma_m(0) == pytest.approx(SIGMA_M, rel=1e-3)
+
+
+def test_map_tells_which_landmarks_are_active() -> None:
+    bench = Bench()
+    rows = bench.add([[5.0, 2.0, 0.0], [9.0, 2.0, 0.0]])
+    bench.active.drop(rows[:1])
+    assert bench.map.rows["is_active"][rows].tolist() == [False, True]
+    bench.active.restart()
+    assert not bench.map.rows["is_active"].any()
+
+
 def test_moving_landmark_is_expected_where_its_velocity_takes_it() -> None:
     bench = Bench()
     bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]], confirmed=False)

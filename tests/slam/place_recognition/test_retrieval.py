@@ -96,6 +96,15 @@ def test_not_among_retired_landmarks(places):
     assert places.found_m(50.0) != [50.0]
 
 
+def test_not_among_landmarks_that_are_still_active(places):
+    rows = places.add(50.0, 100.0)
+    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 100.0, 0, "descriptor")
+    assert len(places.retriever.reference_submap(place, before_m=BEFORE_M)) == COUNT
+    places.map.assign(rows, is_active=True)
+    assert len(places.retriever.reference_submap(place, before_m=BEFORE_M)) == 0
+    assert places.found_m(50.0) == []
+
+
 def test_landmarks_are_left_behind_after_some_travel(places):
     recent_m = NOW_M - INACTIVE_RANGES * CONFIG.sensor_range_m
     places.add(50.0, recent_m + 1.0)
