@@ -29,7 +29,7 @@ GATE_PROBABILITY = 0.9995
 NEW_OBJECT_GATE_PROBABILITY = 0.999999
 """A detection outside the gate of every landmark, but not as far off as that, is left out."""
 IDENTITY_SIGMAS = 10.0
-"""... or as that, in standard deviations, where the landmark is the only one of the class."""
+"""... or as that, in standard deviations, where labels are identities."""
 DECIDED = 0.99
 """Probability from which a match, a pose or a landmark is taken to be right."""
 EXCLUDED_RATIO = 0.01
@@ -106,9 +106,10 @@ def associate(
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows, ratios)
     gate = _gate(GATE_PROBABILITY)
-    detection, landmark = _near_pairs(
-        positions, covariances, landmark_positions, landmark_covariances, IDENTITY_SIGMAS**2
-    )
+    outer_gate = _gate(NEW_OBJECT_GATE_PROBABILITY)
+    if config.spacing_m > np.ptp(landmark_positions, axis=0).max():  # no two objects around are of one class
+        outer_gate = IDENTITY_SIGMAS**2
+    detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
         return Assignment(rows, ratios)
     innovation = positions[detection] - landmark_positions[landmark]
@@ -125,8 +126,6 @@ def associate(
     # The tail of a Gaussian of any larger width: the width that fits best is that of the offset itself.
     excess = np.maximum(distance_squared / 3.0, 1.0)
     tail_cost = pair_cost + 3.0 * (1.0 + np.log(excess) - excess)
-    is_only = landmark_beliefs.sum(axis=0)[labels[detection]] - belief < 0.5
-    outer_gate = np.where(is_only, IDENTITY_SIGMAS**2, _gate(NEW_OBJECT_GATE_PROBABILITY))
     rows[detection[(belief >= 0.5) & (distance_squared <= outer_gate) & (tail_cost < none_cost)]] = AMBIGUOUS
     inside = np.flatnonzero(distance_squared <= gate)
     inside = inside[pair_cost[inside] < none_cost[inside]]  # a dearer pair is in no cheapest assignment

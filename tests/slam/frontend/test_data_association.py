@@ -28,7 +28,7 @@ from slam.frontend.data_association import (
     squared_distances,
 )
 
-CONFIG = ObjectCalibration()
+CONFIG = ObjectCalibration(spacing_m=0.01)
 SIGMA_M = 0.2
 GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(GATE_PROBABILITY, 3))
 OUTER_GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3))
@@ -98,17 +98,15 @@ def gain_of(rows: tuple[int, ...], scene: Scene) -> float:
 
 
 def is_bad_measurement(scene: Scene, d: int) -> bool:
-    """Whether a landmark of the detection's class is within the outer gate, which is wider where it is the only one,
-    and as wide as its noise then must be, it is likelier than a new object.
+    """Whether a landmark of the detection's class is within the outer gate, and as wide as its noise then must be, it
+    is likelier than a new object.
     """
     for row in range(len(scene.positions)):
         squared, ratio = pair(scene, d, row)
         widening = max(squared / 3.0, 1.0)
         tail = ratio + 0.5 * squared - 0.5 * squared / widening - 1.5 * np.log(widening)
         is_like = scene.beliefs[row, scene.seen.labels[d]] >= 0.5
-        others = float(scene.beliefs[:, scene.seen.labels[d]].sum() - scene.beliefs[row, scene.seen.labels[d]])
-        gate = IDENTITY_SIGMAS**2 if others < 0.5 else chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3)
-        if is_like and squared <= gate and tail > 0.0:
+        if is_like and squared <= chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3) and tail > 0.0:
             return True
     return False
 
@@ -169,16 +167,17 @@ def test_gate_is_that_of_the_chi_squared_distribution(factor: float, row: int) -
 
 @pytest.mark.parametrize(("factor", "row"), [(0.999, AMBIGUOUS), (1.001, NEW)])
 def test_detection_is_new_only_outside_the_outer_gate(factor: float, row: int) -> None:
-    scene = plain_scene([factor * OUTER_GATE_M], [0, -50])  # two landmarks of the class
+    scene = plain_scene([factor * OUTER_GATE_M], [0, -50])
     assignment = scene.assigned(ObjectCalibration(new_object_density=1e-6))
     assert assignment.landmark_rows.tolist() == [row]
     assert not assignment.matched[0]
 
 
 @pytest.mark.parametrize(("factor", "row"), [(0.999, AMBIGUOUS), (1.001, NEW)])
-def test_outer_gate_of_the_only_landmark_of_a_class_is_wider(factor: float, row: int) -> None:
-    scene = plain_scene([factor * IDENTITY_GATE_M], [0])
-    assert scene.rows(ObjectCalibration(new_object_density=1e-6)) == [row]
+def test_outer_gate_is_wider_where_labels_are_identities(factor: float, row: int) -> None:
+    scene = plain_scene([factor * IDENTITY_GATE_M], [0, -50])
+    assert scene.rows(ObjectCalibration(new_object_density=1e-9, spacing_m=51.0)) == [row]
+    assert scene.rows(ObjectCalibration(new_object_density=1e-9, spacing_m=49.0)) == [NEW]
 
 
 def test_detection_near_a_landmark_is_new_where_new_objects_are_dense() -> None:
