@@ -47,27 +47,32 @@ NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_
 _Measured = TypeVar("_Measured")
 
 
-def evaluate(records: EvaluationRecords, protocol: Protocol | None = None) -> Evaluation:
+def evaluate(
+    records: EvaluationRecords, protocol: Protocol | None = None, *, map_alignment: FloatArray | None = None
+) -> Evaluation:
     """Measure all that the records allow; a part that they do not allow has its reason in ``unavailable``.
 
     Args:
         records: of the log.
         protocol: the thresholds; those of papers if None, with lengths in proportion to the sensor range of the run.
+        map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized, by which its fixes
+            there are judged.
 
     Raises:
         EvaluationError: a pose is not finite.
     """
     if protocol is None:
         protocol = Protocol() if records.sensor_range_m is None else Protocol().for_range(records.sensor_range_m)
-    return _Evaluator(records, protocol).run()
+    return _Evaluator(records, protocol, map_alignment).run()
 
 
 class _Evaluator:
     """Measures part by part; a part that raises :class:`EvaluationError` is unavailable for this reason."""
 
-    def __init__(self, records: EvaluationRecords, protocol: Protocol) -> None:
+    def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
         self._records = records
         self._protocol = protocol
+        self._map_alignment = map_alignment
         self._unavailable: dict[str, str] = {}
         self._truth = records.true_path
         self._odometry = records.odometry_path
@@ -185,13 +190,17 @@ class _Evaluator:
     def _evaluate_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any]:
         records = self._records
         _require({NO_STATUS: bool(records.statuses)})
+        is_given = records.has_prior_map
+        if self._map_alignment is not None and not is_given:
+            self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
+        is_located = is_given and self._map_alignment is not None
         figures = evaluate_relocalization(
             records,
             self._truth,
             self._odometry,
             self._protocol,
-            T_world_map=T_world_estimate,
-            method="trajectory" if records.has_prior_map else "closure",
+            T_world_map=self._map_alignment if is_located else T_world_estimate,
+            method="map" if is_located else "trajectory" if is_given else "closure",
         )
         undecided, fixes = figures["undecided_count"], figures["fix_count"]
         if undecided:

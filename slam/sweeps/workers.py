@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -52,7 +53,11 @@ def _compute_apart(compute: Callable[[_Task], _Outcome], task: _Task) -> _Outcom
 
 
 def _prepare() -> None:
-    """Let the process end silently with Ctrl-C and with its parent, and compute on one thread."""
+    """Let the process end silently with Ctrl-C and with its parent, log nothing, and compute on one thread.
+
+    Each task of a log would repeat its warnings, and a message may hold characters that control a terminal.
+    """
+    logging.disable()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"  # for libraries that are loaded later

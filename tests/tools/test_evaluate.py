@@ -32,6 +32,17 @@ class TestOneLog:
         assert "trajectory.ate_m is" in unmet.err
         assert_refused(dslam("evaluate", mapped, "--require", "trajectory.ate_m=4"), "expected for example")
 
+    def test_a_fix_is_measured_in_the_map_that_was_given(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        saved, later = tmp_path / "saved.mcap", tmp_path / "later.mcap"
+        assert dslam("replay", short_log, "-o", tmp_path / "first.mcap", "--save-map", saved).code == 0
+        assert dslam("replay", short_log, "-o", later, "--map", saved).code == 0
+        told = [
+            json.loads(dslam("evaluate", later, *option, "--json").out)["relocalization"]
+            for option in ((), ("--map-run", tmp_path / "first.mcap"))
+        ]
+        assert [each["method"] for each in told] == ["trajectory", "map"]
+        assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no estimated pose")
+
 
 class TestSweep:
     def test_it_prints_a_table_and_reuses_results(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:

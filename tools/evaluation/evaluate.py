@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import Json, Picture, SlamLog, Topics, check_outputs, parse_topics
 from tools.evaluation.requirements import Require, finish
+
+if TYPE_CHECKING:
+    from slam.common.arrays import FloatArray
 
 Reference = Annotated[
     Path | None,
@@ -24,6 +27,10 @@ Calib = Annotated[
         help="KITTI's calib.txt, if references in its format are of the left camera.",
     ),
 ]
+MapRun = Annotated[
+    Path | None,
+    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization."),
+]
 
 
 def evaluate(
@@ -33,6 +40,7 @@ def evaluate(
     topics: Topics = None,
     as_json: Json = False,
     picture: Picture = None,
+    map_run: MapRun = None,
     require: Require = None,
 ) -> None:
     """Compare a map with the truth: trajectory, associations, landmarks, loop closures.
@@ -40,7 +48,7 @@ def evaluate(
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
     chosen = parse_topics(topics)
-    check_outputs([picture], [log, reference, calib])
+    check_outputs([picture], [log, reference, calib, map_run])
     from logs.storage.opening import is_log
     from slam.common.errors import EvaluationError
     from slam.evaluation.evaluate import evaluate
@@ -53,7 +61,7 @@ def evaluate(
     records = read_records(log, reference=truth, topics=chosen)
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
-    evaluation = evaluate(records)
+    evaluation = evaluate(records, map_alignment=None if map_run is None else _locate_map_of(map_run))
     if picture is not None:
         from slam.display.map_picture import draw_map
         from slam.evaluation.report.picture import compose_picture
@@ -65,3 +73,22 @@ def evaluate(
     else:
         console.show(console.pairs(summarize(results) | ({} if picture is None else {"written": str(picture)})))
     finish({"": results}, require, quiet=as_json)
+
+
+def _locate_map_of(log: Path) -> FloatArray:
+    """``T_world_map`` (4, 4) of the map that the drive in ``log`` made.
+
+    Raises:
+        LogError: it cannot be read.
+        EvaluationError: it has no trajectory or no truth.
+    """
+    from slam.common.errors import EvaluationError
+    from slam.evaluation.inputs.protocol import Protocol
+    from slam.evaluation.inputs.records import read_records
+    from slam.evaluation.metrics.trajectory import evaluate_trajectory
+
+    mapping, max_gap_s = read_records(log), Protocol().max_truth_gap_s
+    try:
+        return evaluate_trajectory(mapping.final_path, mapping.true_path, max_gap_s=max_gap_s).alignment.T_world_map
+    except EvaluationError as error:
+        raise EvaluationError(f"--map-run {log}: {error}") from error

@@ -18,7 +18,7 @@ from slam.evaluation.place_recognition.revisits import find_true_poses
 
 LOST = "LOST"
 MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
-Method = Literal["closure", "trajectory"]
+Method = Literal["closure", "map", "trajectory"]
 Span = tuple[int, int | None]
 """Stamps [ns] at which a robot was lost, and at which it knew again where it is; None if it never did."""
 PlacedPose = tuple[int, FloatArray]
@@ -40,8 +40,8 @@ def evaluate_relocalization(
 
     * A loss begins with the first status in state LOST, also at the start of the drive, and ends with RELOCALIZED.
     * ``method`` "closure": the error of a fix is that of the accepted closure that made it, the last one up to its
-      stamp whose reference is from before the loss. "trajectory": that of the first pose on ``/slam/pose`` at or after
-      its stamp, laid on the truth by ``T_world_map``.
+      stamp whose reference is from before the loss. "map", "trajectory": that of the first pose on ``/slam/pose`` at or
+      after its stamp, laid on the truth by ``T_world_map``.
     * A fix is right within ``closure_translation_m`` and ``closure_rotation_deg``, both inclusive.
 
     Args:
@@ -49,7 +49,7 @@ def evaluate_relocalization(
         truth: may hold no pose.
         odometry: may hold no pose.
         protocol: the thresholds.
-        T_world_map: (4, 4); without it "trajectory" leaves all fixes undecided.
+        T_world_map: (4, 4); without it "map" and "trajectory" leave all fixes undecided.
         method: how the error is measured.
     """
     spans = find_losses(records.statuses)

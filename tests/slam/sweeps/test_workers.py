@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
@@ -40,6 +41,16 @@ def test_dying_process_takes_only_its_task_along(jobs: int) -> None:
     assert {task: outcome[0] for task, outcome in outcomes.items()} == {number: number for number in (1, 2, 4)}  # type: ignore[index]
     processes = {outcome[1] for outcome in outcomes.values()}  # type: ignore[index]
     assert len(processes | {os.getpid()}) == 4
+
+
+def warn(name: str) -> str:
+    logging.getLogger("slam").warning("of %s", name)
+    return name
+
+
+def test_what_a_process_logs_does_not_reach_the_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    assert dict(compute_all(warn, ["\x1b[2J"], jobs=1)) == {"\x1b[2J": "\x1b[2J"}
+    assert capfd.readouterr().err == ""
 
 
 def test_closing_begins_no_further_task(tmp_path: Path) -> None:
