@@ -27,9 +27,9 @@ NEW, AMBIGUOUS = -1, -2
 GATE_PROBABILITY = 0.9995
 """Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
 NEW_OBJECT_GATE_PROBABILITY = 0.999999
-"""A detection outside the gate of every landmark, but not as far off as that, is left out."""
-IDENTITY_SIGMAS = 10.0
-"""... or as that, in standard deviations, where labels are identities."""
+"""A detection outside the gate of every landmark, but not as far off as that, is left out. Where labels are identities,
+it is left out however far off it is, unless it is likelier a new object.
+"""
 DECIDED = 0.99
 """Probability from which a match, a pose or a landmark is taken to be right."""
 EXCLUDED_RATIO = 0.01
@@ -108,7 +108,7 @@ def associate(
     gate = _gate(GATE_PROBABILITY)
     outer_gate = _gate(NEW_OBJECT_GATE_PROBABILITY)
     if config.spacing_m > np.ptp(landmark_positions, axis=0).max():  # no two objects around are of one class
-        outer_gate = IDENTITY_SIGMAS**2
+        outer_gate = np.inf
     detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
         return Assignment(rows, ratios)

@@ -16,7 +16,6 @@ from slam.frontend import data_association
 from slam.frontend.data_association import (
     AMBIGUOUS,
     GATE_PROBABILITY,
-    IDENTITY_SIGMAS,
     NEW,
     NEW_OBJECT_GATE_PROBABILITY,
     Assignment,
@@ -32,7 +31,6 @@ CONFIG = ObjectCalibration(spacing_m=0.01)
 SIGMA_M = 0.2
 GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(GATE_PROBABILITY, 3))
 OUTER_GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3))
-IDENTITY_GATE_M = SIGMA_M * np.sqrt(2.0) * IDENTITY_SIGMAS
 
 
 @dataclass
@@ -173,10 +171,10 @@ def test_detection_is_new_only_outside_the_outer_gate(factor: float, row: int) -
     assert not assignment.matched[0]
 
 
-@pytest.mark.parametrize(("factor", "row"), [(0.999, AMBIGUOUS), (1.001, NEW)])
-def test_outer_gate_is_wider_where_labels_are_identities(factor: float, row: int) -> None:
-    scene = plain_scene([factor * IDENTITY_GATE_M], [0, -50])
-    assert scene.rows(ObjectCalibration(new_object_density=1e-9, spacing_m=51.0)) == [row]
+@pytest.mark.parametrize("factor", [1.001, 10.0])
+def test_where_labels_are_identities_there_is_no_outer_gate(factor: float) -> None:
+    scene = plain_scene([factor * OUTER_GATE_M], [0, -50])
+    assert scene.rows(ObjectCalibration(new_object_density=1e-9, spacing_m=51.0)) == [AMBIGUOUS]
     assert scene.rows(ObjectCalibration(new_object_density=1e-9, spacing_m=49.0)) == [NEW]
 
 
