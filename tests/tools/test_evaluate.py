@@ -5,8 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from slam.common.geometry import make_transform
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import read_records
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
 
@@ -41,6 +45,9 @@ class TestOneLog:
             for option in ((), ("--map-run", tmp_path / "first.mcap"))
         ]
         assert [each["method"] for each in told] == ["trajectory", "map"]
+        T_world_map = make_transform(np.eye(3), np.array([100.0, 0.0, 0.0]))
+        moved = evaluate(read_records(later), map_alignment=T_world_map).to_json_dict()["relocalization"]
+        assert moved["median_error_m"] == pytest.approx(100.0, abs=5.0)
         assert_refused(dslam("evaluate", later, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no estimated pose")
 
 
