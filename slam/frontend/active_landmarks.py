@@ -42,6 +42,7 @@ class ActiveLandmarks:
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
         self._noise = NoiseScale(SLIP_INFLATION**2)
+        self._variances = np.zeros(6)  # of the errors of the odometry since the last correction, rotation first
         self._detections_innovation_ratio = 0.0  # by the median squared distance of detections from their landmarks
         self.pose_covariance: FloatArray | None = None
         """(6, 6) of the body's pose against the landmarks in view, axes of the body; None before three were seen."""
@@ -75,6 +76,7 @@ class ActiveLandmarks:
     def restart(self, pose: OdometryPose | None = None) -> None:
         """Restart at a pose, or where the body is, without landmarks."""
         self._pose = pose or self._pose
+        self._variances = np.zeros(6)
         self._local.start(self.T_odom_body)
         self._map.assign(slice(None), is_active=False)
 
@@ -90,6 +92,7 @@ class ActiveLandmarks:
             covariance = covariance_of(variances, pose, vertical)
             T_before = self._local.T_local_body
             self._local.advance(relative(before.T_odom_body, pose.T_odom_body), covariance)
+            self._variances += np.diagonal(covariance)
             self._pose = pose
             if not is_guess:
                 self._change_view(T_before)
@@ -176,17 +179,14 @@ class ActiveLandmarks:
 
     def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
         """Correct the state by landmarks, and learn from it how large the errors of the odometry are."""
-        if len(slots) < 3:
-            self._local.update(slots, offsets, covariances)
-            return
-        R, before = self.T_local_body[:3, :3], self.positions[slots] - self.T_local_body[:3, 3]
-        joint = self._local.relative_covariance(slots)
-        self._local.update(slots, offsets, covariances)
-        after = (self.positions[slots] - self.T_local_body[:3, 3]) @ self.T_local_body[:3, :3] @ R.T
-        fit, corrected = fit_of(before), self._local.relative_covariance(slots)
-        reduction = fit @ (joint - corrected) @ fit.T
-        self.pose_covariance = covariance_in_axes(fit @ corrected @ fit.T, R)
-        self._noise.add(fit @ (after - before).ravel(), reduction)
+        effects = self._local.step_effects(slots) * np.sqrt(self._variances)
+        innovation, effects = self._local.update(slots, offsets, covariances, effects)
+        if len(slots):
+            self._noise.add(innovation, effects)
+            self._variances = np.zeros(6)
+        if len(slots) >= FIXING_LANDMARKS:
+            R, fit = self.T_local_body[:3, :3], fit_of(self.positions[slots] - self.T_local_body[:3, 3])
+            self.pose_covariance = covariance_in_axes(fit @ self._local.relative_covariance(slots) @ fit.T, R)
 
     @property
     def innovation_ratios(self) -> dict[str, float]:

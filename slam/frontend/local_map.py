@@ -100,20 +100,34 @@ class LocalMap:
         of_pose = np.tile(self._P[3:POSE, 3:POSE], (len(slots), len(slots)))
         return np.asarray(self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T)
 
-    def update(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
+    def step_effects(self, slots: IntArray) -> FloatArray:
+        """(3 K, 6): by how much an error of the last step, rotation before translation in the axes of the body, moves
+        the offsets of landmarks from the body, local axes.
+        """
+        R, offsets = self._T[:3, :3], self._positions[slots] - self._T[:3, 3]
+        return np.concatenate([skew(offsets) @ R, np.tile(-R, (len(slots), 1, 1))], axis=2).reshape(-1, POSE)
+
+    def update(
+        self, slots: IntArray, measured: FloatArray, covariances: FloatArray, effects: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Correct the state by landmarks of one scan.
 
         Args:
             slots: (K,) of the landmarks, none twice.
             measured: (K, 3) m, offsets from the body in local axes.
             covariances: (K, 3, 3) m^2 of the measurements, in the same axes.
+            effects: (3 K, N) of errors on what was measured, if they are to be whitened.
+
+        Returns:
+            The innovations (3 K,) and the effects (3 K, N), whitened by the covariance of the innovations.
 
         Raises:
             np.linalg.LinAlgError: noises differ by more orders of magnitude than float64 has digits.
         """
         count = len(slots)
+        effects = np.zeros((3 * count, 0)) if effects is None else effects
         if count == 0:
-            return
+            return np.zeros(0), effects
         innovations = measured - (self._positions[slots] - self._T[:3, 3])
         columns = (POSE + 3 * slots[:, None] + np.arange(3)).ravel()
         HP = self._P[columns] - np.tile(self._P[3:POSE], (count, 1))
@@ -125,12 +139,13 @@ class LocalMap:
         excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights, beyond the gate
         S[blocks] = own + excess[:, None, None] * covariances
         # One triangular solution for the gain and for what it is applied to.
-        known = np.column_stack([HP, innovations.ravel()])
+        known = np.column_stack([HP, innovations.ravel(), effects])
         root = np.linalg.cholesky(S)
         whitened = solve_triangular(root, known, lower=True, check_finite=False, overwrite_b=True)
-        gain, innovation = whitened[:, :-1], whitened[:, -1]
+        gain, innovation, effects = np.split(whitened, [len(self._P), len(self._P) + 1], axis=1)
         self._P -= gain.T @ gain
-        self._apply(innovation @ gain)
+        self._apply(innovation[:, 0] @ gain)
+        return innovation[:, 0], effects
 
     def update_landmarks(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
         """Correct landmarks by one scan, but not the pose of the body.

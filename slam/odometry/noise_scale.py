@@ -1,8 +1,14 @@
-"""Scale of the noise of the odometry, from the corrections that landmarks make.
+"""Scale of the noise of the odometry, from the innovations of the landmarks that correct it.
 
-If the model is right, the corrections of the pose have the covariance by which they reduce that of its error
-(covariance matching: Mehra, IEEE T-AC 1970). So the noise of translation, tilt and heading is scaled by the ratio of
-the two over a window of scans, by its median: detections that err by far, and single slips, do not change it.
+The innovations y of a scan, whitened by their covariance S, are W n for an error n of the step before it, whose
+coordinates have the variance of the model times a factor. The factor is the fixed point of
+
+    factor <- factor * (|W' y|^2 / |W|^2),
+
+with the columns of W for translation, tilt or heading, scaled by their standard deviations: the maximum likelihood
+(Zhou et al., MM algorithms for variance components models, JCGS 2019). It takes one landmark, and tells what that one
+can tell. The ratio is the weighted median over a window of scans, so that detections that err by far, and single
+slips, do not change it.
 """
 
 from __future__ import annotations
@@ -18,9 +24,6 @@ GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: what is beyond contradicts its covariance."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
 """Translation, tilt and heading in a pose error, rotation first."""
-DIMENSIONS = np.array([axes.stop - axes.start for axes in AXES])
-MEDIAN = chdtri(DIMENSIONS, 0.5) / DIMENSIONS
-"""Of the squares of normal errors by their variances."""
 
 
 class NoiseScale:
@@ -34,19 +37,34 @@ class NoiseScale:
         self.innovation_ratio = 0.0
         """The last squared correction by its variance and the gate, the largest of the three."""
         self._ratios: list[FloatArray] = []
+        self._weights: list[FloatArray] = []
 
-    def add(self, correction: FloatArray, reduction: FloatArray) -> None:
-        """Add a correction (6,) of the pose and by how much (6, 6) it reduces the covariance of the error."""
-        variances = np.diagonal(reduction)
-        squares = np.array([float(correction[axes] @ correction[axes]) for axes in AXES])
-        expected = np.array([float(variances[axes].sum()) for axes in AXES])
-        ratios = squares / np.maximum(expected, 1e-300)
+    def add(self, innovation: FloatArray, effects: FloatArray) -> None:
+        """Add whitened innovations (M,), and the effects (M, 6) on them of an error of one standard deviation in each
+        coordinate of the step before.
+        """
+        parts = [effects[:, axes] for axes in AXES]
+        squares = np.array([np.sum((part.T @ innovation) ** 2) for part in parts])
+        expected = np.array([np.sum(part**2) for part in parts])
+        # Sums of squares that count like so many independent ones (Satterthwaite, 1946).
+        dimensions = expected**2 / np.maximum([np.sum((part.T @ part) ** 2) for part in parts], 1e-300)
+        dimensions = np.maximum(dimensions, 1.0)
+        ratios = np.divide(squares, expected, out=np.ones(3), where=expected > 0.0)
         self.innovation_ratio = float(np.max(ratios)) / GATE
-        self._ratios.append(ratios)
+        self._ratios.append(ratios * dimensions / chdtri(dimensions, 0.5))
+        self._weights.append(expected)
         if len(self._ratios) < WINDOW:
             return
-        ratios = np.median(self._ratios, axis=0) / MEDIAN
+        windows = zip(np.transpose(self._ratios), np.transpose(self._weights), strict=True)
+        ratios = np.array([_weighted_median(*each) for each in windows])
         ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
         gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
         self.factors = np.maximum(self.factors * gains, self._least)
-        self._ratios = []
+        self._ratios, self._weights = [], []
+
+
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """Weighted median of values (N,); 1 without weights."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]]) if total[-1] > 0.0 else 1.0

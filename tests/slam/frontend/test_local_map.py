@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import invert, make_transform, relative, skew, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, make_transform, relative, skew, transform_from_xyz_yaw
 from slam.frontend.local_map import POSE, LocalMap
 
 LANDMARKS = np.array([[8.0, 5.0, 1.0], [12.0, -6.0, -2.0], [20.0, 7.0, 0.5], [28.0, -4.0, 3.0], [3.0, -9.0, 0.0]])
@@ -196,6 +196,32 @@ def test_covariances_of_offsets_are_those_of_the_state() -> None:
 
 
 # Single steps
+
+
+def test_effects_of_a_step_are_how_its_error_moves_the_offsets_of_landmarks() -> None:
+    local = Drive(3).filtered()
+    T, landmarks = local.T_local_body, local.positions
+
+    def measured(error: FloatArray) -> FloatArray:
+        """Offsets that a body measures whose step had the error, in the axes that the filter believes in."""
+        T_true = T @ make_transform(Rotation.from_rotvec(error[:3]).as_matrix(), error[3:])
+        return np.asarray((apply(invert(T_true), landmarks) @ T[:3, :3].T).ravel())
+
+    effects = local.step_effects(np.arange(len(local.ids)))
+    for axis, error in enumerate(1e-6 * np.eye(POSE)):
+        np.testing.assert_allclose(effects[:, axis], 1e6 * (measured(error) - measured(np.zeros(POSE))), atol=1e-4)
+
+
+def test_update_whitens_the_innovation_and_effects_on_it() -> None:
+    """The innovation has the squared distance by its covariance; effects equal to it are whitened alike."""
+    local = Drive(4).filtered()
+    slots, R = np.array([0, 2]), np.tile(0.3**2 * np.eye(3), (2, 1, 1))
+    joint = local.relative_covariance(slots) + np.kron(np.eye(2), R[0])
+    innovation = 0.1 * np.array([1.0, -1.0, 0.5, -0.5, 1.0, 0.2])
+    measured = local.positions[slots] - local.T_local_body[:3, 3] + innovation.reshape(2, 3)
+    whitened, effects = local.update(slots, measured, R, np.column_stack([innovation, 2.0 * innovation]))
+    assert whitened @ whitened == pytest.approx(innovation @ np.linalg.solve(joint, innovation))
+    np.testing.assert_allclose(effects, np.column_stack([whitened, 2.0 * whitened]))
 
 
 @pytest.mark.parametrize("off_m", [3.0, 30.0])

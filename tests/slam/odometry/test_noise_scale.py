@@ -1,4 +1,4 @@
-"""The scale of the odometry's noise, by the corrections of a Kalman filter that uses it."""
+"""The scale of the odometry's noise, by the innovations of a Kalman filter that uses it."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Filter:
         for _ in range(steps):
             self.error += sigmas[FACTOR_OF_AXIS] * np.sqrt(Q) * self.rng.normal(size=6)
             self.P += self.scale.factors[FACTOR_OF_AXIS] * Q
-            gain = self.P / (self.P + self.R)
-            correction = gain * (np.sqrt(self.R) * self.rng.normal(size=6) - self.error)
-            self.scale.add(correction, np.diag(gain * self.P))
-            self.error += correction
-            self.P *= 1.0 - gain
+            S = self.P + self.R
+            innovation = np.sqrt(self.R) * self.rng.normal(size=6) - self.error
+            self.scale.add(innovation / np.sqrt(S), np.diag(np.sqrt(self.scale.factors[FACTOR_OF_AXIS] * Q / S)))
+            self.error += self.P / S * innovation
+            self.P *= self.R / S
 
 
 @pytest.mark.parametrize("R_ratio", [0.1, 1.0, 10.0])
@@ -62,18 +62,46 @@ def test_factors_fall_back_once_the_odometry_is_as_good_as_its_model() -> None:
     assert scale.factors.max() < 3.0
 
 
-def test_single_outliers_among_corrections_do_not_change_the_scale() -> None:
+@pytest.mark.parametrize("ratio", [4.0, 25.0])
+def test_one_coordinate_of_a_scan_tells_the_noise_of_what_moves_it(ratio: float) -> None:
+    """One landmark, whose bearing alone is measured: of the axes, only the heading moves it much."""
+    found = []
+    for seed in range(5):
+        scale, rng = NoiseScale(1.0), np.random.default_rng(seed)
+        for _ in range(600):
+            of_heading, of_place, noise = 0.1**2, 0.001**2, 0.02**2
+            S = scale.factors[HEADING] * of_heading + scale.factors[TRANSLATION] * of_place + noise
+            y = rng.normal(scale=np.sqrt(ratio * of_heading + of_place + noise))
+            effects = np.zeros((1, 6))
+            effects[0, 2] = np.sqrt(scale.factors[HEADING] * of_heading / S)
+            effects[0, 3] = np.sqrt(scale.factors[TRANSLATION] * of_place / S)
+            scale.add(np.array([y]) / np.sqrt(S), effects)
+        found.append(scale.factors[HEADING])
+    assert ratio / 1.7 < np.median(found) < 1.7 * ratio
+
+
+def test_single_outliers_among_innovations_do_not_change_the_scale() -> None:
     scale = NoiseScale(1.0)
     for count in range(200):
-        error_m = 5.0 if count % 7 == 0 else 0.0
-        scale.add(np.array([0.0, 0.0, 0.0, error_m, 0.0, 0.0]), np.diag(Q))
+        scale.add(np.array([0.0, 0.0, 0.0, 50.0 if count % 7 == 0 else 0.0, 0.0, 0.0]), 0.7 * np.eye(6))
     np.testing.assert_array_equal(scale.factors, 1.0)
 
 
-def test_corrections_that_tell_nothing_change_nothing() -> None:
+def test_scans_that_tell_little_count_little() -> None:
+    """Three of four scans follow steps so short that they say nothing of the odometry, and fit."""
+    scale, rng = NoiseScale(1.0), np.random.default_rng(0)
+    for count in range(800):
+        share = 0.9 if count % 4 == 0 else 1e-6
+        S = share * scale.factors[TRANSLATION] + 1.0 - share
+        y = rng.normal(scale=np.sqrt(100.0 * share + 1.0 - share), size=3) / np.sqrt(S)
+        scale.add(y, np.eye(3, 6, 3) * np.sqrt(share * scale.factors[TRANSLATION] / S))
+    assert 50.0 < scale.factors[TRANSLATION] < 200.0
+
+
+def test_innovations_that_nothing_of_the_odometry_moves_change_nothing() -> None:
     scale = NoiseScale(4.0)
-    for _ in range(10):
-        scale.add(np.zeros(6), np.zeros((6, 6)))
+    for _ in range(40):
+        scale.add(np.full(3, 9.0), np.zeros((3, 6)))
     np.testing.assert_array_equal(scale.factors, 4.0)
 
 
