@@ -86,9 +86,9 @@ def _from_weights(path: Path) -> Descriptor | LearnedLikelihood:
     if read_weights(path).architecture.get("name") == LearnedLikelihood.name:
         return LearnedLikelihood(path)
     try:
-        from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
+        from descriptors.descriptellation.descriptor import NetworkDescriptor  # loads torch
     except ModuleNotFoundError as error:
         raise DescriptorError(
             f"the descriptor {path.stem} is a network and needs torch: pip install 'descriptellation-slam[learn]'"
         ) from error
-    return LearnedDescriptor(path)
+    return NetworkDescriptor(path)

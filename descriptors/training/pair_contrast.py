@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from descriptors.arrays import BoolArray, FloatArray, IntArray
@@ -55,9 +55,8 @@ class PairSample:
     objects: IntArray
     is_compared: BoolArray
 
-    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
+    def scores(self, network: DescriptellationLR, device: torch.device) -> Tensor:
         """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
-        assert isinstance(network, DescriptellationLR)
         bits = network.bits(network(self.known, device))
         scores, first = list[Tensor](), 0
         for query in self.queries:
@@ -94,7 +93,7 @@ def draw_pair_sample(
     queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
         sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
-        view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m)
+        view = draw_view(drawn, sigma_m=sigma * unit_m, rng=rng)
         seen = view.positions[:, :2] / unit_m
         if len(seen) < MIN_SEEN:
             continue
@@ -105,7 +104,7 @@ def draw_pair_sample(
         rows = rng.permutation(np.flatnonzero(is_known))[:MAX_ASKED]
         if len(rows):
             queries.append(gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture))
-            sigmas.append(np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma)))
+            sigmas.append(np.full(len(rows), np.hypot(sigma, map_sigma)))
             objects.append(found[rows])
     if not queries:
         return None
