@@ -16,7 +16,7 @@ from descriptors.learned.weights import read_weights
 from descriptors.training import trainer
 from descriptors.training.folder import CURVES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
-from descriptors.training.trainer import Recipe, Training, best_of, train
+from descriptors.training.trainer import Recipe, Training, train
 
 SHORT = Training(epochs=2, validation_maps=2, views=1)
 
