@@ -14,7 +14,6 @@ from slam.common.config import SUBMAP_RANGES
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import Submap
-from tools.lab.retrieval.labelled_map import LabelledMap
 
 MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
@@ -22,6 +21,22 @@ MAX_TRAVEL_SUBMAPS = 10
 """Travel of so many submaps after which a robot that has not seen the objects of a scenario gives up."""
 STEP_RANGES = 1.0 / 6.0
 """Distance between two scans, in sensor ranges."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledMap:
+    """Objects (M, 3) m with labels (M,), of which there are ``classes``."""
+
+    positions: FloatArray
+    labels: IntArray
+    classes: int
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def first(self, count: int) -> LabelledMap:
+        """The first objects, up to a number."""
+        return LabelledMap(self.positions[:count], self.labels[:count], self.classes)
 
 
 @dataclass(frozen=True, slots=True)
