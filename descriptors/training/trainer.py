@@ -25,13 +25,7 @@ from descriptors.training.pair_contrast import PairSample, draw_pair_sample
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
-OWN_SHARE = 0.5
-"""Share of the steps that are on pieces of given maps, where there are any; the others keep what is true anywhere."""
-MAX_GRADIENT = 1.0
-"""Norm to which gradients are clipped."""
 RANKS = (1, 5, 25)
-MAX_DRAWS = 1000
-"""Maps drawn for a step at most: maps of a user may have no place with objects enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +88,12 @@ class Recipe:
 
     def step(self) -> float:
         """Draw a sample and change the weights by it; returns the loss."""
-        sample = self._draw(OWN_SHARE, self.rng)
+        # The other half keeps what is true anywhere.
+        sample = self._draw(0.5, self.rng)
         loss = sample.loss(sample.scores(self.network, self.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimizer.step()
         self.schedule.step()
         return float(loss.detach())
@@ -132,7 +127,8 @@ class Recipe:
         Raises:
             DescriptorError: the given maps have no place with objects enough.
         """
-        for _ in range(MAX_DRAWS):
+        # Maps of a user may have no place with objects enough.
+        for _ in range(1000):
             drawn = draw_map(self.given, own_share, rng=rng)
             sample = draw_pair_sample(drawn, self.config.architecture, views=self.config.views, rng=rng)
             if sample is not None:

@@ -29,9 +29,6 @@ from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
 
-_MESSAGE_BYTES = 300
-"""Of a message in memory, besides its content."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -119,7 +116,9 @@ class McapFile(Storage):
                 messages = self._read(block, wanted, empty)
                 if messages:
                     held_bytes[block.chunk_start_offset] = sum(
-                        len(message.data) + _MESSAGE_BYTES for message in messages
+                        # A message takes some 300 bytes besides its content.
+                        len(message.data) + 300
+                        for message in messages
                     )
                     heapq.heappush(heap, (messages[-1].log_time_ns, block.chunk_start_offset, messages))
                     self._check_held(held_bytes.total() if len(heap) > 1 else 0)

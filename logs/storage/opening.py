@@ -19,8 +19,6 @@ ROS1_MAGIC = b"#ROSBAG V"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SUFFIXES = (".mcap", ".db3")
 METADATA_FILE = "metadata.yaml"
-_MAX_BYTES = 1_000_000
-"""Of a description; a second of time is needed for 100 kB."""
 
 
 def find_files(path: Path) -> list[Path]:
@@ -125,7 +123,8 @@ def _read_information(path: Path) -> _Information:
 
     try:
         with open_regular(path) as stream:
-            content = YAML(typ="base", pure=True).load(stream.read(_MAX_BYTES))
+            # Of 100 kB it takes a second.
+            content = YAML(typ="base", pure=True).load(stream.read(1_000_000))
         return _Metadata.model_validate(content).rosbag2_bagfile_information
     except OSError as error:
         raise UnreadableLogError(
