@@ -6,6 +6,7 @@ import heapq
 import logging
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap import records as mcap_records
@@ -25,14 +26,23 @@ from logs.storage.mcap_index import (
     stream_of,
 )
 from logs.storage.regular_file import open_regular
-from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
 
 _log = logging.getLogger(__name__)
 
 
-class McapFile(Storage):
+@dataclass(frozen=True, slots=True)
+class ChannelInfo:
+    """A channel and its messages; the first and last log times are None where the file does not tell them."""
+
+    channel: Channel
+    message_count: int
+    first_ns: int | None
+    last_ns: int | None
+
+
+class McapFile:
     """The MCAP file at ``path``.
 
     Messages come in the order of log time, those of equal time in the order of the file. A chunk is held in memory only
@@ -46,7 +56,9 @@ class McapFile(Storage):
     """
 
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
-        super().__init__(name, limits)
+        self._name = name
+        self._limits = limits
+        self._counters = Counter[str]()
         self._reported: set[str] = set()
         try:
             self._stream = open_regular(path)
