@@ -1,8 +1,8 @@
 """Definitions of ROS 2 messages for recordings that hold none: databases written before ROS 2 Iron.
 
-``rosbags-convert --src-typestore-ref logs.decoders.ros2_types:TYPES`` reads such a recording by them. The types of ROS itself
-come from the library ``rosbags``. The layouts of perception messages, of packages that are not part of ROS itself, are
-written down here; they are those of the releases for ROS 2 Humble.
+``rosbags-convert --src-typestore-ref logs.decoders.ros2_types:TYPES`` reads such a recording by them. The types of ROS
+itself come from the library ``rosbags``. The layouts of perception messages, of packages that are not part of ROS
+itself, are written down here; they are those of the releases for ROS 2 Humble.
 """
 
 from __future__ import annotations
