@@ -95,8 +95,6 @@ def test_network_comes_back_with_its_architecture_results_and_history(tmp_path):
     assert loaded.architecture == architecture
     assert not loaded.training
     assert torch.equal(loaded(*constellations()), network.eval()(*constellations()))
-    loaded.train()(*constellations())[:, 0].sum().backward()
-    assert all(parameter.grad is not None for parameter in loaded.parameters())
 
 
 def test_equal_weights_give_equal_bytes(path, tmp_path):
