@@ -12,9 +12,9 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
-from descriptors.learned.weights import read_weights
 from descriptors.own_class import OwnDescriptor, is_own_class
 from descriptors.random_vector import RandomVector
+from descriptors.weight_file import read_weights
 
 PAPER = "descriptellation"
 LEARNED = (LearnedLikelihood.name, PAPER)

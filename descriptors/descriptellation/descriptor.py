@@ -12,7 +12,7 @@ from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.weights import make_architecture, read_weights
+from descriptors.weight_file import make_architecture, read_weights
 
 BATCH = 256
 """Constellations that are described at a time."""

@@ -22,7 +22,7 @@ from descriptors.descriptellation_lr.pairs import (
     query_features,
 )
 from descriptors.errors import WeightsError
-from descriptors.learned.weights import make_architecture, read_weights
+from descriptors.weight_file import make_architecture, read_weights
 
 RADIUS_STEPS = 1024
 """Resolution of the table of kernels in distance: a tenth of the width of a kernel."""

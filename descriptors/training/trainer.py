@@ -18,10 +18,10 @@ import torch
 from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.training.folder import WEIGHTS, Epoch, write_curves
 from descriptors.training.maps import TrainingMap, draw_map
 from descriptors.training.pair_contrast import PairSample, draw_pair_sample
+from descriptors.weight_file import Weights, read_weights, save_weights
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""

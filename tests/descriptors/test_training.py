@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import torch
 
-from descriptors.learned.weights import read_weights
 from descriptors.training import trainer
 from descriptors.training.folder import CURVES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
 from descriptors.training.trainer import Recipe, Training, train
+from descriptors.weight_file import read_weights
 
 SHORT = Training(epochs=2, validation_maps=2, views=1)
 

@@ -15,8 +15,8 @@ from descriptors.descriptellation.descriptor import BATCH, NetworkDescriptor, pa
 from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
-from descriptors.learned.weights import Weights, save_weights
 from descriptors.registry import make_index
+from descriptors.weight_file import Weights, save_weights
 from tests.descriptors.constellations import VOCABULARY, scattered
 
 pytestmark = pytest.mark.slow

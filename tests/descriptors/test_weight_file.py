@@ -19,7 +19,7 @@ from descriptors.descriptellation.network import Descriptellation, Descriptellat
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.errors import WeightsError
-from descriptors.learned.weights import Weights, read_weights, save_weights
+from descriptors.weight_file import Weights, read_weights, save_weights
 
 SMALL = DescriptellationArchitecture(layers=2, channels=8, fusion=8, length=16)
 Tensors = dict[str, NDArray[np.float32]]
