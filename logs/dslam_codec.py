@@ -19,8 +19,6 @@ from logs.validation import LAST_NS, MAX_COORDINATE_M, Refusal, flat_array, tran
 
 _Record = TypeVar("_Record", bound="m.ObjectDetections | m.ObjectMapRecord | m.FactorGraphRecord")
 
-_MAX_ENTRY = (1e3 * MAX_COORDINATE_M) ** 2
-"""Of a variance: that of the farthest place, seen in a direction that is unknown in each of many steps, is less."""
 
 _MESSAGE_FIELDS = {"T_map_body": "map_body", "T_reference_query": "reference_query", "edge_transforms": "edge_from_to"}
 """Name in the record -> name in the message, where they differ."""
@@ -146,7 +144,8 @@ def _check_array(name: str, array: NDArray[Any]) -> None:
     if array.dtype == np.float64:
         if not np.isfinite(array).all():
             raise Refusal("number is not finite", name)
-        if (np.abs(array) > _MAX_ENTRY).any():
+        # More than the variance of the farthest place, seen in a direction that is unknown in many steps.
+        if (np.abs(array) > (1e3 * MAX_COORDINATE_M) ** 2).any():
             raise Refusal("number is out of range", name)
     elif name.endswith("_ns") and len(array):
         earliest_ns = -1 if name == "keyframe_stamps_ns" else 0  # keyframes of a prior map have no time

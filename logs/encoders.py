@@ -25,8 +25,6 @@ from logs.errors import InvalidRecordError
 from logs.scene import encode_lines, encode_markers, encode_points, timestamp
 from logs.validation import FloatArray, quaternion_xyzw
 
-_UNKNOWN_COVARIANCE = (0.0,) * 36
-
 
 def encode(record: m.Record) -> Message:
     """The protobuf message of ``record``.
@@ -90,7 +88,8 @@ def _odometry(r: m.Odometry) -> Message:
         frame_id=r.frame_id,
         body_frame_id=r.child_frame_id,
         pose=_pose(r.T_odom_body),
-        pose_covariance=_UNKNOWN_COVARIANCE,
+        # Unknown.
+        pose_covariance=(0.0,) * 36,
     )
 
 

@@ -1,4 +1,4 @@
-"""Reads a log: an MCAP file, a rosbag2 file or a rosbag2 folder, in the order of log time and in bounded memory."""
+"""Reads a log: an MCAP file or a rosbag2 folder, in the order of log time and in bounded memory."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from logs.decoders.registry import kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
 from logs.selection import Selection
-from logs.storage.opening import find_files, open_storage
-from logs.storage.storage import ChannelInfo, Storage
+from logs.storage.mcap_file import ChannelInfo, McapFile
+from logs.storage.opening import find_files, open_file
 from logs.topics import RawMessage, TopicInfo
 
 
@@ -43,7 +43,7 @@ class LogItem:
 class LogReader:
     """Reads the log at ``path``; a context manager.
 
-    The log is an MCAP file, a database of rosbag2 (.db3), or the folder of a rosbag2 recording with any number of them.
+    The log is an MCAP file, or the folder of a rosbag2 recording with any number of them.
     Messages come in the order of log time, those of equal time in the order of the file. What is damaged, or larger
     than ``limits`` allow, is left out; ``counters`` tells what.
 
@@ -59,7 +59,7 @@ class LogReader:
         self._decoding_counters: Counter[str] = Counter()
         self._reported = set[tuple[str, str]]()
         with ExitStack() as until_closed:
-            self._storages: list[Storage] = [open_storage(file, self._limits, until_closed) for file in self.files]
+            self._open: list[McapFile] = [open_file(file, self._limits, until_closed) for file in self.files]
             self._until_closed = until_closed.pop_all()
 
     def __enter__(self) -> LogReader:
@@ -84,8 +84,8 @@ class LogReader:
         :class:`logs.decoders.record_decoder.RecordDecoder`.
         """
         counters = Counter(self._decoding_counters)
-        for storage in self._storages:
-            counters.update(storage.counters)
+        for file in self._open:
+            counters.update(file.counters)
         return {name: count for name, count in sorted(counters.items()) if count}
 
     @property
@@ -101,8 +101,8 @@ class LogReader:
     def topics(self) -> list[TopicInfo]:
         """What the log holds, by topic name; a topic with two schemas appears twice."""
         groups: dict[tuple[str, str, str], list[ChannelInfo]] = {}
-        for storage in self._storages:
-            for info in storage.channels():
+        for file in self._open:
+            for info in file.channels():
                 channel = info.channel
                 groups.setdefault((channel.topic, channel.schema_name, channel.message_encoding), []).append(info)
         return [
@@ -128,7 +128,7 @@ class LogReader:
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
-        streams = [storage.messages(topics, without_content) for storage in self._storages]
+        streams = [file.messages(topics, without_content) for file in self._open]
         return heapq.merge(*streams, key=lambda message: message.log_time_ns) if len(streams) > 1 else streams[0]
 
     def items(
@@ -154,7 +154,7 @@ class LogReader:
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name; of several under one name the last."""
-        return {name: values for storage in self._storages for name, values in storage.metadata().items()}
+        return {name: values for file in self._open for name, values in file.metadata().items()}
 
     def sha256(self) -> str:
         """Hexadecimal SHA-256 of the file; of a folder, of those of its files, one after another."""

@@ -17,7 +17,6 @@ from logs.messages import FloatArray, IntArray, SceneLines, SceneMarkers, SceneP
 
 _SHAPE_SIZE_M = 0.6
 _TEXT_HEIGHT_M = 0.5
-_LINE_PIXELS = 2.0
 _POINT_FIELDS = (
     *((axis, "<f4", PackedElementField.FLOAT32) for axis in "xyz"),
     *((color, "u1", PackedElementField.UINT8) for color in ("red", "green", "blue", "alpha")),
@@ -63,9 +62,7 @@ def encode_lines(lines: SceneLines) -> Message:
     entity = update.entities.add(timestamp=now, frame_id=lines.frame_id, id="lines")
     color = Color(**dict(zip("rgba", lines.color, strict=True)))
     for polyline in lines.polylines:
-        strip = entity.lines.add(
-            type=LinePrimitive.LINE_STRIP, thickness=_LINE_PIXELS, scale_invariant=True, color=color
-        )
+        strip = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=2.0, scale_invariant=True, color=color)
         strip.pose.orientation.w = 1.0
         strip.points.extend(Point3(x=x, y=y, z=z) for x, y, z in polyline.tolist())
     return update

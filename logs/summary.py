@@ -19,16 +19,9 @@ from logs.reader import LogReader
 from logs.selection import Selection, select_all, select_topics
 from logs.topics import RawMessage, RecordKind, TopicInfo
 
-GAP_FACTOR = 5.0
-"""A pause is a gap when it is longer than this many median periods of its topic."""
-
 MAX_CLASSES = 20_000
 """More are too many to count each; the rarest are counted as one."""
 OTHER_CLASSES = "(other classes)"
-MAX_FRAMES = 100
-"""Names of frames that are kept for a topic."""
-MAX_CLOSURES = 100_000
-"""Later records of loop closures are not kept."""
 
 _FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -168,7 +161,7 @@ class _TopicGathering:
 
     def add_frames(self, record: m.Record) -> None:
         """Note the frames that a record names, and which of them it connects."""
-        if len(self.frames) >= MAX_FRAMES:
+        if len(self.frames) >= 100:
             return
         names = [getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES]
         self.frames |= {*names} - {""}
@@ -191,7 +184,8 @@ class _TopicGathering:
             first_ns=first_ns,
             last_ns=last_ns,
             rate_hz=len(steps_ns) / ((last_ns - first_ns) * 1e-9) if last_ns > first_ns else None,
-            gap_count=int((periods_ns > GAP_FACTOR * np.median(periods_ns)).sum()) if len(periods_ns) else 0,
+            # A pause is a gap when it is longer than five median periods.
+            gap_count=int((periods_ns > 5.0 * np.median(periods_ns)).sum()) if len(periods_ns) else 0,
             longest_gap_s=float(periods_ns.max(initial=0) * 1e-9),
             duplicate_stamps=len(steps_ns) - len(periods_ns),
             out_of_order_stamps=out_of_order,
@@ -232,7 +226,7 @@ class _Gathering:
             self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
         elif isinstance(record, m.ObjectDetections):
             self._count_classes(record.labels)
-        elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < MAX_CLOSURES:
+        elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < 100_000:
             self.closures.append(record)
         elif isinstance(record, m.StatusRecord):
             self.status = record

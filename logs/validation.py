@@ -25,11 +25,6 @@ MAX_COORDINATE_M = 1e9
 LAST_NS = 2**62 - 1
 """Later times, after the year 2116, are taken for mistakes; up to it, sums and differences of two fit into 64 bits."""
 
-_MAX_VARIANCE = MAX_COORDINATE_M**2
-
-# A covariance whose smallest eigenvalue is that little of its largest entry is singular to double precision.
-_SINGULAR = 1e-14
-
 
 class Refusal(ValueError):  # noqa: N818  it names what happens to the message
     """Values that no record may have. ``reason`` is one of a few fixed phrases to count by, ``detail`` the values."""
@@ -153,12 +148,13 @@ def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | Non
 def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
     with np.errstate(invalid="ignore"):
-        finite = np.asarray((np.abs(P) <= _MAX_VARIANCE).all(axis=(1, 2)))
+        finite = np.asarray((np.abs(P) <= MAX_COORDINATE_M**2).all(axis=(1, 2)))
     bounded = np.where(finite[:, None, None], P, 0.0)
     symmetric = 0.5 * (bounded + np.swapaxes(bounded, -1, -2))
     known = P.any(axis=(1, 2))
     largest = np.abs(symmetric).max(axis=(1, 2), initial=0.0)
-    good = known & finite & (np.linalg.eigvalsh(symmetric)[:, 0] > _SINGULAR * largest)
+    # Singular to double precision.
+    good = known & finite & (np.linalg.eigvalsh(symmetric)[:, 0] > 1e-14 * largest)
     if (known & ~good).any():
         counters["ignored_covariances"] += int((known & ~good).sum())
     return np.where(good[:, None, None], symmetric, 0.0)

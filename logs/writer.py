@@ -24,10 +24,7 @@ from logs.validation import LAST_NS
 
 PARTIAL_SUFFIX = ".part"
 
-# A killed run loses at most the chunk in progress, so chunks are small; zstd still finds enough to compress in one.
-_CHUNK_BYTES = 256 * 1024
 _ARRAY_MEDIA_TYPE = "application/x-npy"
-_ATTACHMENT_HEAD_BYTES = 41  # opcode, length, two times, and the lengths of name, media type and content
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
 
 
@@ -62,7 +59,8 @@ class LogWriter:
             raise UnwritableLogError(f"cannot write {self.path}: {SPECIAL}")
         self._stream = _OutputStream(self.partial_path)
         try:
-            self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+            # A killed run loses at most the chunk in progress; zstd finds enough to compress in small ones.
+            self._writer = Writer(self._stream, chunk_size=256 * 1024, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
             self._writer.start(library=_LIBRARY)
         except BaseException as error:  # also a signal
             error.add_note(f"an empty log is left in {self.partial_path}")
@@ -125,7 +123,8 @@ class LogWriter:
         self.flush()
         payload = BytesIO()
         np.lib.format.write_array(payload, np.ascontiguousarray(array), allow_pickle=False)
-        begin = self._stream.tell() + _ATTACHMENT_HEAD_BYTES + len(name.encode()) + len(_ARRAY_MEDIA_TYPE)
+        # Before the content stand opcode, length, two times, and the lengths of name, media type and content: 41 bytes.
+        begin = self._stream.tell() + 41 + len(name.encode()) + len(_ARRAY_MEDIA_TYPE)
         media_type = _ARRAY_MEDIA_TYPE + " " * (-begin % np.lib.format.ARRAY_ALIGN)
         self._writer.add_attachment(0, 0, name, media_type, payload.getvalue())
 

@@ -24,7 +24,6 @@ _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4
 _TYPES |= {"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4"}
 _TYPES |= {"uint32": "u4", "float32": "f4", "float64": "f8"}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-_HEADER_BYTES = 100_000
 
 CLASS_FIELDS = ("class", "class_id", "classification", "semantic", "semantic_label", "label", "category")
 INSTANCE_FIELDS = ("instance", "instance_id", "instance_label", "object_id", "object", "id", "label")
@@ -82,7 +81,7 @@ def _read_points(stream: BinaryIO) -> NDArray[Any]:
         ValueError: it is no PLY file, its first element is not a vertex, or points are missing.
         KeyError: text, or an unknown type of a property.
     """
-    head, end, _ = stream.read(_HEADER_BYTES).partition(b"end_header")
+    head, end, _ = stream.read(100_000).partition(b"end_header")
     lines = [line.split() for line in head.decode("ascii").splitlines() if not line.startswith(("comment", "obj_info"))]
     if not end or lines[0] != ["ply"] or lines[2][:2] != ["element", "vertex"]:
         raise ValueError("it does not begin with a header whose first element is the vertex")

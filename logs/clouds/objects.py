@@ -15,18 +15,6 @@ from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_sid
 from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
 
-NOMINAL_REACH_M = 60.0
-"""Reach of a car's LiDAR. The lengths below are for it, and scaled with the reach of another scan."""
-VOXEL_M = 0.1
-"""Side of the voxels whose means stand for the points."""
-GAP_M = 0.5
-"""A wider gap between two parts of one class makes two objects of them."""
-MAX_EXTENT_M = 15.0
-"""What is longer is a surface and no object."""
-MIN_SHARE = 1.0 / 4000.0
-"""Share of the points of a scan that an object must have: 30 of 120,000."""
-REACH_QUANTILE = 0.99
-MIN_POINTS = 5
 MAX_VOXELS = 2**20
 """Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
 
@@ -79,20 +67,24 @@ def find_objects(
     """
     cloud = cloud.finite()
     scale = _scale(cloud, viewpoint)
-    voxel_m = VOXEL_M * scale
+    # All lengths are for the reach of a car's LiDAR, 60 m, and scaled with that of the scan.
+    voxel_m = 0.1 * scale
     _check_extent(cloud, voxel_m)
-    min_points = MIN_POINTS
+    min_points = 5
     if viewpoint is not None:
-        min_points = max(min_points, int(np.ceil(MIN_SHARE * len(cloud.positions))))
+        # 30 of 120,000 points of a scan.
+        min_points = max(min_points, int(np.ceil(len(cloud.positions) / 4000.0)))
     found: list[tuple[str, int, Centre, FloatArray]] = []
-    for label, instance, points in _parts(cloud, names, GAP_M * scale, voxel_m, upright=upright):
+    # A wider gap between two parts of one class makes two objects of them.
+    for label, instance, points in _parts(cloud, names, 0.5 * scale, voxel_m, upright=upright):
         if len(points) < min_points:
             continue
         voxels = voxel_means(points, voxel_m)
         size = _size(voxels)
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
-        elif size[0] <= MAX_EXTENT_M * scale:
+        # What is longer is a surface and no object.
+        elif size[0] <= 15.0 * scale:
             spacing_m = _spacing_m(points, viewpoint)
             centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
         else:
@@ -111,8 +103,8 @@ def _scale(cloud: LabelledCloud, viewpoint: FloatArray | None) -> float:
     """Power of two by which the reach of a scan differs from the nominal one; 1 for a map."""
     if viewpoint is None or len(cloud.positions) == 0:
         return 1.0
-    reach_m = float(np.quantile(np.linalg.norm(cloud.positions - viewpoint, axis=1), REACH_QUANTILE))
-    return float(2.0 ** np.round(np.log2(max(reach_m, 1e-3) / NOMINAL_REACH_M)))
+    reach_m = float(np.quantile(np.linalg.norm(cloud.positions - viewpoint, axis=1), 0.99))
+    return float(2.0 ** np.round(np.log2(max(reach_m, 1e-3) / 60.0)))
 
 
 def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:

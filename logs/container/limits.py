@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 from logs.errors import UnreadableLogError
 
 MEGABYTE = 1_000_000
-_BYTES_OF_AN_OBJECT = 512  # a vision_msgs/Detection3D with one hypothesis takes about 480
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class ReadingLimits:
     @property
     def input_bytes(self) -> int:
         """Of one message of measurements: parsed, it may take a hundred times as much."""
-        return self.objects * _BYTES_OF_AN_OBJECT
+        return self.objects * 512
 
     def check_channels(self, file: str, count: int) -> None:
         """Refuse a file with so many channels, or schemas.

@@ -21,10 +21,6 @@ from logs.decoders.parts import Context, Detection, Place, Records, detection_re
 from logs.topics import Schema
 from logs.validation import FloatArray, stamp_ns
 
-_SHAPES = (1, 2, 3, 10)
-"""Cube, sphere, cylinder and mesh."""
-_ADD = 0
-
 
 def place_of(header: Any, context: Context, otherwise: Place | None = None) -> Place:
     """Stamp and frame of ``header``; where they are empty, those of ``otherwise``, or the log time."""
@@ -85,7 +81,8 @@ def markers(message: Any, context: Context) -> Records:
     """Records of a MarkerArray."""
     scans: dict[Place, list[Detection]] = defaultdict(list)
     for marker in message.markers:
-        if marker.action == _ADD and marker.type in _SHAPES:
+        # Added: a cube, a sphere, a cylinder or a mesh.
+        if marker.action == 0 and marker.type in (1, 2, 3, 10):
             found = Detection(xyz(marker.pose.position), marker.text or marker.ns)
             scans[place_of(marker.header, context)].append(found)
     return detection_records(scans, context.counters)

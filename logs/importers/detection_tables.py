@@ -16,8 +16,6 @@ from logs.messages import DetectionTruth, FloatArray, ObjectDetections
 
 BODY_FRAME = "base_link"
 
-MAX_RANGE_M = 1000.0
-"""A median beyond it is no range at which objects are detected, but another unit or another frame."""
 
 _SCORES = ("score", "confidence", "probability")
 
@@ -98,7 +96,8 @@ def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], 
         table.refuse(np.isnan(values) & ~is_empty, column, f"empty; {remedy}")
         positions[:, i] = np.nan_to_num(values)
         median_m = float(np.median(np.abs(positions[~is_empty, i]))) if not is_empty.all() else 0.0
-        if median_m > MAX_RANGE_M:
+        # No range at which objects are detected, but another unit or another frame.
+        if median_m > 1000.0:
             raise DatasetError(
                 f"{table.name}, column {column.name}: the median is {median_m:.4g} m, which is no range in the body "
                 f"frame; if these are millimetres, name the column {column.name.removesuffix('_m')}_mm"

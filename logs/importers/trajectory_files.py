@@ -17,15 +17,6 @@ from logs.importers.text_files import SourceText
 from logs.messages import FloatArray
 from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE
 
-MAX_STEP_S = 20.0
-"""A longer median step is not that of an odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
-
-MIN_STEP_S = 1e-6
-"""A shorter median step is not that of a sensor."""
-
-MAX_SPEED_MPS = 100.0
-"""A faster body, by the median, is no robot on the ground; a replay takes steps faster than 60 m/s for jumps."""
-
 _TUM = ("stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _ANGLE_UNITS = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0}
 
@@ -165,12 +156,14 @@ def _check_plausible(name: str, trajectory: Trajectory) -> None:
     if len(stamps.stamps_ns) < 2:
         raise DatasetError(f"{name}: one pose only; a drive has at least two")
     steps_s = np.diff(stamps.stamps_ns) * 1e-9
-    if not MIN_STEP_S <= np.median(steps_s) <= MAX_STEP_S:
+    # No steps of a sensor, or none of an odometry: a replay takes every such gap for a break.
+    if not 1e-6 <= np.median(steps_s) <= 20.0:
         fault = f"poses are {np.median(steps_s):.3g} s apart (median), unlike those of any odometry"
         raise stamps.table.error(1, stamps.column.name, f"{fault}; give the stamps in seconds, or {UNIT_REMEDY}")
     steps_m = _steps_m(trajectory.T_world_body)
     speeds_mps = (steps_m / steps_s)[steps_m > 0.0]
-    if len(speeds_mps) and np.median(speeds_mps) > MAX_SPEED_MPS:
+    # No robot on the ground.
+    if len(speeds_mps) and np.median(speeds_mps) > 100.0:
         raise DatasetError(
             f"{name}: the body moves at {np.median(speeds_mps):.4g} m/s (median); positions are metres: divide them by "
             "1000 if these are millimetres, and check the stamps"

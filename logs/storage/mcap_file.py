@@ -6,6 +6,7 @@ import heapq
 import logging
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap import records as mcap_records
@@ -25,17 +26,23 @@ from logs.storage.mcap_index import (
     stream_of,
 )
 from logs.storage.regular_file import open_regular
-from logs.storage.storage import ChannelInfo, Storage
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
-
-_MESSAGE_BYTES = 300
-"""Of a message in memory, besides its content."""
 
 _log = logging.getLogger(__name__)
 
 
-class McapFile(Storage):
+@dataclass(frozen=True, slots=True)
+class ChannelInfo:
+    """A channel and its messages; the first and last log times are None where the file does not tell them."""
+
+    channel: Channel
+    message_count: int
+    first_ns: int | None
+    last_ns: int | None
+
+
+class McapFile:
     """The MCAP file at ``path``.
 
     Messages come in the order of log time, those of equal time in the order of the file. A chunk is held in memory only
@@ -49,7 +56,9 @@ class McapFile(Storage):
     """
 
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
-        super().__init__(name, limits)
+        self._name = name
+        self._limits = limits
+        self._counters = Counter[str]()
         self._reported: set[str] = set()
         try:
             self._stream = open_regular(path)
@@ -119,7 +128,9 @@ class McapFile(Storage):
                 messages = self._read(block, wanted, empty)
                 if messages:
                     held_bytes[block.chunk_start_offset] = sum(
-                        len(message.data) + _MESSAGE_BYTES for message in messages
+                        # A message takes some 300 bytes besides its content.
+                        len(message.data) + 300
+                        for message in messages
                     )
                     heapq.heappush(heap, (messages[-1].log_time_ns, block.chunk_start_offset, messages))
                     self._check_held(held_bytes.total() if len(heap) > 1 else 0)

@@ -38,8 +38,6 @@ Summary = dict[type, list[Any]]
 
 _CHUNK_TIMES = struct.Struct("<QQ")  # first and last log time
 _FOOTER = struct.Struct("<QQI")  # summary start, summary offset start, checksum of all from the summary start to here
-_RUN_BYTES = 1 << 20  # records outside of chunks are read in runs of about this size
-_MAX_SUMMARY_BYTES = 16_000_000  # parsed it takes some ten times that
 _MAX_BLOCKS = 500_000
 _DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: mcap_records.Schema, Opcode.CHANNEL: mcap_records.Channel}
 
@@ -87,7 +85,8 @@ def read_summary(stream: BinaryIO) -> Summary | None:
         size = stream.seek(0, os.SEEK_END)
         stream.seek(max(size - len(MAGIC) - _FOOTER.size, 0))
         start, _, checksum = _FOOTER.unpack(stream.read(_FOOTER.size))
-        if not size - _MAX_SUMMARY_BYTES <= start < size or start < len(MAGIC):
+        # Parsed, 16 MB take some ten times as much.
+        if not size - 16_000_000 <= start < size or start < len(MAGIC):
             return None
         stream.seek(start)
         content = stream.read()
@@ -227,7 +226,7 @@ class _Indexing:
             is_in_run = opcode in (*_DEFINITIONS, Opcode.MESSAGE) and length <= self._limits.message_bytes
             if is_in_run and opcode == Opcode.MESSAGE and length >= MESSAGE_HEADER.size:
                 run_times.append(MESSAGE_HEADER.unpack_from(head, HEADER.size)[2])
-            if not is_in_run or end - run_start > _RUN_BYTES:
+            if not is_in_run or end - run_start > (1 << 20):
                 self._add_block(run_start, end if is_in_run else offset, run_times)
                 run_start, run_times = end, []
             if opcode == Opcode.CHUNK and len(head) >= HEADER.size + _CHUNK_TIMES.size:

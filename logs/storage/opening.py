@@ -12,15 +12,14 @@ from logs.errors import UnreadableLogError
 from logs.storage.mcap_file import McapFile
 from logs.storage.mcap_index import MAGIC
 from logs.storage.regular_file import open_regular
-from logs.storage.storage import Storage
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
 ROS1_MAGIC = b"#ROSBAG V"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SUFFIXES = (".mcap", ".db3")
 METADATA_FILE = "metadata.yaml"
-_MAX_BYTES = 1_000_000
-"""Of a description; a second of time is needed for 100 kB."""
+_PREFIX = __name__.removesuffix("logs.storage.opening")
+"""Of the names of our packages: "dslam." in a wheel."""
 
 
 def find_files(path: Path) -> list[Path]:
@@ -48,11 +47,11 @@ def is_log(path: Path) -> bool:
     return not magic or magic.startswith((MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC))
 
 
-def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
+def open_file(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> McapFile:
     """Open the file at ``path``, which ``until_closed`` closes.
 
     Raises:
-        UnreadableLogError: it cannot be read, or is neither MCAP nor a database of rosbag2.
+        UnreadableLogError: it cannot be read, or is not MCAP.
     """
     name = str(path)
     try:
@@ -60,16 +59,15 @@ def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> 
             magic = stream.read(len(SQLITE_MAGIC))
     except OSError as error:
         raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
-    storage: Storage | None = None
     if magic.startswith(MAGIC):
-        storage = McapFile(path, name, limits)
-    elif magic == SQLITE_MAGIC:
-        from logs.storage.sqlite_file import SqliteFile  # loads rosbags
-
-        storage = SqliteFile(path, name, limits)
-    if storage is not None:
-        until_closed.callback(storage.close)
-        return storage
+        file = McapFile(path, name, limits)
+        until_closed.callback(file.close)
+        return file
+    if magic == SQLITE_MAGIC:
+        raise UnreadableLogError(
+            f"{name} is a database of rosbag2; convert it by 'rosbags-convert --src {path.resolve().parent} --dst NEW "
+            f"--dst-storage mcap --src-typestore-ref {_PREFIX}logs.decoders.ros2_types:TYPES'"
+        )
     if magic.startswith(ZSTD_MAGIC):
         raise UnreadableLogError(f"{name} is compressed as a whole; unpack it by 'zstd -d' or 'rosbags-convert'")
     if magic.startswith(ROS1_MAGIC):
@@ -80,7 +78,7 @@ def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> 
         raise UnreadableLogError(f"{name} describes a rosbag2 recording; give the folder that it is in")
     what = "is not an MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
-        f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3). "
+        f"{name} {what}; give a log that was recorded as MCAP, or the folder of a rosbag2 recording. "
         "Text files and point clouds become a log by 'dslam import'"
     )
 
@@ -125,7 +123,8 @@ def _read_information(path: Path) -> _Information:
 
     try:
         with open_regular(path) as stream:
-            content = YAML(typ="base", pure=True).load(stream.read(_MAX_BYTES))
+            # Of 100 kB it takes a second.
+            content = YAML(typ="base", pure=True).load(stream.read(1_000_000))
         return _Metadata.model_validate(content).rosbag2_bagfile_information
     except OSError as error:
         raise UnreadableLogError(

@@ -16,7 +16,6 @@ START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan; a constant, so that nothing depends on when the simulation ran."""
 
 SPACING_M = 0.25
-MIN_SPEED_MPS = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +116,7 @@ def _speeds(ds_m: FloatArray, turn_rad: FloatArray, config: DriveConfig) -> Floa
         radius_m = ds_m / turn_rad  # (S - 1,), infinite on the straight
     limit = np.minimum(
         config.max_yaw_rate_radps * radius_m, np.sqrt(config.max_lateral_acceleration_mps2 * radius_m)
-    ).clip(MIN_SPEED_MPS, config.speed_mps)
+    ).clip(1e-3, config.speed_mps)
     speed = np.minimum(np.append(limit, limit[-1]), np.insert(limit, 0, limit[0]))  # (S,)
     # v^2 = v0^2 + 2 a s, backwards for braking and forwards for speeding up.
     gain = 2.0 * config.max_acceleration_mps2 * ds_m

@@ -27,7 +27,6 @@ from slam.simulation.world import World
 
 REFERENCE_PATH_M = 100.0
 """Path over which the settings of the odometry give its drift."""
-DAY_NS = 86_400 * 10**9
 CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
 """Each has random numbers of its own; the order is part of what a seed means, so new causes go to the end."""
 
@@ -89,7 +88,7 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
 
 
 def _start_ns(config: SimulationConfig) -> int:
-    return START_NS + config.drive.start_day * DAY_NS
+    return START_NS + config.drive.start_day * 86_400 * 10**9
 
 
 def _records(

@@ -12,7 +12,6 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.simulation.world import World
 
-MIN_DISTANCE_M = 0.6
 CORNER_M = 10.0
 """Rows end that far before a crossing."""
 
@@ -46,7 +45,7 @@ class Furniture:
         """Put an object of class ``label`` at ``xy`` (2,), metres, if there is room."""
         if self._places:
             apart = np.abs(np.asarray(self._places) - xy).max(axis=1)
-            if apart.min() < MIN_DISTANCE_M:
+            if apart.min() < 0.6:
                 return
         self._labels.append(label)
         self._places.append(np.asarray(xy, dtype=np.float64))

@@ -15,12 +15,8 @@ from slam.simulation.world import World
 COLUMNS, ROWS = 5, 4
 """Crossings east-west and north-south, before the town is turned."""
 BLOCK_M = (65.0, 130.0)
-CROSSING_SHIFT_M = 5.0
-CLOSED_STREETS = 2
 
 MIN_TOUR_M, MAX_TOUR_M = 1500.0, 2000.0
-REVISITED_STREETS = (2, 5)
-"""Least and greatest number of streets driven again in the same direction; the same for the opposite one."""
 TOUR_ATTEMPTS = 20_000
 
 Crossing = tuple[int, int]
@@ -74,13 +70,13 @@ def _lay_streets(rng: np.random.Generator) -> _Streets:
     R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     crossings = [(column, row) for column in range(COLUMNS) for row in range(ROWS)]
     places = {
-        (column, row): R @ (np.array([x[column], y[row]]) + rng.normal(0.0, CROSSING_SHIFT_M, 2).clip(-10.0, 10.0))
+        (column, row): R @ (np.array([x[column], y[row]]) + rng.normal(0.0, 5.0, 2).clip(-10.0, 10.0))
         for column, row in crossings
     }
     # Only streets between two inner crossings are closed, so that every crossing keeps two arms or more.
     inner = [(c, r) for c, r in crossings if 0 < c < COLUMNS - 1 and 0 < r < ROWS - 1]
     closable = [((c, r), (c + 1, r)) for c, r in inner if (c + 1, r) in inner]
-    chosen = rng.choice(len(closable), CLOSED_STREETS, replace=False).tolist()
+    chosen = rng.choice(len(closable), 2, replace=False).tolist()
     closed = [closable[i] for i in chosen]
     neighbours = {
         (c, r): tuple(
@@ -107,7 +103,7 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
                 break
             tour.append(following)
         same, opposite = _revisits(tour)
-        least, most = REVISITED_STREETS
+        least, most = 2, 5
         driven_m = sum(streets.length_m(a, b) for a, b in pairwise(tour))
         if driven_m >= MIN_TOUR_M and least <= same <= most and least <= opposite <= most:
             return tour

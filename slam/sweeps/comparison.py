@@ -37,8 +37,6 @@ RULE = (
 )
 NO_SPREAD = "No group has two runs, so the spread of the seeds is unknown and no difference is marked."
 
-_ROUNDING = 1e-9  # relative; what two ways of adding up the same numbers may differ by
-
 
 def compare(labels: Sequence[str], drives: Sequence[MappedDrive]) -> pd.DataFrame:
     """Spread of each figure in each group of runs.
@@ -73,7 +71,8 @@ def _marks(spreads: pd.DataFrame, *, is_error: bool) -> pd.Series:
     freedom = (count - 1).clip(lower=0).sum()
     pooled = np.sqrt((spreads["standard_deviation"] ** 2 * (count - 1)).sum() / freedom) if freedom else np.inf
     student = stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE) * np.sqrt(1.0 / count + (1.0 / count).iloc[0])
-    rounding = _ROUNDING * np.maximum(mean.abs(), abs(mean.iloc[0]))
+    # What two ways of adding up the same numbers may differ by.
+    rounding = 1e-9 * np.maximum(mean.abs(), abs(mean.iloc[0]))
     is_different = difference.abs() > pooled * np.maximum(SPREAD_FACTOR, student) + rounding
     return pd.Series(np.where((difference < 0.0) == is_error, "* better", "* worse"), spreads.index).where(
         is_different, ""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import sqlite3
 from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
+from tests.fuzz.byte_mutations import mutate_bytes, mutate_text
 from tests.fuzz.cloud_mutations import mutate_ply
 
 _OBJECTS = {
@@ -42,37 +40,11 @@ def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
 
 
 def write_bag_of(files: dict[str, bytes], folder: Path, rng: np.random.Generator) -> str:
-    """A recording of rosbag2 in a database with its description or its cells altered; its name."""
+    """A recording of rosbag2 with its description or its file altered; its name."""
     bag = folder / "bag"
     bag.mkdir()
+    altered = str(rng.choice(sorted(files)))
+    mutate = mutate_text if altered == "metadata.yaml" else mutate_bytes
     for name, content in files.items():
-        (bag / name).write_bytes(content)
-    (database,) = bag.glob("*.db3")
-    match int(rng.integers(3)):
-        case 0:
-            (bag / "metadata.yaml").write_bytes(mutate_text(files["metadata.yaml"], rng))
-        case 1:
-            database.write_bytes(mutate_bytes(database.read_bytes(), rng))
-        case _:
-            _mutate_database(database, rng)
-    return str(rng.choice(["bag", f"bag/{database.name}"]))
-
-
-def _mutate_database(path: Path, rng: np.random.Generator) -> None:
-    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
-        tables = ("messages", "messages", "topics", "topics", "message_definitions")
-        for _ in range(int(rng.choice([1, 1, 2, 5]))):
-            table = str(rng.choice(tables))
-            columns = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
-            where = str(rng.choice(["", "WHERE rowid = 1", "WHERE rowid % 3 = 0"]))
-            odd = rng.choice(np.array([*FLOATS, *INTEGERS, *TEXTS[:8], None, b"", b"\0\xff"], dtype=object))
-            odd = odd if not isinstance(odd, int) or abs(odd) < 2**63 else str(odd)
-            with contextlib.suppress(sqlite3.Error, UnicodeError):  # it would break a rule of the table
-                match int(rng.integers(8)):
-                    case 0:
-                        connection.execute(f"DELETE FROM {table} {where}")
-                    case 1 if rng.random() < 0.3:
-                        connection.execute(f"ALTER TABLE {table} RENAME TO other")
-                    case _ if columns:
-                        column = str(rng.choice(columns))
-                        connection.execute(f"UPDATE {table} SET {column} = ? {where}", (odd,))
+        (bag / name).write_bytes(mutate(content, rng) if name == altered else content)
+    return "bag"

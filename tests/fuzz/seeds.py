@@ -70,7 +70,7 @@ def make_seeds(folder: Path) -> Seeds:
 
 def _write_bag(folder: Path) -> Path:
     with LogReader(folder / "ros.mcap") as reader:
-        return write_bag(folder / "bag", list(reader.messages()), storage="sqlite3")
+        return write_bag(folder / "bag", list(reader.messages()))
 
 
 def _run(*arguments: object) -> str:

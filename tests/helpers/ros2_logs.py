@@ -13,12 +13,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from ruamel.yaml import YAML
 
 from logs import messages as m
-from logs.storage.ros2_definitions import typestore
+from logs.decoders.ros2_types import TYPES
 from logs.topics import Channel, RawMessage, Schema
 from logs.validation import quaternion_xyzw
 from tests.helpers.short_drives import Entry
 
-TYPES = typestore()
 Message = tuple[str, str, int, dict[str, Any]]
 """Topic, type, log time, fields; those left out are zero."""
 
@@ -153,7 +152,7 @@ def write_bag(
                 if raw.topic not in connections:
                     schema = raw.channel.schema
                     connections[raw.topic] = writer.add_connection(
-                        raw.topic, schema.name, msgdef=schema.data.decode(), rihs01=f"RIHS01_{schema.name}"
+                        raw.topic, schema.name, msgdef=schema.data.decode(), rihs01=TYPES.hash_rihs01(schema.name)
                     )
                 writer.write(connections[raw.topic], raw.log_time_ns, raw.data)
         yaml = YAML(typ="safe", pure=True)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
 
+from logs.decoders.ros2_types import TYPES
 from logs.errors import TopicSelectionError
 from logs.messages import Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
-from tests.helpers import ros2_logs
 from tests.helpers.ros2_logs import encoded, header, vector
 
 PLANT = "string kind\nfloat32 sure\ngeometry_msgs/Point place"
@@ -31,8 +31,8 @@ SEEN = [TREE, {"kind": "pole", "place": vector(4, 5, 6)}]
 def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     for name, text in (("farm_msgs/msg/Plant", PLANT), ("farm_msgs/msg/Plants", PLANTS)):
         types = get_types_from_msg(text, name)
-        if name not in ros2_logs.TYPES.fielddefs:
-            ros2_logs.TYPES.register(types)
+        if name not in TYPES.fielddefs:
+            TYPES.register(types)
     values = {"header": header(5, "lidar"), "plants": SEEN}
     raw = encoded(("/plants", "farm_msgs/msg/Plants", 9, values))
     if request.param == "json":

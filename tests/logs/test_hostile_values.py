@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 import struct
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,6 @@ from logs.reader import LogReader
 from logs.storage.arrays import read_arrays
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.writer import LogWriter
-
-TOPICS = "create table topics(id integer primary key,name text,type text,serialization_format text);"
-TABLES = f"{TOPICS}create table messages(id,topic_id integer,timestamp integer,data blob);"
-ODOMETRY = "insert into topics values(1,'/odom','nav_msgs/msg/Odometry','cdr');"
 
 
 def point(coordinates: Any, kind: str = "Point", **others: Any) -> dict[str, Any]:
@@ -56,40 +51,6 @@ def test_file_names_that_are_no_utf_8_can_be_recorded(tmp_path: Path) -> None:
         writer.add_metadata("source", {"odometry": "\udcff.tum"})
     with LogReader(path) as reader:
         assert reader.metadata() == {"source": {"odometry": "\\udcff.tum"}}
-
-
-def database(path: Path, script: str) -> Path:
-    with sqlite3.connect(path) as connection:
-        connection.executescript(script)
-    connection.close()
-    return path
-
-
-def test_messages_whose_numbers_are_none(tmp_path: Path) -> None:
-    rows = "insert into messages values('abc',1,5,x'00'),(null,1,6,x'00'),(1e300,1,7,x'00');"
-    with LogReader(database(tmp_path / "a.db3", TABLES + ODOMETRY + rows)) as reader:
-        assert [raw.sequence for raw in reader.messages()] == [0, 0, 0]
-
-
-def test_databases_of_many_topics_or_long_names(tmp_path: Path) -> None:
-    many = "with recursive n(i) as (select 2 union all select i+1 from n where i<5000) insert into topics "
-    many += "select i,'/t'||i,'nav_msgs/msg/Odometry','cdr' from n;"
-    with pytest.raises(UnreadableLogError, match=r"memory_mb"):
-        LogReader(database(tmp_path / "a.db3", TABLES + many))
-    for column in ("name", "type"):
-        path = database(
-            tmp_path / f"{column}.db3", f"{TABLES}{ODOMETRY}update topics set {column}=printf('%.*c',2000,'x');"
-        )
-        with pytest.raises(UnreadableLogError, match=r"memory_mb"):
-            LogReader(path)
-
-
-def test_tables_that_compute_what_they_hold(tmp_path: Path) -> None:
-    computed = (
-        "create table messages(id,topic_id integer,timestamp integer,data blob generated always as (zeroblob(9)));"
-    )
-    with pytest.raises(UnreadableLogError, match="no table messages"):
-        LogReader(database(tmp_path / "a.db3", TOPICS + computed))
 
 
 @pytest.mark.parametrize("header", ["{[]: 1}", "(" * 3000, "{1: 2, 'a': 3}"])

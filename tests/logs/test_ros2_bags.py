@@ -1,9 +1,12 @@
-"""Recordings of rosbag2: folders, several files, databases, compressed files."""
+"""Recordings of rosbag2: folders, several files, and those that are converted before."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +17,11 @@ from logs.reader import LogReader
 from logs.selection import select_topics
 from tests.helpers.ros2_logs import Message, ros2_messages, write_bag
 from tests.helpers.short_drives import drive, keep_until, raw_messages
+from tests.tools.runs import ROOT
 
 BAGS = {
     "mcap": {},
     "split": {"files": 2},
-    "db3": {"storage": "sqlite3"},
 }
 
 
@@ -37,16 +40,15 @@ def contents(path: Path) -> list[tuple[str, int, bytes]]:
     return [(raw.topic, raw.log_time_ns, raw.data) for raw in raw_messages(path)]
 
 
-@pytest.mark.parametrize("name", list(BAGS)[1:])
-def test_every_kind_of_bag_holds_the_same(bags: dict[str, Path], name: str) -> None:
-    assert contents(bags[name]) == contents(bags["mcap"])
-    with LogReader(bags[name]) as reader, LogReader(bags["mcap"]) as plain:
+def test_files_of_a_bag_are_read_as_one(bags: dict[str, Path]) -> None:
+    assert contents(bags["split"]) == contents(bags["mcap"])
+    with LogReader(bags["split"]) as reader, LogReader(bags["mcap"]) as plain:
         assert reader.topics() == plain.topics()
         assert reader.counters == {}
 
 
 def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
-    for name, pattern in (("mcap", "*.mcap"), ("db3", "*.db3"), ("split", "*_0.mcap")):
+    for name, pattern in (("mcap", "*.mcap"), ("split", "*_0.mcap")):
         (path,) = bags[name].glob(pattern)
         expected = contents(bags["mcap"])
         found = contents(path)
@@ -54,24 +56,30 @@ def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
         assert len(found) in (len(expected), len(expected) // 2)
 
 
-def break_bag(bag: Path, tmp_path: Path, statement: str = "") -> Path:
-    """A copy of a bag, whose database is altered by a statement."""
-    broken = tmp_path / "broken"
-    shutil.copytree(bag, broken)
-    if statement:
-        with sqlite3.connect(next(broken.glob("*.db3"))) as database:
-            database.execute(statement)
-    return broken
+def break_bag(bag: Path, tmp_path: Path) -> Path:
+    """A copy of a bag."""
+    return Path(shutil.copytree(bag, tmp_path / "broken"))
 
 
-def test_database_without_definitions(bags: dict[str, Path], tmp_path: Path) -> None:
-    bag = break_bag(bags["db3"], tmp_path, "DROP TABLE message_definitions")
-    with LogReader(bag) as reader, LogReader(bags["db3"]) as whole:
-        found, expected = (list(each.records(select_topics(each.topics()))) for each in (reader, whole))
-    assert len(found) == len(expected) > 100
-    for a, b in zip(found, expected, strict=True):
-        if a.topic == "/detections":
-            np.testing.assert_array_equal(a.record.positions, b.record.positions)
+@pytest.mark.slow
+@pytest.mark.parametrize("has_definitions", [True, False])
+def test_databases_are_refused_with_the_command_that_converts_them(
+    messages: list[Message], tmp_path: Path, has_definitions: bool
+) -> None:
+    bag = write_bag(tmp_path / "bag", messages, storage="sqlite3")
+    if not has_definitions:  # as before ROS 2 Iron
+        with sqlite3.connect(bag / "part_0.db3") as database:
+            database.executescript("DROP TABLE message_definitions; DROP TABLE schema")
+        described = (bag / "metadata.yaml").read_text()
+        (bag / "metadata.yaml").write_text(described.replace("version: 8", "version: 4"))
+    with pytest.raises(UnreadableLogError, match=r"part_0\.db3 is a database of rosbag2; convert it by") as refused:
+        LogReader(bag)
+    command = re.search("'rosbags-convert (.*)'", str(refused.value))[1].replace("NEW", str(tmp_path / "new")).split()
+    convert = Path(sys.executable).with_name("rosbags-convert")
+    subprocess.run([convert, *command], cwd=ROOT, env={"PYTHONPATH": str(ROOT)}, check=True)
+    assert contents(tmp_path / "new") == contents(write_bag(tmp_path / "mcap", messages))
+    with LogReader(tmp_path / "new") as reader:
+        assert len(list(reader.records(select_topics(reader.topics())))) == len(messages)
 
 
 def test_a_missing_file_is_named(bags: dict[str, Path], tmp_path: Path) -> None:
@@ -106,58 +114,6 @@ def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_p
     with LogReader(broken) as reader:
         assert 0 < len(list(reader.messages())) < len(contents(bags["mcap"]))
         assert reader.counters["truncated"] == 1
-
-
-@pytest.mark.parametrize("keep", [0.02, 0.6])
-def test_database_that_ends_early_is_refused(bags: dict[str, Path], tmp_path: Path, keep: float) -> None:
-    broken = break_bag(bags["db3"], tmp_path)
-    (path,) = broken.glob("*.db3")
-    path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
-    with pytest.raises(UnreadableLogError, match=r"part_0\.db3: [^\n]*$"):
-        LogReader(broken)
-
-
-def test_messages_without_time_in_database_are_left_out(bags: dict[str, Path], tmp_path: Path) -> None:
-    broken = break_bag(bags["db3"], tmp_path, "UPDATE messages SET timestamp = 'soon' WHERE id = 3")
-    with LogReader(broken) as reader:
-        assert len(list(reader.messages())) == len(contents(bags["db3"])) - 1
-        assert reader.counters == {"messages_without_time": 1}
-
-
-def test_message_without_bytes_in_database_is_empty(bags: dict[str, Path], tmp_path: Path) -> None:
-    with LogReader(break_bag(bags["db3"], tmp_path, "UPDATE messages SET data = 'text'")) as reader:
-        assert {raw.data for raw in reader.messages()} == {b""}
-        assert list(reader.records(select_topics(reader.topics()))) == []
-
-
-VIEW = (
-    "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
-    "SELECT id, 1 AS topic_id, 1 AS timestamp, x'' AS data FROM n"
-)
-
-
-@pytest.mark.parametrize(
-    ("statements", "fault"),
-    [
-        (["UPDATE topics SET serialization_format = x'ff'"], r"part_0\.db3: topic .*a damaged one"),
-        (["ALTER TABLE messages RENAME TO others", VIEW], "no table messages"),
-    ],
-)
-def test_unusable_database_is_refused(bags: dict[str, Path], tmp_path: Path, statements: list[str], fault: str) -> None:
-    broken = break_bag(bags["db3"], tmp_path)
-    with sqlite3.connect(next(broken.glob("*.db3"))) as database:
-        for statement in statements:
-            database.execute(statement)
-    with pytest.raises(UnreadableLogError, match=fault):
-        LogReader(broken)
-
-
-def test_a_damaged_schema_whose_error_is_no_text_is_refused(bags: dict[str, Path], tmp_path: Path) -> None:
-    broken = break_bag(bags["db3"], tmp_path)
-    (path,) = broken.glob("*.db3")
-    path.write_bytes(path.read_bytes().replace(b"PRIMARY KEY", b"PRIMARY \x8fEY"))
-    with pytest.raises(UnreadableLogError, match=r"part_0\.db3: .* a damaged one"):
-        LogReader(broken)
 
 
 def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from rosbags.typesys import get_types_from_msg
 
+from logs.decoders.ros2_types import TYPES
 from logs.messages import ObjectDetections
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
-from tests.helpers import ros2_logs
 from tests.helpers.loop_drives import one_block
 from tests.helpers.ros2_logs import header, ros2_messages, vector, write_bag
 from tests.test_docs import blocks_of, commands
@@ -35,7 +35,7 @@ CODE = {
 SHORTER = {
     "simulate": ("--length", "120"),
     "sweep": ("--seeds", "1", "--jobs", "1"),
-    "benchmark descriptors": ("--queries", "2"),
+    "benchmark recall": ("--queries", "2"),
 }
 """Of an option that comes twice, the last one counts."""
 ELSEWHERE = {
@@ -123,7 +123,7 @@ def write_bags(folder: Path, drive: Path) -> None:
     """The drive as ROS 2 records it, twice, and with detections in messages of another schema."""
     plant = "string kind\nfloat32 sure\ngeometry_msgs/Point position"
     for name, text in (("Crop", plant), ("Crops", "std_msgs/Header header\nfarm_msgs/Crop[] plants")):
-        ros2_logs.TYPES.register(get_types_from_msg(text, f"farm_msgs/msg/{name}"))
+        TYPES.register(get_types_from_msg(text, f"farm_msgs/msg/{name}"))
     with LogReader(drive) as log:
         entries = list(log.records(select_topics(log.topics())))
     messages = ros2_messages(entries)

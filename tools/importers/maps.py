@@ -22,8 +22,6 @@ Origin = Annotated[
 ]
 Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Assign this class to all objects.")]
 SURVEYED_SIGMA_M, DRAWN_SIGMA_M = 0.3, 1.0
-_LONGEST_NUMBER = 18
-"""Digits of the number of a class, so that 64 bits hold it."""
 
 
 def map_of_objects(
@@ -102,7 +100,8 @@ def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
     named: dict[int, str] = {}
     for pair in names or ():
         number, _, label = pair.partition("=")
-        if not number.isdecimal() or len(number) > _LONGEST_NUMBER or not label:
+        # 18 digits fit into 64 bits.
+        if not number.isdecimal() or len(number) > 18 or not label:
             raise typer.BadParameter(f"{pair!r} is not NUMBER=CLASS, for example 80=pole.", param_hint="--name")
         named[int(number)] = label
     return named or None

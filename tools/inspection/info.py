@@ -19,8 +19,6 @@ REPLAYED = "dslam"
 """Metadata of a log that a replay wrote."""
 MAX_LISTED = 40
 """Entries of a list; of a longer one the others are counted."""
-_MAX_VALUE_LENGTH = 300
-"""Longer values of the metadata, such as a whole configuration, are in the JSON only."""
 
 
 def info(
@@ -106,7 +104,8 @@ def _rows(summary: LogSummary) -> dict[str, str]:
         listed["counters"] = ", ".join(f"{name} {count}" for name, count in summary.status.counters.items())
     for name, values in summary.metadata.items():
         if name != "rosbag2":  # a copy of metadata.yaml, which says what stands above
-            listed |= {f"{name}: {key}": text for key, text in values.items() if len(text) <= _MAX_VALUE_LENGTH}
+            # Longer values, such as a whole configuration, are in the JSON only.
+            listed |= {f"{name}: {key}": text for key, text in values.items() if len(text) <= 300}
     return {name: text for name, text in listed.items() if text}
 
 

@@ -14,10 +14,6 @@ from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
 
-_STRETCHES = 200
-_TURNED_DEG = 45.0
-"""Directions of travel that differ by more, in the median, are of other axes: x, y and z are 90 deg apart."""
-
 
 @dataclass(frozen=True, slots=True)
 class TextReference:
@@ -61,7 +57,7 @@ class TextReference:
         except EvaluationError:
             return  # The comparison reports that they do not overlap.
         travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
-        rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], _STRETCHES + 1)))
+        rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], 201)))
         ways = []
         for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
             ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
@@ -72,7 +68,8 @@ class TextReference:
             return
         cosines = np.sum(ways[0] * ways[1], axis=1)[moved] / lengths[moved]
         turned_deg = float(np.rad2deg(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
-        if turned_deg > _TURNED_DEG:
+        # Half of what x, y and z are apart.
+        if turned_deg > 45.0:
             is_camera = truth.format == TrajectoryFormat.KITTI and self.calib is None
             remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
             raise EvaluationError(

@@ -12,8 +12,6 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
 
-STRAIGHT_LINE_RATIO = 1e-3
-"""Points whose second principal spread is below this part of the first lie on a straight line."""
 STANDSTILL_M = 1e-6
 """Points that spread less than this (RMS about their mean) are one point."""
 
@@ -63,7 +61,8 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
         EvaluationError: the points do not move in the plane.
     """
     spreads = [_principal_spreads(points) for points in (points_est, points_gt)]
-    if any(second < STRAIGHT_LINE_RATIO * first or first < STANDSTILL_M for first, second, _ in spreads):
+    # Points on a straight line leave the roll about it open.
+    if any(second < 1e-3 * first or first < STANDSTILL_M for first, second, _ in spreads):
         return align_yaw_translation(points_est, points_gt)
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()

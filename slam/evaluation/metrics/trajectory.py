@@ -12,9 +12,6 @@ from slam.common.geometry import apply, invert, rotation_angle_rad, travelled_m
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import Alignment, align_path
 
-KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
-KITTI_START_STEP = 10
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryErrors:
@@ -73,8 +70,8 @@ def compute_relative_error(
     T_map_body_est: FloatArray,
     T_world_body_gt: FloatArray,
     *,
-    lengths_m: Sequence[float] = KITTI_LENGTHS_M,
-    start_step: int = KITTI_START_STEP,
+    lengths_m: Sequence[float] = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0),
+    start_step: int = 10,
 ) -> tuple[float | None, float | None]:
     """Relative pose error as the KITTI odometry benchmark defines it: percent, and degrees per 100 m.
 

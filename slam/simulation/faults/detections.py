@@ -21,9 +21,6 @@ from slam.common.geometry import make_transform
 from slam.simulation.faults.parameters import Degrees, Factor, Metres, Share, Sigma
 from slam.simulation.faults.recording import Recording, Scan, joined
 
-FALSE_POSITIVE_RANGE_PERCENTILE = 95.0
-"""False positives lie within the range that holds so many per cent of the log's detections."""
-
 _Angle = Annotated[float, Field(gt=0.0, le=360.0, description="deg")]
 _Reach = Annotated[float, Field(gt=0.0, allow_inf_nan=False, description="m")]
 _PerScan = Annotated[float, Field(ge=0.0, le=1000.0, description="number")]
@@ -88,7 +85,8 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
         raise SimulationError("no detection is in view, so false positives cannot be modelled; widen the field of view")
     donors = joined([scan.seen for scan in log.scans])
     x, y, z = places.T
-    reach_m, bearings = np.percentile(np.hypot(x, y), FALSE_POSITIVE_RANGE_PERCENTILE), np.arctan2(y, x)
+    # A few detections are farther away than all others.
+    reach_m, bearings = np.percentile(np.hypot(x, y), 95.0), np.arctan2(y, x)
     frames = log.body_frames()
     for scan in log.scans:
         number = int(rng.poisson(mean))

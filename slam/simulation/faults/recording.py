@@ -170,7 +170,8 @@ class Recording:
         """Move the poses from ``row`` on rigidly, by ``T_jump`` (4, 4) in the axes of the body at ``row``."""
         poses = self.poses
         if row < len(poses):
-            poses[row:] = poses[row] @ T_jump @ invert(poses[row]) @ poses[row:]
+            # The transpose, as the inverse of a rotation, would double its rounding with each of many jumps.
+            poses[row:] = poses[row] @ T_jump @ np.linalg.inv(poses[row]) @ poses[row:]
         self.poses = poses
 
     def restamp_scans(self, new_stamp_ns: Callable[[int], int]) -> None:

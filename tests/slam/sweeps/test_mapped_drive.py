@@ -12,7 +12,6 @@ from slam.sweeps.mapped_drive import DriveTask, map_drive
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.logs.importers.text_drives import TextDrive
 from tools.lab.commands.robots import map_robot
-from tools.lab.drives.robot_drives import RobotDrive, find_drives
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +48,8 @@ def test_failure_is_a_result(log: Path, tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_robot_is_imported_and_mapped(tmp_path: Path) -> None:
     files = TextDrive.make(tmp_path).files()
-    run = map_robot(RobotDrive("a", files["odometry"], files["detections"], files["ground_truth"]), Config())
+    files["ground_truth"].rename(tmp_path / "groundtruth.tum")
+    run = map_robot(tmp_path, Config())
     assert run.error == ""
     assert run.figure("trajectory.ate_m") == pytest.approx(0.0, abs=1e-6)
     # One object, in three of the four detections, and a false positive; nothing is ever met again.
@@ -62,6 +62,6 @@ def test_robot_is_imported_and_mapped(tmp_path: Path) -> None:
 
 def test_broken_files_of_a_robot_are_a_result(tmp_path: Path) -> None:
     TextDrive.make(tmp_path).write("odometry.tum", "nothing\n")
-    (broken,) = find_drives(tmp_path)
-    assert "odometry.tum: no column for the stamp" in map_robot(broken, Config()).error
-    assert "no file detections.*" in map_robot(RobotDrive("c", tmp_path / "odometry.tum", None, None), Config()).error
+    assert "odometry.tum: no column for the stamp" in map_robot(tmp_path, Config()).error
+    (tmp_path / "detections.csv").unlink()
+    assert "no file odometry.* or detections.*" in map_robot(tmp_path, Config()).error

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import typer
 
-from tools.lab.commands.descriptors import descriptors
-from tools.lab.commands.fleet import fleet
 from tools.lab.commands.recall import recall
 from tools.lab.commands.relocalization import relocalization
-from tools.lab.commands.retrieval import retrieval
 from tools.lab.commands.robots import robots
 
 app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
-for command in (descriptors, fleet, recall, relocalization, retrieval, robots):
+for command in (recall, relocalization, robots):
     app.command()(command)

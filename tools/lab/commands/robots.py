@@ -15,7 +15,6 @@ from tools.replay import noted_counters
 if TYPE_CHECKING:
     from slam.common.config import Config
     from slam.sweeps.mapped_drive import MappedDrive
-    from tools.lab.drives.robot_drives import RobotDrive
 
 COLUMNS = {
     "drive": "{name}",
@@ -61,10 +60,10 @@ def robots(
     config = load_config(config_file, settings or ())
     drives = find_drives(data, drive or ())
     runs: dict[str, MappedDrive] = {}
-    for each in drives:
-        run = runs[each.name] = map_robot(each, config)
+    for name, folder in drives.items():
+        run = runs[name] = map_robot(folder, config)
         how = f"failed: {run.error}" if run.error else f"{run.replay_s:.0f} s"
-        typer.echo(f"{len(runs)} of {len(drives)}: {each.name}, {how}", err=True)
+        typer.echo(f"{len(runs)} of {len(drives)}: {name}, {how}", err=True)
     report(
         [_row(name, run) for name, run in runs.items()],
         *(f"{name}: {', '.join(notes)}" for name, run in runs.items() if (notes := notes_of(run))),
@@ -75,8 +74,8 @@ def robots(
     )
 
 
-def map_robot(drive: RobotDrive, config: Config) -> MappedDrive:
-    """Import a drive, map it in a process of its own and evaluate it."""
+def map_robot(drive: Path, config: Config) -> MappedDrive:
+    """Import the drive in a folder, map it in a process of its own and evaluate it."""
     from tempfile import TemporaryDirectory
 
     from logs.errors import LogError

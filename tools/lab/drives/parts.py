@@ -33,14 +33,13 @@ def _uniform_clutter(query: Any, reference: Any, offsets: Any, distances: Any, *
     return (0.5 + np.sum(reference.labels[:, None] == query.labels[None, :], axis=0)) / area_m2
 
 
-WEIGHTLESS = 1e6
-"""Factor on the covariance of an observation that leaves it no weight against the odometry."""
 _ADD_OBSERVATIONS = EditableGraph.add_observations
 
 
 def _add_weightless(self: Any, observations: Any) -> None:
     """``EditableGraph.add_observations`` of observations without weight."""
-    _ADD_OBSERVATIONS(self, [replace(each, covariance_inflation=WEIGHTLESS) for each in observations])
+    # No weight against the odometry.
+    _ADD_OBSERVATIONS(self, [replace(each, covariance_inflation=1e6) for each in observations])
 
 
 PARTS: dict[str, Part] = {

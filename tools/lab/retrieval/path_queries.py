@@ -14,14 +14,25 @@ from slam.common.config import SUBMAP_RANGES
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import Submap
-from tools.lab.retrieval.labelled_map import LabelledMap
 
 MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
-MAX_TRAVEL_SUBMAPS = 10
-"""Travel of so many submaps after which a robot that has not seen the objects of a scenario gives up."""
-STEP_RANGES = 1.0 / 6.0
-"""Distance between two scans, in sensor ranges."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledMap:
+    """Objects (M, 3) m with labels (M,), of which there are ``classes``."""
+
+    positions: FloatArray
+    labels: IntArray
+    classes: int
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def first(self, count: int) -> LabelledMap:
+        """The first objects, up to a number."""
+        return LabelledMap(self.positions[:count], self.labels[:count], self.classes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +112,9 @@ def _drive(
 ) -> tuple[IntArray, FloatArray]:
     """Objects (K,), ascending, that are observed on a path from ``begin`` (2,) m, and where it ends (2,) m."""
     range_m = scenario.range_m
-    submap_m, step_m = SUBMAP_RANGES * range_m, STEP_RANGES * range_m
-    travel_m = MAX_TRAVEL_SUBMAPS * submap_m if scenario.objects else submap_m
+    submap_m, step_m = SUBMAP_RANGES * range_m, range_m / 6.0
+    # A robot that has not seen the objects by then gives up.
+    travel_m = 10 * submap_m if scenario.objects else submap_m
     path = begin + np.arange(0.0, travel_m + 0.5 * step_m, step_m)[:, None] * np.array([np.cos(yaw), np.sin(yaw)])
     in_range = [np.asarray(rows, dtype=np.int64) for rows in tree.query_ball_point(path, range_m)]
     rows, first_step = np.unique(np.concatenate(in_range), return_index=True)

@@ -64,6 +64,11 @@ def test_position_jumps_as_often_and_as_far_as_given() -> None:
     assert not errors[:, 2, 3].any()
 
 
+def test_many_jumps_leave_rotations_as_they_are() -> None:
+    R = faulty("odometry_jumps=90:1000").poses[:, :3, :3]
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (COUNT, 1, 1)), atol=1e-9)
+
+
 def test_one_message_is_wild() -> None:
     moved_m = np.linalg.norm(faulty("odometry_wild=1000").poses[:, :3, 3] - drive().poses[:, :3, 3], axis=1)
     assert np.flatnonzero(moved_m).tolist() == [HALF]

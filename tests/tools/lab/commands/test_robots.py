@@ -30,7 +30,9 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "bad/one": MappedDrive(error="line 1 | broken"),
         "good": MappedDrive(EVALUATION, ("optimised",), 100.0, 4.0, 4.0, 250_000_000),
     }
-    monkeypatch.setattr(robots, "map_robot", lambda drive, config: runs[drive.name])
+    monkeypatch.setattr(
+        robots, "map_robot", lambda drive, config: runs[drive.relative_to(tmp_path / "data").as_posix()]
+    )
     return tmp_path / "data"
 
 

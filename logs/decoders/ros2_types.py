@@ -1,12 +1,11 @@
 """Definitions of ROS 2 messages for recordings that hold none: databases written before ROS 2 Iron.
 
-The types of ROS itself come from the library ``rosbags``. The layouts of perception messages, of packages that are not
-part of ROS itself, are written down here; they are those of the releases for ROS 2 Humble.
+``rosbags-convert --src-typestore-ref logs.decoders.ros2_types:TYPES`` reads such a recording by them. The types of ROS
+itself come from the library ``rosbags``. The layouts of perception messages, of packages that are not part of ROS
+itself, are written down here; they are those of the releases for ROS 2 Humble.
 """
 
 from __future__ import annotations
-
-from functools import lru_cache
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -68,17 +67,7 @@ _AUTOWARE = {
 _AUTOWARE_PACKAGES = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
 
 
-def known_definition(type_name: str) -> tuple[str, bytes]:
-    """(encoding, definition) of the ROS 2 message ``type_name``, with those of its parts; ("", b"") if unknown."""
-    store = typestore()
-    if type_name not in store.fielddefs:
-        return "", b""
-    return "ros2msg", store.generate_msgdef(type_name, ros_version=2)[0].encode()
-
-
-@lru_cache(maxsize=1)
-def typestore() -> Typestore:
-    """The types of ROS 2 Humble, and those of perception messages."""
+def _types() -> Typestore:
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = {}
     autoware = {f"{package}/msg/{name}": text for package in _AUTOWARE_PACKAGES for name, text in _AUTOWARE.items()}
@@ -86,3 +75,7 @@ def typestore() -> Typestore:
         types.update(get_types_from_msg(text, name))
     store.register(types)
     return store
+
+
+TYPES = _types()
+"""The types of ROS 2 Humble, and those of perception messages."""

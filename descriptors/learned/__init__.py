@@ -1,1 +1,0 @@
-"""Descriptors by networks."""

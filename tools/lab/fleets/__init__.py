@@ -1,1 +1,0 @@
-"""Simulated fleets, and how right their maps are."""
