@@ -68,6 +68,12 @@ FIGURES = (
     Figure("", "precision of closures", "kitti00", PRECISION, ("kitti00", "closures precision")),
     Figure("", "recall of revisits", "kitti00", RECALL, ("kitti00", "closures recall")),
     Figure("", "kidnapped robots found within 40 m, %", "relocalization-kitti00", r"everywhere +\d+ +(\S+)"),
+    Figure(
+        "",
+        "places retrieved first, by descriptors alone, %",
+        "retrieval",
+        r"kitti00 \| descriptellation_lr \| \d+ \| (\S+)",
+    ),
     Figure("hamburg", "ATE", "hamburg", ATE, ("hamburg", "ATE m")),
     Figure("", "ATE of the odometry", "hamburg", ODOMETRY),
     Figure("", "recall of revisits", "hamburg", RECALL, ("hamburg", "closures recall")),

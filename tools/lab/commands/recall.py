@@ -10,6 +10,7 @@ import typer
 from tools.arguments import Json
 from tools.lab.tables import Descriptors, Markdown, report, row_of
 
+RESULTS = "contest.csv"
 COLUMNS = {
     "descriptor": "{proposer}",
     "map": "{map_objects} of {map_classes}",
@@ -50,6 +51,15 @@ def recall(
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Folder of a CSV file, to which the measurements are added.",
+        ),
+    ] = None,
     markdown: Markdown = False,
     json: Json = False,
 ) -> None:
@@ -89,6 +99,10 @@ def recall(
         world = MapObjects(town.name, town.positions, town.labels, town.object_ids, False, "")
     with console.progress_bar("measuring") as move:
         cells = run_contest(world, contest, on_progress=move)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        path = output / RESULTS
+        cells.to_csv(path, mode="a", header=not path.exists(), index=False, lineterminator="\n")
     found = cells.to_dict("records")
     report(
         [row_of(COLUMNS, each) for each in found],

@@ -22,11 +22,9 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.random_vector import RandomVector
 from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
-from slam.common.arrays import BoolArray, FloatArray
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
-from slam.common.geometry import invert, rotation_angle_rad
-from slam.evaluation.inputs.protocol import Protocol
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratio
 from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
@@ -35,10 +33,8 @@ from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.parameters import registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
-from tools.lab.retrieval.path_queries import LabelledMap, PathQuery, draw_path_queries, parse_scenario
-
-RECALL_AT = (1, 5, 25)
-"""Numbers of proposals among which a right pose is looked for."""
+from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
+from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +127,8 @@ def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
         pairs.add(objects.positions, objects.labels)
     else:
         pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
-        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0), tuple(map(str, range(objects.classes))))
-    return PlaceSearch(pairs, objects.positions, objects.labels, objects.classes), index.nbytes
+        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
+    return PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary)), index.nbytes
 
 
 def verify(
@@ -166,7 +162,7 @@ def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: C
     about = {
         "proposer": name,
         "map_objects": len(objects),
-        "map_classes": objects.classes,
+        "map_classes": len(objects.vocabulary),
         "build_s": time.process_time() - started,
         "bytes_per_object": nbytes / len(objects),
     }
@@ -201,6 +197,7 @@ def _answer(
     search: PlaceSearch, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
 ) -> dict[str, float]:
     """The rank of the first right proposal from 0, whether the verified pose is right, or accepted and wrong; times."""
+    truth = query.T_map_query_gt[None]
     started = time.process_time()
     poses = search.find_poses(query.submap, map_sigma_m=SURVEYED_SIGMA_M, count=RECALL_AT[-1])
     proposed = time.process_time()
@@ -208,20 +205,14 @@ def _answer(
         query.submap, poses[: Config().loop_closure.max_candidates], objects, tree, range_m
     )
     verified = time.process_time()
-    found = T_verified is not None and bool(_is_right(T_verified, query))
+    found = T_verified is not None and bool(is_right(T_verified[None], truth)[0])
     return {
-        "rank": np.flatnonzero(_is_right(poses, query)).min(initial=RECALL_AT[-1]),
+        "rank": np.flatnonzero(is_right(poses, truth)).min(initial=RECALL_AT[-1]),
         "right": found,
         "wrong": is_accepted and not found,
         "propose_ms": 1e3 * (proposed - started),
         "verify_ms": 1e3 * (verified - proposed),
     }
-
-
-def _is_right(poses: FloatArray, query: PathQuery) -> BoolArray:
-    """Which poses (..., 4, 4) are within 4 m and 10 deg of the true one, as in the protocol of closures."""
-    T_error = invert(query.T_map_query_gt) @ poses
-    return Protocol().is_true(np.linalg.norm(T_error[..., :3, 3], axis=-1), rotation_angle_rad(T_error))
 
 
 def _by_distance(positions: FloatArray, rng: np.random.Generator) -> list[int]:
@@ -236,4 +227,4 @@ def _with_classes(positions: FloatArray, labels: Sequence[str], count: int) -> L
     by_frequency = np.argsort(-np.bincount(numbers), kind="stable")
     merged = np.empty(len(names), dtype=np.int64)
     merged[by_frequency] = np.minimum(np.arange(len(names)), count - 1)
-    return LabelledMap(positions, merged[numbers], min(count, len(names)))
+    return LabelledMap(positions, merged[numbers], tuple(str(number) for number in range(min(count, len(names)))))

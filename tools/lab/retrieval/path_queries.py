@@ -14,25 +14,10 @@ from slam.common.config import SUBMAP_RANGES
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import Submap
+from tools.lab.retrieval.labelled_map import LabelledMap
 
 MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelledMap:
-    """Objects (M, 3) m with labels (M,), of which there are ``classes``."""
-
-    positions: FloatArray
-    labels: IntArray
-    classes: int
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def first(self, count: int) -> LabelledMap:
-        """The first objects, up to a number."""
-        return LabelledMap(self.positions[:count], self.labels[:count], self.classes)
 
 
 @dataclass(frozen=True, slots=True)

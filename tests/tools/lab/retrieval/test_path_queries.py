@@ -5,7 +5,8 @@ import pytest
 
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply
-from tools.lab.retrieval.path_queries import LabelledMap, Scenario, draw_path_queries
+from tools.lab.retrieval.labelled_map import LabelledMap
+from tools.lab.retrieval.path_queries import Scenario, draw_path_queries
 
 
 def forest(count: int, extent_m: float, seed: int = 0) -> np.ndarray:
@@ -14,7 +15,7 @@ def forest(count: int, extent_m: float, seed: int = 0) -> np.ndarray:
 
 
 def map_of(positions: np.ndarray) -> LabelledMap:
-    return LabelledMap(positions, np.zeros(len(positions), np.int64), 1)
+    return LabelledMap(positions, np.zeros(len(positions), np.int64), ("tree",))
 
 
 @pytest.mark.parametrize("clutter", [0.0, 0.3])

@@ -1,0 +1,164 @@
+"""Place recognition by descriptors at the revisits of a drive with truth, with the retrieval of a replay.
+
+The drive is mapped without closing a loop, so that no descriptor influences its later queries, and every descriptor
+gets the same submaps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from descriptors.registry import make_index
+from logs.messages import GroundTruthPose
+from logs.reader import LogReader
+from logs.selection import select_topics
+from logs.topics import RecordKind
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.errors import EvaluationError
+from slam.common.geometry import invert
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import read_records
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.place_recognition.revisits import find_true_poses
+from slam.loop_closure.loop_closer import Outcome
+from slam.object_map.submap import Submap, gravity_frame, recent_submap
+from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.retrieval import PlaceRetriever
+from slam.prepared_log import calibrate_logs
+from slam.system import Slam
+from tools.lab.retrieval.labelled_map import RECALL_AT, is_right
+
+
+def measure_revisits(
+    path: Path,
+    descriptors: Sequence[str],
+    config: Config,
+    *,
+    topics: Mapping[str, str] | None = None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> list[dict[str, Any]]:
+    """Map a drive with truth, and ask each descriptor at its revisits.
+
+    Args:
+        path: the log.
+        descriptors: names, as the registry has them.
+        config: of the estimator; what it leaves open is estimated from the log.
+        topics: kind -> topic, where the log leaves a choice.
+        on_progress: called with the fraction done, in [0, 1].
+
+    Returns:
+        For each descriptor ``places_at_k``, the share of the ``queries`` with a right pose among the first k proposals,
+        by k of :data:`RECALL_AT`; ``index_s``, the time to describe the map, and ``query_ms``, the median of a query.
+
+    Raises:
+        LogError: the log cannot be read.
+        DescriptorError: a descriptor that does not exist, or that does not fit the drive.
+        SlamError: it cannot be mapped, holds no truth, or never comes back.
+    """
+    for name in descriptors:  # what cannot be made is refused before anything is mapped
+        make_index(name)
+    truth = read_records(path, topics=topics).true_path
+    if not len(truth.stamps_ns):
+        raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
+    if config.calibrate:
+        config = calibrate_logs([path], config, topics=topics).config
+    with LogReader(path) as reader, threadpool_limits(1):
+        asking = _AskingSlam(config, truth, descriptors)
+        selection = select_topics(reader.topics(), topics, needed=(RecordKind.ODOMETRY, RecordKind.DETECTIONS))
+        first_ns, last_ns = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+        for entry in reader.records(selection):
+            if isinstance(entry.record, GroundTruthPose):
+                on_progress(min(max((entry.record.stamp_ns - first_ns) / max(last_ns - first_ns, 1), 0.0), 1.0))
+            else:
+                asking.process(entry.record)
+    if asking.asked_m < 0.0:
+        raise EvaluationError(f"{path}: the drive never revisits a place, so there is nothing to recognise")
+    return [{"drive": path.stem, **each.figures()} for each in asking.asked]
+
+
+class _AskingSlam(Slam):
+    """Maps a drive, and queries the descriptors at each keyframe instead of closing loops."""
+
+    def __init__(self, config: Config, truth: PoseSeries, descriptors: Sequence[str]) -> None:
+        super().__init__(config)
+        self._truth = truth
+        self._protocol = Protocol(revisit_m=config.closure_travel_m)
+        self.asked_m = -np.inf
+        self.asked = [_Asked(name, PlaceRetriever(_for(name, config), self._object_map)) for name in descriptors]
+
+    def _close_loops(self, keyframe: Keyframe) -> Outcome:
+        for each in self.asked:
+            each.index(keyframe)
+        travelled_m = float(self._truth.travelled_at_m(np.array([keyframe.odometry.stamp_ns]))[0])
+        if travelled_m - self.asked_m >= self._protocol.query_spacing_m:
+            self._ask(keyframe, travelled_m)
+        return Outcome([])
+
+    def _ask(self, keyframe: Keyframe, travelled_m: float) -> None:
+        T_local_query_gt = self._true_poses(keyframe)
+        submap = recent_submap(self._object_map, keyframe, self._config.calibration)
+        before_m = keyframe.odometry.travel_m - self._config.closure_travel_m
+        still_associated = self._object_map.rows["first_seen_travel_m"][submap.rows] < before_m
+        # Where most landmarks were never lost there is nothing to recognise.
+        if not len(T_local_query_gt) or 2 * np.count_nonzero(still_associated) > len(submap):
+            return
+        self.asked_m = travelled_m
+        for each in self.asked:
+            each.ask(submap, before_m, T_local_query_gt)
+
+    def _true_poses(self, keyframe: Keyframe) -> FloatArray:
+        """Poses (R, 4, 4) of the query in the local frame, by the earlier keyframes that it truly comes back to."""
+        keyframes = self._mapper.keyframes
+        stamps_ns = np.array([each.odometry.stamp_ns for each in keyframes], dtype=np.int64)
+        known, T_world_body = find_true_poses(self._truth, stamps_ns, max_gap_s=self._protocol.max_truth_gap_s)
+        travelled_m = self._truth.travelled_at_m(stamps_ns)
+        apart_m = np.linalg.norm(T_world_body[:, :3, 3] - T_world_body[-1, :3, 3], axis=1)
+        near = known & known[-1] & (apart_m <= self._protocol.revisit_distance_m)
+        near &= travelled_m <= travelled_m[-1] - self._protocol.revisit_m
+        T_local_body = np.array([keyframes[row].T_local_body for row in np.flatnonzero(near)]).reshape(-1, 4, 4)
+        return gravity_frame(T_local_body @ invert(T_world_body[near]) @ T_world_body[-1])
+
+
+class _Asked:
+    """One descriptor on its way through the drive."""
+
+    def __init__(self, name: str, retriever: PlaceRetriever) -> None:
+        self._name = name
+        self._retriever = retriever
+        self._index_s = 0.0
+        self._query_s: list[float] = []
+        self._ranks: list[float] = []
+
+    def index(self, keyframe: Keyframe) -> None:
+        started = time.perf_counter()
+        self._retriever.index_inactive_landmarks(keyframe.odometry)
+        self._index_s += time.perf_counter() - started
+
+    def ask(self, submap: Submap, before_m: float, T_local_query_gt: FloatArray) -> None:
+        started = time.perf_counter()
+        places = self._retriever.propose(submap, before_m=before_m)
+        self._query_s.append(time.perf_counter() - started)
+        poses = np.array([place.T_local_query for place in places]).reshape(-1, 4, 4)
+        self._ranks.append(float(np.flatnonzero(is_right(poses, T_local_query_gt)).min(initial=RECALL_AT[-1])))
+
+    def figures(self) -> dict[str, Any]:
+        return {
+            "descriptor": self._name,
+            "queries": len(self._ranks),
+            **{f"places_at_{k}": float(np.mean(np.array(self._ranks) < k)) for k in RECALL_AT},
+            "query_ms": 1e3 * float(np.median(self._query_s)),
+            "index_s": self._index_s,
+        }
+
+
+def _for(descriptor: str, config: Config) -> Config:
+    """The configuration of a retrieval that proposes as many places as are counted."""
+    closing = config.loop_closure.model_copy(update={"descriptor": descriptor, "max_candidates": RECALL_AT[-1]})
+    return config.model_copy(update={"loop_closure": closing})
