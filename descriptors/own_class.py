@@ -19,8 +19,12 @@ def is_own_class(name: str) -> bool:
     return ":" in name
 
 
-def _make_own(name: str) -> Any:
-    """An object of a class, made without arguments."""
+def make_own(name: str) -> Any:
+    """An object of a class, made without arguments.
+
+    Raises:
+        DescriptorError: it cannot be imported or made.
+    """
     module, _, attribute = name.partition(":")
     folder = str(Path.cwd())
     if folder not in sys.path:
@@ -41,7 +45,7 @@ class OwnDescriptor:
             DescriptorError: it cannot be made, or is no descriptor.
         """
         self._class = name
-        self._own = _make_own(name)
+        self._own = make_own(name)
         lacking = [part for part in ("name", "radius_m", "describe") if not hasattr(self._own, part)]
         if lacking:
             raise DescriptorError(

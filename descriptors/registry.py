@@ -12,9 +12,9 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
+from descriptors.learned.weights import read_weights
 from descriptors.own_class import OwnDescriptor, is_own_class
 from descriptors.random_vector import RandomVector
-from descriptors.weight_file import read_weights
 
 PAPER = "descriptellation"
 LEARNED = (LearnedLikelihood.name, PAPER)
@@ -24,6 +24,13 @@ HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
 }
 DESCRIPTOR_NAMES = (*LEARNED, *HANDCRAFTED)
 WEIGHTS_SUFFIX = ".safetensors"
+FORMER = {
+    "descriptellation_paper": f"it is called {PAPER!r} now",
+    "pointnet": "it was removed",
+    "sgnet": "it was removed",
+    "ring_likelihood": "it was removed",
+}
+"""Names of earlier versions."""
 
 
 def shipped_weights(name: str) -> Path:
@@ -54,8 +61,9 @@ def make_descriptor(name: str) -> Descriptor | LearnedLikelihood:
         return _from_weights(Path(name))
     if is_own_class(name):
         return OwnDescriptor(name)
+    former = f"{FORMER[name]}; " if name in FORMER else ""
     raise DescriptorError(
-        f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
+        f"unknown descriptor {name!r}; {former}choose one of {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
         f"(NAME{WEIGHTS_SUFFIX}), or a class of your own (module:Class)"
     )
 
@@ -78,9 +86,9 @@ def _from_weights(path: Path) -> Descriptor | LearnedLikelihood:
     if read_weights(path).architecture.get("name") == LearnedLikelihood.name:
         return LearnedLikelihood(path)
     try:
-        from descriptors.descriptellation.descriptor import NetworkDescriptor  # loads torch
+        from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
     except ModuleNotFoundError as error:
         raise DescriptorError(
             f"the descriptor {path.stem} is a network and needs torch: pip install 'descriptellation-slam[learn]'"
         ) from error
-    return NetworkDescriptor(path)
+    return LearnedDescriptor(path)

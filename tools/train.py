@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +10,10 @@ import typer
 from tools.arguments import Json
 
 if TYPE_CHECKING:
+    from descriptors.training.contrast import ContrastTraining
     from descriptors.training.maps import TrainingMap
+
+LIKELIHOOD = "descriptellation_lr"
 
 
 def train(
@@ -19,6 +21,13 @@ def train(
         Path,
         typer.Argument(metavar="FOLDER", help="Folder of the weights and the curves."),
     ],
+    network: Annotated[
+        str,
+        typer.Option(
+            metavar="descriptellation_lr|descriptellation|module:Class",
+            help="The network to train: a name, or a torch module of your own (module:Class).",
+        ),
+    ] = LIKELIHOOD,
     maps: Annotated[
         list[Path] | None,
         typer.Option(
@@ -31,7 +40,7 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Epochs of 50 maps; by default 40, or 4 from the shipped weights.",
+            help="Epochs of 50 maps; by default 40 for descriptellation_lr (4 with --maps), 100 for other networks.",
         ),
     ] = None,
     anew: Annotated[
@@ -44,31 +53,27 @@ def train(
     ] = 2,
     json: Json = False,
 ) -> None:
-    """Train the descriptor 'descriptellation_lr' on simulated maps and on maps of your own.
+    """Train a descriptor network on simulated maps and on maps of your own.
 
-    With maps of your own, training starts from the shipped weights, and keeps them if no epoch is better on these maps.
+    With maps of your own, training starts from the shipped weights if the network has any, and keeps them if no epoch
+    is better on these maps.
 
     The weights are those of the epoch with the best top 5 on validation maps; 'dslam replay --set
     loop_closure.descriptor=FOLDER/weights.safetensors' uses them.
 
     Example: dslam train out/lr --maps town.csv
     """
-    from descriptors.registry import LEARNED, shipped_weights
     from descriptors.training.folder import WEIGHTS
-    from descriptors.training.trainer import Recipe, Training, best_of
+    from descriptors.training.trainer import Recipe, best_of
     from descriptors.training.trainer import train as train_recipe
     from tools import console
 
     if anew and not maps:
         raise typer.BadParameter("use it with --maps.", param_hint="--anew")
-    start, config = None, Training(seed=seed)
-    if maps and not anew:
-        # In smaller steps, and with more validation maps, as the differences between epochs are small.
-        start = shipped_weights(LEARNED[0])
-        config = replace(config, epochs=4, validation_maps=96, learning_rate=1e-3, last_rate=1e-4)
-    config = replace(config, epochs=epochs or config.epochs)
+    start = _shipped(network) if maps and not anew else None
+    config = _config(network, epochs, seed, is_further=start is not None)
     recipe = Recipe(config, [_load_map(path) for path in maps or ()], start, device=device)
-    with console.progress_bar("training") as move:
+    with console.progress_bar(f"training {network}") as move:
         history = train_recipe(recipe, folder, threads=threads, on_progress=move)
     best = best_of(history)
     if json:
@@ -78,6 +83,33 @@ def train(
         f"{name.replace('_', ' ')} {value:.4g}" for name, value in best.as_row().items() if value is not None
     )
     console.show(f"weights of the best epoch: {folder / WEIGHTS}", figures)
+
+
+def _shipped(network: str) -> Path | None:
+    """The shipped weights of a network; None where there are none."""
+    from descriptors.registry import LEARNED, shipped_weights
+
+    return shipped_weights(network) if network in LEARNED else None
+
+
+def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) -> ContrastTraining:
+    """How a network is trained. Weights that are trained already are trained further in smaller steps, and with more
+    validation maps, as the differences between epochs are small.
+    """
+    from dataclasses import replace
+
+    from descriptors.learned.networks import default_architecture
+    from descriptors.training.contrast import ContrastTraining
+
+    config = ContrastTraining(seed=seed)
+    if network != LIKELIHOOD:
+        config = replace(
+            config, architecture=default_architecture(network), epochs=100, learning_rate=1e-3, last_rate=1e-5
+        )
+    if is_further:
+        rate = 0.1 * config.learning_rate
+        config = replace(config, epochs=4, validation_maps=96, learning_rate=rate, last_rate=0.1 * rate)
+    return config if epochs is None else replace(config, epochs=epochs)
 
 
 def _load_map(path: Path) -> TrainingMap:

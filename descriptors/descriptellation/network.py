@@ -9,8 +9,6 @@ of a constellation in all maps but the smallest, so all constellations are compl
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
@@ -21,7 +19,7 @@ from torch import Tensor, nn
 class DescriptellationArchitecture:
     """Sizes of the network; ``length``: numbers of the descriptor, ``radius_m``: how far neighbours count."""
 
-    name: Literal["descriptellation"] = "descriptellation"
+    name: str = "descriptellation"
     vocabulary_size: int = 64
     embedding_length: int = 3
     layers: int = 14

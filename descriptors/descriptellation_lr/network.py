@@ -18,6 +18,11 @@ from descriptors.descriptellation_lr.pairs import (
     cells_of,
 )
 
+WIDTHS = (0.05, 0.06, 0.07)
+"""Of a kernel before training, in spacings: along, across, and of the heading times the length of a pair."""
+SOFTNESS = 0.5
+"""Nats over which a bit changes, for its gradient."""
+
 
 class DescriptellationLR(nn.Module):
     """Two towers whose inner product is a log-likelihood ratio.
@@ -32,8 +37,7 @@ class DescriptellationLR(nn.Module):
     def __init__(self, architecture: DescriptellationLRArchitecture | None = None) -> None:
         super().__init__()
         self.architecture = sizes = architecture or DescriptellationLRArchitecture()
-        # In spacings: along, across, and of the heading times the length of a pair.
-        self.log_widths = nn.Parameter(torch.log(torch.tensor((0.05, 0.06, 0.07))))
+        self.log_widths = nn.Parameter(torch.log(torch.tensor(WIDTHS)))
         self.gate = _perceptron(FEATURES, sizes.hidden, 1)
         self.threshold = nn.Parameter(torch.full((sizes.rings,), 0.8))
         self.worth = _perceptron(QUERY_FEATURES, sizes.hidden, 2)
@@ -55,8 +59,7 @@ class DescriptellationLR(nn.Module):
 
     def bits(self, logits: Tensor) -> Tensor:
         """Bits (P, R, S) with the gradient of a sigmoid."""
-        # Nats over which a bit changes.
-        soft = (logits / 0.5).sigmoid()
+        soft = (logits / SOFTNESS).sigmoid()
         return soft + ((logits > 0.0).float() - soft).detach()
 
     def worths(self, features: Float32Array, device: torch.device) -> tuple[Tensor, Tensor]:

@@ -47,6 +47,7 @@ WORDS_AT_ONCE = 8192
 WORD = 64
 FILLER = np.uint32(0xFFFFFFFF)
 """Classes of what fills the last word."""
+PAGE_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,8 +109,7 @@ class PairIndex:
     def read_ahead(self) -> None:
         """Read each page of an index that lies in a file once, so that no query waits for them."""
         for array in (self.words, self.ends, self.lengths, self.classes):
-            # One number of each page.
-            array.ravel()[:: 4096 // array.itemsize].sum()
+            array.ravel()[:: PAGE_BYTES // array.itemsize].sum()
 
     @property
     def nbytes(self) -> int:

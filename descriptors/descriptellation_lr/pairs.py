@@ -35,6 +35,11 @@ MIN_LENGTH = 0.1
 """Shortest pair, in spacings; a shorter one has no heading."""
 MIN_SIGMA = 0.005
 """Least noise, in spacings, that makes a difference."""
+LENGTH_SIGMAS = 2.0
+"""Lengths of the same pair differ by no more standard deviations, in 95 of 100 pairs."""
+GOLDEN_TURN = 2.0 * np.pi * 0.6180339887498949
+"""Angle by which each class is turned against the one before: patterns of different classes then fall into different
+cells, with as many bits as one class needs."""
 
 
 @validated(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
@@ -163,8 +168,7 @@ def gather_pairs(
         lengths,
         np.concatenate([[0], np.cumsum(counts)]),
         np.abs(local),
-        # The golden angle, so that classes fall into different cells.
-        np.angle(local * np.exp(1j * (2.0 * np.pi * 0.6180339887498949) * labels[rows])),
+        np.angle(local * np.exp(1j * GOLDEN_TURN * labels[rows])),
         _features(local, lengths[owners], owners, counts[owners], labels[rows]),
     )
 
@@ -220,5 +224,4 @@ def query_features(pairs: Pairs, sigmas: FloatArray) -> Float32Array:
 
 def length_tolerances(sigmas: FloatArray) -> FloatArray:
     """By how much (P,) the lengths of two pairs that are the same may differ; a length has two noisy ends."""
-    # Two standard deviations: 95 of 100 pairs.
-    return np.asarray(2.0 * np.sqrt(2.0) * sigmas)
+    return np.asarray(LENGTH_SIGMAS * np.sqrt(2.0) * sigmas)

@@ -40,6 +40,12 @@ def draw_map(given: Sequence[TrainingMap], own_share: float, *, rng: np.random.G
     return draw_patterns(rng=rng)
 
 
+def with_classes_of(drawn: TrainingMap, vocabulary_size: int, *, rng: np.random.Generator) -> TrainingMap:
+    """The map with its classes dealt out among the rows of an embedding; those that exceed it share rows."""
+    rows = rng.permutation(vocabulary_size)
+    return TrainingMap(drawn.positions, rows[drawn.labels % vocabulary_size], vocabulary_size)
+
+
 def piece_of(given: TrainingMap, *, rng: np.random.Generator) -> TrainingMap:
     """The objects around one that is drawn, sometimes drawn together: parks are denser than streets.
 

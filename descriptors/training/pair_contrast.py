@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from descriptors.arrays import BoolArray, FloatArray, IntArray
@@ -30,6 +30,15 @@ from descriptors.descriptellation_lr.pairs import (
 from descriptors.training.maps import TrainingMap
 from descriptors.training.views import draw_view
 
+MIN_SEEN = 3
+"""Objects of a view at least: a pair, and one beside it."""
+MAX_ASKED = 60
+"""Pairs of a view that are asked for, drawn at random: what a step takes in."""
+OUT_OF_THE_QUESTION = -1e4
+SIGMAS = 0.01, 0.15
+"""Least and most noise of a view, in spacings."""
+MAP_SIGMA = 0.04
+"""Most noise of a map, in spacings."""
 RIVALS = 1e5
 """Pairs of nearly the same length in a map of a million objects. Those of a sample stand for as many."""
 
@@ -46,8 +55,9 @@ class PairSample:
     objects: IntArray
     is_compared: BoolArray
 
-    def scores(self, network: DescriptellationLR, device: torch.device) -> Tensor:
+    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
         """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
+        assert isinstance(network, DescriptellationLR)
         bits = network.bits(network(self.known, device))
         scores, first = list[Tensor](), 0
         for query in self.queries:
@@ -56,7 +66,7 @@ class PairSample:
             scores.append(query_scores(bits, query, hits, misses, network.architecture))
             first += len(query)
         compared = torch.as_tensor(self.is_compared, device=device)
-        return torch.cat(scores).masked_fill(~compared, -1e4)
+        return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
 
     def loss(self, scores: Tensor) -> Tensor:
         """The mean loss of the scores (Q, P), those of the negatives raised as if there were :data:`RIVALS` of them."""
@@ -75,8 +85,7 @@ def draw_pair_sample(
 ) -> PairSample | None:
     """Views of a map; None if none of their pairs is one of the map."""
     unit_m = spacing_m(drawn.positions)
-    # In spacings.
-    map_sigma = rng.uniform(0.0, 0.04)
+    map_sigma = rng.uniform(0.0, MAP_SIGMA)
     positions = drawn.positions[:, :2] / unit_m + rng.normal(0.0, map_sigma, (len(drawn), 2))
     tree = cKDTree(positions)
     ends = find_ends(positions, drawn.labels, tree, architecture.partners)
@@ -84,22 +93,19 @@ def draw_pair_sample(
         return None
     queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
-        # In spacings.
-        sigma = float(np.exp(rng.uniform(*np.log((0.01, 0.15)))))
-        view = draw_view(drawn, sigma_m=sigma * unit_m, rng=rng)
+        sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
+        view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m)
         seen = view.positions[:, :2] / unit_m
-        # A pair, and an object beside it.
-        if len(seen) < 3:
+        if len(seen) < MIN_SEEN:
             continue
         seen_tree = cKDTree(seen)
         asked = find_ends(seen, view.labels, seen_tree, QUERY_PARTNERS, both_ways=True)
         found = _numbers_of(ends, view.objects[asked], len(drawn))
         is_known = (found >= 0) & (drawn.labels[view.objects[asked]] == view.labels[asked]).all(axis=1)
-        # What a step takes in.
-        rows = rng.permutation(np.flatnonzero(is_known))[:60]
+        rows = rng.permutation(np.flatnonzero(is_known))[:MAX_ASKED]
         if len(rows):
             queries.append(gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture))
-            sigmas.append(np.full(len(rows), np.hypot(sigma, map_sigma)))
+            sigmas.append(np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma)))
             objects.append(found[rows])
     if not queries:
         return None

@@ -1,4 +1,4 @@
-"""The trainer of the learned likelihood ratio: steps, validation, and the best weights."""
+"""The trainer of all networks: steps, validation, and the best weights."""
 
 from __future__ import annotations
 
@@ -8,44 +8,35 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import nn
 
 from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
+from descriptors.learned.networks import make_network
+from descriptors.learned.weights import Weights, read_weights, save_weights
+from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
 from descriptors.training.folder import WEIGHTS, Epoch, write_curves
-from descriptors.training.maps import TrainingMap, draw_map
-from descriptors.training.pair_contrast import PairSample, draw_pair_sample
-from descriptors.weight_file import Weights, read_weights, save_weights
+from descriptors.training.maps import TrainingMap
+from descriptors.training.pair_contrast import PairSample
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
+OWN_SHARE = 0.5
+"""Share of the steps that are on pieces of given maps, where there are any; the others keep what is true anywhere."""
+MAX_GRADIENT = 1.0
+"""Norm to which gradients are clipped."""
 RANKS = (1, 5, 25)
 
 
-@dataclass(frozen=True, slots=True)
-class Training:
-    """How it is trained; the learning rate falls as a cosine to ``last_rate``.
-
-    A step draws a map and ``views`` of it.
-    """
-
-    architecture: DescriptellationLRArchitecture = field(default_factory=DescriptellationLRArchitecture)
-    epochs: int = 40
-    learning_rate: float = 1e-2
-    last_rate: float = 3e-4
-    views: int = 3
-    validation_maps: int = 24
-    seed: int = 0
-
-
 class Recipe:
-    """What is trained on what, by Adam with its usual decay rates (0.9, 0.999).
+    """What is trained on what: a network by Adam with its usual decay rates (0.9, 0.999).
 
     Half of all steps are on pieces of the ``given`` maps, if there are any, the others on simulated maps. The
     validation maps are the same for every seed: simulated ones or, with ``start``, pieces of the given ones.
@@ -53,7 +44,7 @@ class Recipe:
 
     def __init__(
         self,
-        config: Training,
+        config: ContrastTraining,
         given: Sequence[TrainingMap] = (),
         start: Path | None = None,
         *,
@@ -73,7 +64,7 @@ class Recipe:
         torch.manual_seed(config.seed)
         try:
             self.device = torch.device(device)
-            self.network = DescriptellationLR(config.architecture).to(self.device)
+            self.network = _make_network(config).to(self.device)
         except (RuntimeError, AssertionError) as error:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
         if start is not None:
@@ -88,12 +79,11 @@ class Recipe:
 
     def step(self) -> float:
         """Draw a sample and change the weights by it; returns the loss."""
-        # The other half keeps what is true anywhere.
-        sample = self._draw(0.5, self.rng)
+        sample = draw_sample(self.config, self.given, OWN_SHARE, rng=self.rng)
         loss = sample.loss(sample.scores(self.network, self.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
         self.optimizer.step()
         self.schedule.step()
         return float(loss.detach())
@@ -115,25 +105,10 @@ class Recipe:
         return {"validation_loss": float(np.mean(losses)), **of_ranks}
 
     @cached_property
-    def _validation(self) -> list[PairSample]:
+    def _validation(self) -> list[Sample | PairSample]:
         rng = np.random.default_rng(2**31)
-        own_share = 1.0 if self.is_trained_further else 0.0
-        return [self._draw(own_share, rng) for _ in range(self.config.validation_maps)]
-
-    def _draw(self, own_share: float, rng: np.random.Generator) -> PairSample:
-        """A map with views of it in which a pair of objects is seen as what it is; ``own_share``: how often of a
-        given one.
-
-        Raises:
-            DescriptorError: the given maps have no place with objects enough.
-        """
-        # Maps of a user may have no place with objects enough.
-        for _ in range(1000):
-            drawn = draw_map(self.given, own_share, rng=rng)
-            sample = draw_pair_sample(drawn, self.config.architecture, views=self.config.views, rng=rng)
-            if sample is not None:
-                return sample
-        raise DescriptorError("no place in the maps has enough objects to train on")
+        known, share = (self.given, 1.0) if self.is_trained_further else ((), 0.0)
+        return [draw_sample(self.config, known, share, rng=rng) for _ in range(self.config.validation_maps)]
 
 
 def best_of(epochs: Sequence[Epoch]) -> Epoch:
@@ -148,7 +123,7 @@ def train(
     threads: int = 2,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Epoch]:
-    """Train the network.
+    """Train a network.
 
     After every epoch the folder holds the curves as CSV, and the weights of the best epoch so far. On a CPU with the
     same number of threads the same recipe gives the same weights.
@@ -183,7 +158,13 @@ def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], Non
     return float(np.mean(losses))
 
 
-def _load_tensors(network: DescriptellationLR, start: Path) -> None:
+def _make_network(config: ContrastTraining) -> nn.Module:
+    if isinstance(config.architecture, DescriptellationLRArchitecture):
+        return DescriptellationLR(config.architecture)
+    return make_network(config.architecture)
+
+
+def _load_tensors(network: nn.Module, start: Path) -> None:
     tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in read_weights(start).tensors.items()}
     try:
         network.load_state_dict(tensors)

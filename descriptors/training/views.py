@@ -15,15 +15,19 @@ CLUTTER = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """N objects at ``positions`` (N, 3) m with ``labels`` (N,); ``objects`` (N,): which of the map, or ``CLUTTER``."""
+    """N objects at ``positions`` (N, 3) m with ``labels`` (N,); ``objects`` (N,): which of the map, or ``CLUTTER``;
+    ``sigma_m``: noise of a coordinate, as the sensor knows it.
+    """
 
     positions: FloatArray
     labels: IntArray
     objects: IntArray
+    sigma_m: float
 
 
-def draw_view(seen_map: TrainingMap, *, sigma_m: float, rng: np.random.Generator) -> View:
-    """A view from a stretch of 0 to 40 m beside an object that is drawn; ``sigma_m``: noise of a coordinate.
+def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float | None = None) -> View:
+    """A view from a stretch of 0 to 40 m beside an object that is drawn; ``sigma_m``: noise of a coordinate, drawn if
+    None.
 
     What is drawn: range and field of view; how likely an object is seen, which falls with its range; the noise of the
     positions, the same everywhere or growing with the range, to one side, or a scale; confused classes; clutter.
@@ -41,6 +45,8 @@ def draw_view(seen_map: TrainingMap, *, sigma_m: float, rng: np.random.Generator
     eye = path[nearest[seen]]
     positions = seen_map.positions[seen].copy()
     labels = seen_map.labels[seen]
+    if sigma_m is None:
+        sigma_m = float(np.exp(rng.uniform(np.log(0.03), np.log(0.7))))
     positions[:, :2] = eye + _measured(positions[:, :2] - eye, sigma_m, rng=rng)
     positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
     wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
@@ -53,6 +59,7 @@ def draw_view(seen_map: TrainingMap, *, sigma_m: float, rng: np.random.Generator
         np.vstack([positions, np.column_stack([at, positions[like, 2] if len(seen) else np.zeros(clutter)])]),
         np.concatenate([labels, labels[like] if len(seen) else np.zeros(clutter, np.int64)]),
         np.concatenate([seen, np.full(clutter, CLUTTER)]),
+        sigma_m,
     )
 
 

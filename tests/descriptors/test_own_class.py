@@ -13,7 +13,11 @@ import pytest
 from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
+from descriptors.learned.networks import default_architecture
 from descriptors.registry import make_descriptor, make_index
+from descriptors.training import trainer
+from descriptors.training.contrast import ContrastTraining
+from descriptors.training.trainer import Recipe, train
 from tests.descriptors.constellations import VOCABULARY, scattered
 
 PAGE = Path(__file__).parents[2] / "docs" / "descriptors.md"
@@ -83,3 +87,48 @@ def test_vectors_whose_length_changes_are_refused(mine: Path) -> None:
             index.add(constellations)
     with pytest.raises(DescriptorError, match=r"mine:Bad: .* length 6, before of length 5"):
         index.add(constellations)
+
+
+@pytest.fixture(autouse=True)
+def _short_epochs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
+
+
+def small_training(name: str) -> Recipe:
+    return Recipe(ContrastTraining(architecture=default_architecture(name), epochs=1, validation_maps=1))
+
+
+def test_network_of_the_page_is_trained_and_its_weights_describe(mine: Path) -> None:
+    train(small_training("mine:Net"), mine / "out", threads=1)
+    vectors = described(str(mine / "out" / "weights.safetensors"))
+    assert vectors.shape == (20, 32)
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (
+            "length = 4\n    def forward(self, p, l, m): return p.sum(dim=(1, 2))[:, None]",
+            r"returns shape \(.*give \(.*, 4\)",
+        ),
+        ("length = 3\n    def forward(self, p, l, m): return p.sum(dim=1) / 0.0", "not finite"),
+        ("length = 3\n    def forward(self, p, l, m): return p @ l", "fails"),
+        ("def forward(self, p, l, m): return p", "no length"),
+        ("weights = None\n    length = 3", "no weights"),
+    ],
+)
+def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: str, message: str) -> None:
+    weights = "" if "weights" in body else "        self.weights = nn.Linear(1, 1)\n"
+    (mine / "mine.py").write_text(
+        "from torch import nn\n\nclass Net(nn.Module):\n    def __init__(self):\n        super().__init__()\n"
+        f"{weights}    {body}\n"
+    )
+    with pytest.raises(DescriptorError, match=rf"^mine:Net: .*{message}"):
+        train(small_training("mine:Net"), mine / "out", threads=1)
+
+
+def test_class_that_is_no_network_is_refused(mine: Path) -> None:
+    (mine / "mine.py").write_text("class Net:\n    length = 3\n")
+    with pytest.raises(DescriptorError, match=r"mine:Net: is not a torch.nn.Module"):
+        small_training("mine:Net")

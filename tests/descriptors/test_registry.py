@@ -123,6 +123,8 @@ class Own:
         ("tests.descriptors.test_registry:Other", "AttributeError"),
         ("builtins:dict", "lacks name, radius_m, describe"),
         ("no/such.safetensors", "No such file"),
+        ("descriptellation_paper", "called 'descriptellation'"),
+        ("sgnet", "it was removed; choose one of"),
         ("rings", f"unknown descriptor 'rings'; choose one of {', '.join(DESCRIPTOR_NAMES)}"),
     ],
 )
@@ -153,7 +155,7 @@ def test_descriptors_without_a_network_do_not_load_torch():
 
 
 def test_make_descriptor_names_the_extra_that_a_network_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in [name for name in sys.modules if name.startswith("descriptors.descriptellation.")]:
+    for module in [name for name in sys.modules if name.startswith("descriptors.learned.")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(DescriptorError, match=r"network and needs torch: pip install '.*\[learn\]'"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.metadata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +12,21 @@ import numpy as np
 import pytest
 import torch
 
+from descriptors.descriptellation.network import DescriptellationArchitecture
+from descriptors.errors import DescriptorError
+from descriptors.learned.networks import default_architecture
+from descriptors.learned.weights import read_weights
 from descriptors.training import trainer
+from descriptors.training.contrast import ContrastTraining
 from descriptors.training.folder import CURVES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
-from descriptors.training.trainer import Recipe, Training, train
-from descriptors.weight_file import read_weights
+from descriptors.training.trainer import Recipe, best_of, train
 
-SHORT = Training(epochs=2, validation_maps=2, views=1)
+LIKELIHOOD = ContrastTraining(epochs=2, validation_maps=2, objects_per_map=30, views=1)
+NETWORK = replace(
+    LIKELIHOOD, architecture=DescriptellationArchitecture(layers=2, channels=8, fusion=8, length=16), learning_rate=1e-3
+)
+MakeRecipe = Callable[..., Recipe]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -32,11 +40,16 @@ def short_trainings() -> Iterator[None]:
     torch.use_deterministic_algorithms(deterministic)
 
 
+@pytest.fixture(scope="module", params=[NETWORK, LIKELIHOOD], ids=["network", "likelihood"])
+def make(request: pytest.FixtureRequest) -> MakeRecipe:
+    return lambda **changes: Recipe(replace(request.param, **changes))
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(make, tmp_path_factory) -> Path:
     """A finished training."""
     folder = tmp_path_factory.mktemp("finished")
-    train(Recipe(SHORT), folder, threads=1)
+    train(make(), folder, threads=1)
     return folder
 
 
@@ -48,22 +61,23 @@ def curves(folder: Path) -> list[dict[str, str]]:
 @pytest.mark.slow
 def test_network_learns_what_holds_for_other_maps_too(tmp_path, monkeypatch):
     monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 15)
-    config = replace(SHORT, epochs=1, validation_maps=4, views=3)
-    learned = train(Recipe(config), tmp_path / "learned", threads=1)
+    config = replace(NETWORK, epochs=4, validation_maps=8, views=3, objects_per_map=60)
+    learned = train(Recipe(replace(config, learning_rate=1e-2)), tmp_path / "learned", threads=1)
     idle = train(Recipe(replace(config, learning_rate=1e-9, last_rate=1e-9)), tmp_path / "idle", threads=1)
     assert learned[-1].metrics["validation_loss"] < 0.9 * idle[-1].metrics["validation_loss"]
+    assert best_of(learned).metrics["validation_top_5"] > best_of(idle).metrics["validation_top_5"] + 0.05
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_seed_decides_the_bytes(folder, tmp_path, seed):
+def test_the_seed_decides_the_bytes(make, folder, tmp_path, seed):
     torch.manual_seed(99)  # nothing outside decides
-    train(Recipe(replace(SHORT, seed=seed)), tmp_path, threads=1)
+    train(make(seed=seed), tmp_path, threads=1)
     assert ((tmp_path / WEIGHTS).read_bytes() == (folder / WEIGHTS).read_bytes()) is (seed == 0)
     assert (curves(tmp_path) == curves(folder)) is (seed == 0)
 
 
 def test_learning_rate_decays_as_a_cosine(tmp_path):
-    recipe = Recipe(SHORT)
+    recipe = Recipe(NETWORK)
     rates: list[float] = []
     train(recipe, tmp_path, threads=1, on_progress=lambda _: rates.append(recipe.schedule.get_last_lr()[0]))
     halves, first = 0.5 * (1.0 + np.cos(np.pi * np.arange(1, 5) / 4)), recipe.config.learning_rate
@@ -81,13 +95,13 @@ def test_weights_are_those_of_the_best_epoch_and_say_how_they_were_trained(folde
 
 
 def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_path):
-    train(Recipe(SHORT), tmp_path / "first", threads=1)
+    train(Recipe(NETWORK), tmp_path / "first", threads=1)
     rng = np.random.default_rng(1)
     given = [TrainingMap(rng.normal(0.0, 60.0, (200, 3)), rng.integers(4, size=200), 4)]
     start = tmp_path / "first" / WEIGHTS
 
     def further(name: str, rate: float = 1e-4) -> list[Epoch]:
-        config = replace(SHORT, learning_rate=rate, last_rate=0.1 * rate)
+        config = replace(NETWORK, learning_rate=rate, last_rate=0.1 * rate)
         return train(Recipe(config, given, start), tmp_path / name, threads=1)
 
     epochs = further("further")
@@ -95,3 +109,9 @@ def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_pa
     further("ruined", rate=50.0)
     kept, before = (read_weights(path).tensors for path in (tmp_path / "ruined" / WEIGHTS, start))
     assert all(np.array_equal(kept[name], before[name]) for name in before)
+
+
+def test_network_that_does_not_exist_is_refused():
+    assert default_architecture("descriptellation") == DescriptellationArchitecture()
+    with pytest.raises(DescriptorError, match=r"unknown network 'transformer'; choose descriptellation"):
+        default_architecture("transformer")

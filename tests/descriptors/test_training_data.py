@@ -13,6 +13,7 @@ from descriptors.training.maps import (
     draw_pattern,
     draw_patterns,
     piece_of,
+    with_classes_of,
 )
 from descriptors.training.views import CLUTTER, draw_view
 
@@ -54,7 +55,17 @@ def test_drawn_maps_and_views_are_complete(seed):
     for drawn in (draw_map([given], 0.5, rng=rng), draw_map([], 0.5, rng=rng), piece_of(given, rng=rng)):
         assert np.isfinite(drawn.positions).all()
         assert drawn.labels.max() < drawn.classes
-        view = draw_view(drawn, sigma_m=0.1, rng=rng)
+        view = draw_view(drawn, rng=rng)
         real = view.objects[view.objects != CLUTTER]
         assert len(np.unique(real)) == len(real)
         assert view.labels.max(initial=0) < drawn.classes
+
+
+def test_classes_are_dealt_out_among_the_rows_of_an_embedding():
+    given = TrainingMap(np.zeros((50, 3)), np.arange(50) % 10, 10)
+    dealt = with_classes_of(given, 64, rng=np.random.default_rng(0))
+    assert dealt.classes == 64
+    assert len(np.unique(dealt.labels)) == 10
+    np.testing.assert_array_equal(dealt.labels[:10], dealt.labels[10:20])
+    assert not np.array_equal(dealt.labels, given.labels)
+    assert with_classes_of(given, 4, rng=np.random.default_rng(0)).labels.max() < 4

@@ -11,11 +11,13 @@ from typing import Any
 import pytest
 import torch
 
+from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.registry import make_index
-from descriptors.training import trainer
+from descriptors.training import contrast, trainer
+from descriptors.training.contrast import ContrastTraining
 from descriptors.training.folder import WEIGHTS, Epoch
-from descriptors.training.trainer import Recipe, Training
+from descriptors.training.trainer import Recipe
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
@@ -45,7 +47,9 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Trainings on a few constellations; torch's settings, which are the process's, are put back."""
     threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
-    monkeypatch.setattr(trainer, "Training", partial(Training, views=1))
+    monkeypatch.setattr(
+        contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=1, objects_per_map=20, views=1)
+    )
     yield
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(deterministic)
@@ -53,13 +57,14 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, called: Called, tmp_path: Path) -> None:
     assert dslam("train", tmp_path).code == 0
-    assert called["config"] == Training()
-    options = ("--epochs", 7, "--seed", 3, "--device", "cpu", "--threads", 1)
+    assert called["config"] == ContrastTraining()
+    options = ("--network", "descriptellation", "--epochs", 7, "--seed", 3, "--device", "cpu", "--threads", 1)
     result = dslam("train", tmp_path / "net", *options)
     assert (result.code, result.err) == (0, "")
     assert "epoch 3, " in result.out
     assert "validation top 5 0.975" in result.out
-    assert called.pop("config") == Training(epochs=7, seed=3)
+    config = called.pop("config")
+    assert (config.architecture, config.epochs, config.seed) == (DescriptellationArchitecture(), 7, 3)
     assert called == {"folder": tmp_path / "net", "device": "cpu", "threads": 1}
     told = json.loads(dslam("train", tmp_path / "net", *options, "--json").out)
     assert (told["weights"], told["epochs"]) == (str(tmp_path / "net" / WEIGHTS), 4)
@@ -68,17 +73,18 @@ def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, calle
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
-def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("network", ["descriptellation_lr", "descriptellation"])
+def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, tmp_path: Path, network: str) -> None:
     rows = "\n".join(f"{7.0 * (i % 9)},{5.0 * (i // 9)},0,{('lamp', 'bin')[i % 2]},o{i}" for i in range(60))
     (tmp_path / "town.csv").write_text(f"x_m,y_m,z_m,class,id\n{rows}\n", encoding="utf-8")
-    typed = ("train", tmp_path / "net", "--maps", tmp_path / "town.csv", "--epochs", 1, "--json")
+    typed = ("train", tmp_path / "net", "--network", network, "--maps", tmp_path / "town.csv", "--epochs", 1, "--json")
     result = dslam(*typed)
     curves = (tmp_path / "net" / "curves.csv").read_text(encoding="utf-8").splitlines()
     assert [line.split(",")[0] for line in curves] == ["epoch", "0", "1"]  # 0: the shipped weights
     assert result.code == 0, result.err
     path = tmp_path / "net" / WEIGHTS
     assert json.loads(result.out)["weights"] == str(path)
-    assert isinstance(make_index(str(path)), PairIndex)
+    assert isinstance(make_index(str(path)), PairIndex) == (network == "descriptellation_lr")
 
 
 @pytest.mark.usefixtures("tiny")
@@ -95,8 +101,9 @@ def test_train_refuses_a_map_with_too_few_objects(dslam: Run, tmp_path: Path, ro
     ("options", "told"),
     [
         (("--anew",), ("--anew", "--maps")),
-        (("--device", "gpu"), ("gpu",)),
-        (("--device", "cuda:99"), ("cuda:99",)),
+        (("--network", "transformer"), ("'transformer'", "descriptellation")),
+        (("--network", "descriptellation", "--device", "gpu"), ("gpu",)),
+        (("--network", "descriptellation", "--device", "cuda:99"), ("cuda:99",)),
     ],
 )
 def test_train_refuses_options_that_do_not_fit(

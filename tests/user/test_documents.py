@@ -35,7 +35,7 @@ CODE = {
 SHORTER = {
     "simulate": ("--length", "120"),
     "sweep": ("--seeds", "1", "--jobs", "1"),
-    "benchmark recall": ("--queries", "2"),
+    "benchmark descriptors": ("--queries", "2"),
 }
 """Of an option that comes twice, the last one counts."""
 ELSEWHERE = {

@@ -19,9 +19,9 @@ from descriptors.descriptellation_lr.pairs import (
     query_features,
     spacing_m,
 )
+from descriptors.learned.weights import Weights, save_weights
 from descriptors.registry import shipped_likelihood
 from descriptors.training.maps import draw_street
-from descriptors.weight_file import Weights, save_weights
 
 CPU = torch.device("cpu")
 

@@ -30,9 +30,9 @@ COLUMNS = {
 
 def recall(
     objects: Annotated[
-        list[Path] | None,
+        list[Path],
         typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class. Repeatable: side by side."),
-    ] = None,
+    ],
     descriptor: Descriptors = None,
     size: Annotated[
         list[int] | None,
@@ -68,18 +68,13 @@ def recall(
     A query holds the objects within 30 m, the range of the sensor, of a path of 50 m, or as many objects as given; a
     tenth of them is missing, a tenth of the query is clutter, and positions have 0.2 m of noise. Places: queries with a
     right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals; right: after verification; wrong: accepted and
-    wrong. Random vectors are always measured, with the first query. Times are processor times. Without CSV files the
-    objects are those of the generated town of 'dslam simulate --seed 0'.
+    wrong. Random vectors are always measured, with the first query. Times are processor times.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
-    import numpy as np
-
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
-    from logs.importers.maps.map_objects import MapObjects
     from logs.importers.maps.object_table import read_object_table
-    from slam.simulation.street_grid import generate_street_grid
     from tools import console
     from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
 
@@ -92,11 +87,7 @@ def recall(
         queries=queries,
         seed=seed,
     )
-    if objects:
-        world = side_by_side([read_object_table(path) for path in objects])
-    else:
-        town = generate_street_grid(rng=np.random.default_rng(0))
-        world = MapObjects(town.name, town.positions, town.labels, town.object_ids, False, "")
+    world = side_by_side([read_object_table(path) for path in objects])
     with console.progress_bar("measuring") as move:
         cells = run_contest(world, contest, on_progress=move)
     if output is not None:

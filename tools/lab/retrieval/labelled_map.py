@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.messages import ObjectMapRecord
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
+from slam.simulation.world import World
 
 RECALL_AT = (1, 5, 25)
 """Numbers of proposals among which a right pose is looked for."""
@@ -28,6 +30,20 @@ class LabelledMap:
     def first(self, count: int) -> LabelledMap:
         """The first objects, up to a number."""
         return LabelledMap(self.positions[:count], self.labels[:count], self.vocabulary)
+
+    def names(self, labels: IntArray) -> tuple[str, ...]:
+        """The classes of labels (N,)."""
+        return tuple(self.vocabulary[label] for label in labels.tolist())
+
+    def to_record(self) -> ObjectMapRecord:
+        """The same as confirmed landmarks, each of them seen once and known exactly."""
+        ids = tuple(map(str, range(len(self))))
+        return ObjectMapRecord.of_objects(ids, self.positions, self.labels, self.vocabulary, observations=1)
+
+
+def labelled_map(world: World) -> LabelledMap:
+    """The objects of a world, its classes numbered by their sorted names."""
+    return LabelledMap(world.positions, np.searchsorted(world.vocabulary, world.labels), world.vocabulary)
 
 
 def is_right(poses: FloatArray, truth: FloatArray) -> BoolArray:

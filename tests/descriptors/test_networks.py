@@ -10,6 +10,7 @@ from descriptors.descriptellation.network import (
     AttentionPooling,
     Descriptellation,
     MaxRelativeConvolution,
+    maximum_of_each,
 )
 from tests.descriptors.batches import batch
 
@@ -42,6 +43,16 @@ def test_padding_and_order_change_nothing(describe):
     assert close(describe(positions, labels, present), shuffled)
 
 
+def test_padding_changes_no_gradient(describe):
+    gradients = []
+    for room in (20, 47):
+        describe.train().zero_grad()
+        describe(*batch((12, 1, 20, 2), room))[:, 0].sum().backward()
+        gradients.append(torch.cat([parameter.grad.flatten() for parameter in describe.parameters()]))
+    assert gradients[0].abs().max() > 1e-3
+    assert close(gradients[0], gradients[1], 1e-4 * float(gradients[0].abs().max()))
+
+
 @torch.no_grad()
 def test_each_layer_of_the_backbone_adds_to_the_one_before(describe):
     positions, labels, present = batch((12, 5), 12)
@@ -65,6 +76,14 @@ def test_max_relative_convolution_is_its_equation():
         largest = (features[owners == owner] - features[row]).amax(dim=0)
         expected.append(convolution.perceptron(torch.cat([features[row], largest])[None])[0])
     assert close(convolution(features, owners), torch.stack(expected))
+
+
+def test_objects_that_share_a_maximum_share_its_gradient():
+    features = torch.tensor([[1.0], [3.0], [3.0], [2.0]], requires_grad=True)
+    largest = maximum_of_each(features, torch.tensor([0, 0, 0, 1]))
+    assert largest.flatten().tolist() == [3.0, 3.0, 3.0, 2.0]
+    largest.sum().backward()
+    assert features.grad.flatten().tolist() == [0.0, 1.5, 1.5, 1.0]
 
 
 @torch.no_grad()

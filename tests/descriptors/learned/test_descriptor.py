@@ -11,12 +11,15 @@ import torch
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations, gather_constellations
-from descriptors.descriptellation.descriptor import BATCH, NetworkDescriptor, pad_constellations
-from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
+from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
-from descriptors.registry import make_index
-from descriptors.weight_file import Weights, save_weights
+from descriptors.learned.descriptor import LearnedDescriptor
+from descriptors.learned.networks import BATCH, load_network, make_network, pad_constellations
+from descriptors.learned.weights import Weights, save_weights
+from descriptors.registry import make_index, shipped_weights
+from descriptors.training.contrast import ContrastTraining
+from descriptors.training.trainer import Recipe
 from tests.descriptors.constellations import VOCABULARY, scattered
 
 pytestmark = pytest.mark.slow
@@ -25,12 +28,12 @@ TINY = DescriptellationArchitecture(vocabulary_size=6, layers=2, channels=8, fus
 
 
 @pytest.fixture(scope="module")
-def descriptor(tmp_path_factory) -> NetworkDescriptor:
+def descriptor(tmp_path_factory) -> LearnedDescriptor:
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
     torch.manual_seed(0)
-    tensors = {name: tensor.numpy() for name, tensor in Descriptellation(TINY).state_dict().items()}
+    tensors = {name: tensor.numpy() for name, tensor in make_network(TINY).state_dict().items()}
     save_weights(path, Weights(tensors=tensors, architecture=asdict(TINY)))
-    return NetworkDescriptor(path)
+    return LearnedDescriptor(path)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +78,7 @@ def with_label(label: int) -> Iterator[Constellations]:
 
 def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descriptor):
     for constellations in with_label(6):
-        with pytest.raises(DescriptorError, match=r"labels 0 to 6 .*6 classes"):
+        with pytest.raises(DescriptorError, match=r"labels 0 to 6 .*6 classes.*vocabulary_size"):
             descriptor.describe(constellations)
     for constellations in with_label(5):
         assert descriptor.describe(constellations).shape == (1, 16)
@@ -108,3 +111,12 @@ def test_centre_comes_first_then_the_neighbours_then_nothing(constellations):
             labels[row], [constellations.centre_labels[row], *constellations.labels[own], *[0] * room]
         )
         np.testing.assert_array_equal(present[row], [True] * (counts[row] + 1) + [False] * room)
+
+
+def test_shipped_network_finds_views_of_maps_that_it_was_not_trained_on():
+    network, weights = load_network(shipped_weights("descriptellation"))
+    assert weights.metrics["validation_top_k"] >= 0.981
+    recipe = Recipe(ContrastTraining(architecture=DescriptellationArchitecture()))
+    recipe.network.load_state_dict(network.state_dict())
+    trained, untrained = recipe.validate(), Recipe(recipe.config).validate()
+    assert trained["validation_top_5"] > untrained["validation_top_5"] + 0.2

@@ -1,0 +1,158 @@
+"""Networks as descriptors: the paper's, and a user's own module as ``file:Class``; how they describe constellations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
+from torch import Tensor, nn
+
+from descriptors.arrays import Float32Array
+from descriptors.constellation import Constellations
+from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
+from descriptors.errors import DescriptorError, WeightsError
+from descriptors.learned.weights import Weights, make_architecture, read_weights
+from descriptors.own_class import is_own_class, make_own
+
+BATCH = 256
+"""Constellations that are described at a time."""
+
+
+@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
+class OwnArchitecture:
+    """A module of a user's own, ``name`` as ``file:Class``, with the ``length`` of its vectors."""
+
+    name: str
+    length: int
+    vocabulary_size: int = 64
+    radius_m: float = 30.0
+
+
+Architecture = DescriptellationArchitecture | OwnArchitecture
+
+
+def default_architecture(name: str) -> Architecture:
+    """The architecture of that name with its default sizes.
+
+    Raises:
+        DescriptorError: a name that does not exist, or a module that cannot be trained.
+    """
+    if is_own_class(name):
+        return OwnArchitecture(name, _make_own_network(name).length)  # type: ignore[arg-type]
+    return _kind(name)()  # type: ignore[call-arg]
+
+
+def make_network(architecture: Architecture) -> nn.Module:
+    """The network of that architecture, with random weights from torch's generator.
+
+    Raises:
+        DescriptorError: the module of a user cannot be made.
+    """
+    if isinstance(architecture, DescriptellationArchitecture):
+        return Descriptellation(architecture)
+    network = _make_own_network(architecture.name)
+    network.architecture = architecture  # type: ignore[assignment]
+    return network
+
+
+def architecture_of(network: nn.Module) -> Architecture:
+    """The architecture that a network was made by."""
+    architecture: Architecture = network.architecture  # type: ignore[assignment]
+    return architecture
+
+
+def load_network(path: Path) -> tuple[nn.Module, Weights]:
+    """The network of a file in evaluation mode, and the weights; torch's generator is left alone.
+
+    Raises:
+        WeightsError: no such file, or one that is damaged or at odds with its architecture.
+    """
+    weights = read_weights(path)
+    tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in weights.tensors.items()}
+    try:
+        architecture = make_architecture(path, _kind(weights.architecture.get("name")), weights.architecture)
+        with torch.device("meta"):  # neither memory nor random numbers for weights to be replaced
+            network = make_network(architecture)
+        network.to_empty(device="cpu").load_state_dict(tensors)
+    except (DescriptorError, RuntimeError) as error:
+        raise WeightsError(f"{path}: {' '.join(str(error).split())}") from error
+    return network.eval(), weights
+
+
+def vectors_of(network: nn.Module, constellations: Constellations, device: torch.device) -> Tensor:
+    """Vectors (B, length) of a network.
+
+    Raises:
+        DescriptorError: it returns anything else, or numbers that are not finite.
+    """
+    architecture = architecture_of(network)
+    padded = [tensor.to(device) for tensor in pad_constellations(constellations)]
+    try:
+        vectors: Tensor = network(*padded)
+        shape, expected = tuple(vectors.shape), (len(constellations), architecture.length)
+    except (RuntimeError, AttributeError, TypeError, IndexError) as error:
+        raise DescriptorError(f"{architecture.name}: fails: {str(error).splitlines()[0]}") from error
+    if shape != expected:
+        raise DescriptorError(
+            f"{architecture.name}: returns shape {shape} for {len(constellations)} constellations; give {expected}"
+        )
+    if not bool(torch.isfinite(vectors).all()):
+        raise DescriptorError(f"{architecture.name}: returns numbers that are not finite")
+    return vectors
+
+
+def describe_by_network(network: nn.Module, constellations: Constellations) -> Float32Array:
+    """Vectors (B, length) of a network in evaluation mode, on the CPU."""
+    described = np.zeros((len(constellations), architecture_of(network).length), dtype=np.float32)
+    # Batches of about equal size need little padding.
+    order = np.argsort(np.diff(constellations.offsets), kind="stable")
+    with torch.no_grad():
+        for start in range(0, len(order), BATCH):
+            rows = order[start : start + BATCH]
+            described[rows] = vectors_of(network, constellations[rows], torch.device("cpu")).numpy()
+    return described
+
+
+def pad_constellations(constellations: Constellations) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions (B, N, 3) float32 m, labels (B, N) and presence (B, N) of the objects, the centre first.
+
+    Positions are relative to the centre. Positions and labels are 0 where no object is.
+    """
+    counts = np.diff(constellations.offsets)
+    shape = (len(constellations), int(counts.max(initial=0)) + 1)
+    positions = np.zeros((*shape, 3), dtype=np.float32)
+    labels = np.zeros(shape, dtype=np.int64)
+    places = np.arange(shape[1])
+    present = places <= counts[:, None]
+    others = present & (places > 0)
+    positions[others] = constellations.positions
+    labels[others] = constellations.labels
+    labels[:, 0] = constellations.centre_labels
+    return torch.from_numpy(positions), torch.from_numpy(labels), torch.from_numpy(present)
+
+
+def _kind(name: object) -> type[DescriptellationArchitecture] | type[OwnArchitecture]:
+    if isinstance(name, str) and is_own_class(name):
+        return OwnArchitecture
+    if name == DescriptellationArchitecture().name:
+        return DescriptellationArchitecture
+    raise DescriptorError(f"unknown network {name!r}; choose descriptellation, or a module of your own (module:Class)")
+
+
+def _make_own_network(name: str) -> nn.Module:
+    """The module of that name.
+
+    Raises:
+        DescriptorError: it cannot be made, is no module, or has no length.
+    """
+    network = make_own(name)
+    if not isinstance(network, nn.Module):
+        raise DescriptorError(f"{name}: is not a torch.nn.Module")
+    if not any(True for _ in network.parameters()):
+        raise DescriptorError(f"{name}: has no weights to train")
+    if not isinstance(getattr(network, "length", None), int):
+        raise DescriptorError(f"{name}: has no length, the number of values of a descriptor")
+    return network

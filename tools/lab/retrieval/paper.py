@@ -1,0 +1,171 @@
+"""Localization of single scans with each descriptor, by the experiment of the Descriptellation paper (Section IV).
+
+Verification and acceptance are those of :class:`slam.scan_localization.ScanLocalizer`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from descriptors.registry import make_index
+from logs.messages import ObjectDetections
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.loop_closure.candidate import Candidate
+from slam.scan_localization import ScanLocalizer
+from tools.lab.retrieval.labelled_map import LabelledMap
+from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
+
+SUCCESS_M, MISPLACED_M = 1.0, 10.0
+"""The paper's limits of an error."""
+MAP_SIGMA_M = 0.05
+NOISE_PER_M = 0.08
+"""Of a noisy query's positions by range, along any axis: 0.1 / sqrt(3) from its error, and as much from the scale."""
+
+
+def benchmark_descriptors(
+    objects: LabelledMap,
+    tour: FloatArray,
+    methods: Sequence[str],
+    *,
+    queries: int,
+    seeds: int,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> pd.DataFrame:
+    """Every descriptor on the same queries, on one thread.
+
+    Args:
+        objects: the map.
+        tour: (M, 2) m, where queries are drawn.
+        methods: names of descriptors.
+        queries: for each scenario and seed.
+        seeds: 0 to ``seeds`` - 1.
+        on_progress: called with the fraction done, in [0, 1].
+
+    Returns:
+        A row for each ``method`` and ``scenario``. ``success`` and ``deviation`` over the seeds: shares of the queries
+        that are accepted within 1 m. ``of_ceiling``: that success by the ``ceiling``, the one with true
+        correspondences; None if that is 0. ``misplaced``: share that is accepted farther than 10 m off. ``likeliest``:
+        share whose likeliest candidate is within 1 m, accepted or not. ``query_ms``: median processor time.
+        ``build_s``: to index the map.
+
+    Raises:
+        DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.
+        SimulationError: a tour without length, or without an object in sight.
+    """
+    for method in methods:  # what cannot be made is refused before anything is measured
+        make_index(method)
+    drawn = {
+        scenario: [
+            (seed, query)
+            for seed in range(seeds)
+            for query in draw_queries(objects, tour, scenario, count=queries, rng=np.random.default_rng((seed, number)))
+        ]
+        for number, scenario in enumerate(SCENARIOS)
+    }
+    cells: list[dict[str, Any]] = []
+    with threadpool_limits(limits=1):
+        for method in methods:
+            for scenario, asked in drawn.items():
+                figures = _measure(method, objects, scenario, asked)
+                cells.append({"method": method, "scenario": scenario.name, **figures})
+                on_progress(len(cells) / (len(methods) * len(SCENARIOS)))
+    return pd.DataFrame(cells, dtype=object)
+
+
+def localizer_config(method: str, *, noisy: bool = False) -> Config:
+    """What ships, but the noise of the queries is known.
+
+    The map is exact. The noise that grows with the range is halved between the two submaps that are compared.
+    """
+    config = Config()
+    per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
+    config = config.calibrated({"objects.landmark_sigma_m": MAP_SIGMA_M, "objects.landmark_sigma_per_m": per_m})
+    closing = config.loop_closure.model_copy(update={"descriptor": method})
+    return config.model_copy(update={"loop_closure": closing})
+
+
+def _measure(
+    method: str, objects: LabelledMap, scenario: Scenario, drawn: Sequence[tuple[int, LocalQuery]]
+) -> dict[str, float | None]:
+    started = time.process_time()
+    localizer = ScanLocalizer(objects.to_record(), localizer_config(method, noisy=scenario.noisy))
+    build_s = time.process_time() - started
+    answers = pd.DataFrame(
+        [
+            {
+                "seed": seed,
+                **_localize(localizer, objects, query),
+                "ceiling": _error_m(fit_truth(objects, query, scenario), query) < SUCCESS_M,
+            }
+            for seed, query in drawn
+        ]
+    )
+    success = (answers["accepted_error_m"] < SUCCESS_M).groupby(answers["seed"]).mean()
+    ceiling = float(answers["ceiling"].mean())
+    accepted_m = answers["accepted_error_m"]
+    return {
+        "success": float(success.mean()),
+        "deviation": float(success.std(ddof=0)),
+        "ceiling": ceiling,
+        "of_ceiling": float(success.mean() / ceiling) if ceiling else None,
+        "misplaced": float((np.isfinite(accepted_m) & (accepted_m >= MISPLACED_M)).mean()),
+        "likeliest": float((answers["likeliest_error_m"] < SUCCESS_M).mean()),
+        "query_ms": 1e3 * float(answers["seconds"].median()),
+        "build_s": build_s,
+    }
+
+
+def _localize(localizer: ScanLocalizer, objects: LabelledMap, query: LocalQuery) -> dict[str, float]:
+    """The errors of the accepted and of the likeliest pose, infinite where there is none, and the time it took."""
+    scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query)))
+    asked = localizer.query(scan)
+    started = time.process_time()
+    accepted, candidates = None, list[Candidate]()
+    if localizer.has_enough_objects(asked):
+        verified = localizer.propose(asked)
+        accepted = localizer.decide(asked, verified).accepted
+        candidates = [each for each in verified if isinstance(each, Candidate)]
+    seconds = time.process_time() - started
+    likeliest = max(candidates, key=lambda each: each.score, default=None)
+    return {
+        "accepted_error_m": _error_m(None if accepted is None else accepted.T_local_query, query),
+        "likeliest_error_m": _error_m(None if likeliest is None else likeliest.T_local_query, query),
+        "seconds": seconds,
+    }
+
+
+def _error_m(T_map_query: FloatArray | None, query: LocalQuery) -> float:
+    """Distance in the plane from where the query is; infinite without a pose."""
+    if T_map_query is None:
+        return np.inf
+    return float(np.linalg.norm((T_map_query - query.T_map_query_gt)[:2, 3]))
+
+
+def fit_truth(objects: LabelledMap, query: LocalQuery, scenario: Scenario) -> FloatArray | None:
+    """The pose (4, 4) by least squares over the true correspondences: the ceiling of every matcher.
+
+    Weighted by the inverse square of the noise, with a scale where a query has one. None for fewer than two objects.
+    """
+    if len(query) < 2:
+        return None
+    seen = query.positions[:, 0] + 1j * query.positions[:, 1]
+    known = objects.positions[query.objects, 0] + 1j * objects.positions[query.objects, 1]
+    sigmas_m = MAP_SIGMA_M + (NOISE_PER_M if scenario.noisy else 0.0) * np.linalg.norm(query.positions, axis=1)
+    weights = sigmas_m**-2.0 / np.sum(sigmas_m**-2.0)
+    seen_middle, known_middle = weights @ seen, weights @ known
+    product = np.sum(weights * np.conj(seen - seen_middle) * (known - known_middle))
+    spread = np.sum(weights * np.abs(seen - seen_middle) ** 2)
+    if not (abs(product) > 0.0 and spread > 0.0):
+        return None
+    turn = product / spread if scenario.noisy else product / abs(product)
+    place = known_middle - turn * seen_middle
+    T_map_query = query.T_map_query_gt.copy()
+    T_map_query[:2, 3] = place.real, place.imag
+    return T_map_query

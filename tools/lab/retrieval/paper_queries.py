@@ -1,0 +1,125 @@
+"""Queries of global localization: what a sensor sees of a map, as the Descriptellation paper draws it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import SimulationError
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from tools.lab.retrieval.labelled_map import LabelledMap
+
+FLIPPING_RADIUS = 100.0
+"""Of hidden-point removal, in distances of the farthest object."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Differences of a query from the map (Section IV-B): visual range and, where ``noisy``, the noise as written.
+
+    With noise every coordinate becomes ``p + |p| e`` with e ~ U(0, ``translation_noise``); a share ``dropout`` of the
+    objects is missed; an object is taken for another class with probability ``misclassification`` |p| / max |p|; the
+    whole is scaled by U(1 - ``scale``, 1 + ``scale``).
+    """
+
+    name: str
+    radius_m: float = 30.0
+    noisy: bool = False
+    translation_noise: float = 0.1
+    dropout: float = 0.1
+    misclassification: float = 0.2
+    scale: float = 0.1
+
+
+SCENARIOS = (Scenario("self"), Scenario("fewer objects", radius_m=20.0), Scenario("added noise", noisy=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalQuery:
+    """Objects seen from one pose.
+
+    ``positions`` (N, 3) m in the sensor's gravity frame, ``labels`` (N,) in the vocabulary of the map, ``objects`` (N,)
+    which of the map they are, ``T_map_query_gt`` (4, 4).
+    """
+
+    positions: FloatArray
+    labels: IntArray
+    objects: IntArray
+    T_map_query_gt: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+def draw_queries(
+    objects: LabelledMap, tour: FloatArray, scenario: Scenario, *, count: int, rng: np.random.Generator
+) -> list[LocalQuery]:
+    """Queries at uniformly drawn points of a ``tour`` (M, 2) with a uniformly drawn yaw.
+
+    Raises:
+        SimulationError: a tour without length, or from which no object is in sight.
+    """
+    lengths = np.linalg.norm(np.diff(tour, axis=0), axis=1)
+    along = np.append(0.0, np.cumsum(lengths))
+    if not along[-1] > 0.0:
+        raise SimulationError("the trajectory has no length; queries are sampled along it")
+    queries = []
+    for _ in range(count):
+        at = rng.uniform(0.0, along[-1])
+        place = np.array([np.interp(at, along, tour[:, 0]), np.interp(at, along, tour[:, 1]), 0.0])
+        queries.append(_observe(objects, transform_from_xyz_yaw(place, rng.uniform(-np.pi, np.pi)), scenario, rng))
+    if not any(len(query) for query in queries):
+        raise SimulationError(f"no object lies within {scenario.radius_m:g} m of the trajectory")
+    return queries
+
+
+def _observe(objects: LabelledMap, T_map_query: FloatArray, scenario: Scenario, rng: np.random.Generator) -> LocalQuery:
+    offsets = objects.positions[:, :2] - T_map_query[:2, 3]
+    near = np.flatnonzero(np.hypot(offsets[:, 0], offsets[:, 1]) < scenario.radius_m)
+    if len(near):  # the sensor is among what it sees, however high that lies
+        T_map_query[2, 3] = np.median(objects.positions[near, 2])
+    seen = near[visible(offsets[near])]
+    positions = apply(invert(T_map_query), objects.positions[seen])
+    labels = objects.labels[seen]
+    if scenario.noisy and len(seen):
+        kept = rng.random(len(seen)) >= scenario.dropout
+        seen, positions, labels = seen[kept], positions[kept], labels[kept]
+        labels = _misclassified(positions, labels, len(objects.vocabulary), scenario.misclassification, rng)
+        ranges = np.linalg.norm(positions, axis=1, keepdims=True)
+        positions = positions + ranges * rng.uniform(0.0, scenario.translation_noise, positions.shape)
+        positions = positions * rng.uniform(1.0 - scenario.scale, 1.0 + scenario.scale)
+    return LocalQuery(positions, labels, seen, T_map_query)
+
+
+def _misclassified(
+    positions: FloatArray, labels: IntArray, classes: int, share: float, rng: np.random.Generator
+) -> IntArray:
+    ranges = np.linalg.norm(positions, axis=1)
+    wrong = rng.random(len(labels)) < share * ranges / ranges.max(initial=1e-9)
+    step = rng.integers(1, max(classes, 2), len(labels))
+    return np.where(wrong, (labels + step) % classes, labels)
+
+
+def visible(offsets: FloatArray) -> NDArray[np.bool_]:
+    """Which objects (N,) are not hidden, seen from the origin: hidden-point removal (Katz et al., SIGGRAPH 2007).
+
+    In the plane, (N, 2) m: a point is visible if it lies on the convex hull of the viewpoint and all points after these
+    were mirrored at a circle far out.
+    """
+    distances = np.hypot(offsets[:, 0], offsets[:, 1])
+    shown = np.ones(len(offsets), dtype=bool)
+    if len(offsets) < 3 or not np.all(distances > 0.0):
+        return shown
+    radius = FLIPPING_RADIUS * distances.max()
+    flipped = offsets + 2.0 * (radius - distances)[:, None] * offsets / distances[:, None]
+    try:
+        hull = ConvexHull(np.vstack([flipped, np.zeros((1, 2))])).vertices
+    except QhullError:
+        return shown
+    shown[:] = False
+    shown[hull[hull < len(offsets)]] = True
+    return shown
