@@ -24,13 +24,6 @@ HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
 }
 DESCRIPTOR_NAMES = (*LEARNED, *HANDCRAFTED)
 WEIGHTS_SUFFIX = ".safetensors"
-FORMER = {
-    "descriptellation_paper": f"it is called {PAPER!r} now",
-    "pointnet": "it was removed",
-    "sgnet": "it was removed",
-    "ring_likelihood": "it was removed",
-}
-"""Names of earlier versions."""
 
 
 def shipped_weights(name: str) -> Path:
@@ -61,9 +54,8 @@ def make_descriptor(name: str) -> Descriptor | LearnedLikelihood:
         return _from_weights(Path(name))
     if is_own_class(name):
         return OwnDescriptor(name)
-    former = f"{FORMER[name]}; " if name in FORMER else ""
     raise DescriptorError(
-        f"unknown descriptor {name!r}; {former}choose one of {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
+        f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
         f"(NAME{WEIGHTS_SUFFIX}), or a class of your own (module:Class)"
     )
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import pandas as pd
 
 WEIGHTS, CURVES = "weights.safetensors", "curves.csv"
 
@@ -31,8 +32,5 @@ class Epoch:
 def write_curves(folder: Path, epochs: Sequence[Epoch]) -> None:
     """Write the figures of the epochs so far, one a row."""
     part = folder / f"{CURVES}.part"
-    with part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(epochs[-1].as_row()))
-        writer.writeheader()
-        writer.writerows(each.as_row() for each in epochs)
+    pd.DataFrame([each.as_row() for each in epochs]).to_csv(part, index=False, lineterminator="\n")
     os.replace(part, folder / CURVES)

@@ -123,8 +123,6 @@ class Own:
         ("tests.descriptors.test_registry:Other", "AttributeError"),
         ("builtins:dict", "lacks name, radius_m, describe"),
         ("no/such.safetensors", "No such file"),
-        ("descriptellation_paper", "called 'descriptellation'"),
-        ("sgnet", "it was removed; choose one of"),
         ("rings", f"unknown descriptor 'rings'; choose one of {', '.join(DESCRIPTOR_NAMES)}"),
     ],
 )
