@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -16,7 +16,6 @@ from slam.backend.condensing.condensed_factors import condensed_factors, relativ
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.gtsam_calls import gtsam_errors
@@ -27,6 +26,16 @@ from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 
 logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimates:
+    """Ids of keyframes (K,) and of landmarks (L,), and their positions (K, 3) and (L, 3) m in the map."""
+
+    keyframes: IntArray
+    keyframe_positions: FloatArray
+    landmarks: IntArray
+    landmark_positions: FloatArray
 
 
 class FactorGraph(EditableGraph):
@@ -207,7 +216,17 @@ class FactorGraph(EditableGraph):
         values = gtsam.Values(self._solver.values())
         if isinstance(self._solver, IncrementalSolver):
             values.insert(self._solver.new_values)
-        return read_estimates(values, attached, self.poses(attached)[:, :3, 3])
+        # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
+        numbers = np.array([gtsam.symbolIndex(key) for key in values.keys()], dtype=np.int64)  # noqa: SIM118 - no mapping
+        landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
+        keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
+        count = len(landmark_positions)
+        return Estimates(
+            np.concatenate([numbers[count:], attached]),
+            np.concatenate([keyframe_positions, self.poses(attached)[:, :3, 3]]),
+            numbers[:count],
+            landmark_positions,
+        )
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""

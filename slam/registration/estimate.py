@@ -12,9 +12,6 @@ from slam.common.geometry import adjoint, make_transform
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import LevelPose, Pairs
 
-MAX_HEADING_SIGMA_RAD = 0.2
-"""A heading with a larger deviation is undetermined: its linearisation no longer holds."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
@@ -50,9 +47,9 @@ def estimate(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> Regis
     if len(chosen) < config.min_inliers:
         return not_found(_too_few(len(chosen), config))
     information = _information(pairs, chosen, 1.0 - ratio[chosen] ** 2)
-    # That of the heading alone, the translation marginalised. What its inverse would hold is tested before.
+    # That of the heading alone, the translation marginalised. The linearisation holds up to a deviation of 0.2 rad.
     cross = information[2, 3:]
-    if information[2, 2] - cross @ np.linalg.solve(information[3:, 3:], cross) < MAX_HEADING_SIGMA_RAD**-2:
+    if information[2, 2] - cross @ np.linalg.solve(information[3:, 3:], cross) < 0.2**-2:
         return not_found(f"the {len(chosen)} objects that agree are too near one another for a heading")
     turn, place = fitted.turn, [fitted.shift.real, fitted.shift.imag, fitted.rise]
     R = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])

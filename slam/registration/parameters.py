@@ -6,12 +6,6 @@ from dataclasses import dataclass
 
 from slam.common.config import Config
 
-HEIGHT_RANGES = 0.01
-"""Noise of heights in sensor ranges, unless it is given."""
-SEARCH_RANGES = 0.1
-"""How far a partner is looked for at first, in sensor ranges."""
-
-
 MIN_INLIERS = 3
 """Fewest pairs of objects that support a pose, unless the query has fewer."""
 
@@ -36,6 +30,6 @@ def registration_config(config: Config) -> RegistrationConfig:
     """The parameters by the calibration: lengths are fractions of the sensor range."""
     range_m, height_m = config.sensor_range_m, config.calibration.objects.height_sigma_m
     return RegistrationConfig(
-        height_sigma_m=HEIGHT_RANGES * range_m if height_m is None else height_m,
-        search_radius_m=SEARCH_RANGES * range_m,
+        height_sigma_m=0.01 * range_m if height_m is None else height_m,
+        search_radius_m=0.1 * range_m,
     )

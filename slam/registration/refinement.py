@@ -12,11 +12,7 @@ import numpy as np
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.registration.parameters import RegistrationConfig
 
-SHRINK = 0.5
-"""The search radius shrinks by this factor from one iteration to the next."""
 MAX_ITERATIONS = 8
-CONVERGED_FRACTION = 1.0 / 3000.0
-"""A pose that moves no object by more than this fraction of the first search radius stands still."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +74,8 @@ class Pairs:
 def refine_pose(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> LevelPose:
     """Iterate association and least squares; each pair enters if its two objects prefer it.
 
-    The gate shrinks from ``config.search_radius_m`` to the noise.
+    The gate is halved from one iteration to the next, from ``config.search_radius_m`` to the noise. A pose that moves
+    no object by more than a three-thousandth of that radius stands still.
     """
     noise_gate_m = config.gate_sigma * float(pairs.sigmas.min())
     extent_m = float(np.abs(pairs.query).max())
@@ -88,9 +85,9 @@ def refine_pose(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> Le
         moved = pairs.least_squares(pose, _weights(ratio, pairs.rows))
         changes_m = extent_m * abs(moved.turn - pose.turn), abs(moved.shift - pose.shift), abs(moved.rise - pose.rise)
         pose = moved
-        if max(changes_m) < CONVERGED_FRACTION * config.search_radius_m and radius_m <= noise_gate_m:
+        if max(changes_m) < config.search_radius_m / 3000.0 and radius_m <= noise_gate_m:
             break
-        radius_m *= SHRINK
+        radius_m *= 0.5
     return pose
 
 

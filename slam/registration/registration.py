@@ -13,9 +13,6 @@ from slam.registration.estimate import Registration, estimate, not_found
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import LevelPose, Pairs, refine_pose
 
-REACH_RADII = 2.0
-"""Objects that are so many search radii, or gates, apart are not matched in a refinement."""
-
 
 def refine(
     query_positions: FloatArray,
@@ -52,7 +49,8 @@ def refine(
     plane, reference_plane = (points[:, 0] + 1j * points[:, 1] for points in (query, reference))
     pose = LevelPose(complex(turn), complex(*place[:2]), float(place[2]))
     sigma_m = float(np.hypot(query_sigmas.max(), reference_sigmas.max()))
-    reach_m = REACH_RADII * max(config.search_radius_m, config.gate_sigma * sigma_m)
+    # Objects farther apart are not matched while the pose is refined.
+    reach_m = 2.0 * max(config.search_radius_m, config.gate_sigma * sigma_m)
     apart_m = np.abs((turn * plane + pose.shift)[:, None] - reference_plane)
     rows = np.argwhere((apart_m <= reach_m) & (query_labels[:, None] == reference_labels))
     if not len(rows):

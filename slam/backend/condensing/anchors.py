@@ -14,8 +14,6 @@ from scipy import sparse
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
-MIN_COMMON = 3
-"""Landmarks that determine the relative pose of two keyframes."""
 COMMON_SHARE = 0.5
 """Two keyframes are of one place if one observed at least that share of the landmarks of the other."""
 
@@ -31,8 +29,8 @@ def find_anchors(
 ) -> dict[int, int]:
     """The keyframes that can be attached to one of an earlier traversal, with that anchor.
 
-    A keyframe returns to a place where an earlier one has enough of its landmarks: as many as determine the relative
-    pose, and ``COMMON_SHARE`` of its own. It is attached to the one that has most of those that had returned
+    A keyframe returns to a place where an earlier one has enough of its landmarks: three determine the relative pose,
+    and ``COMMON_SHARE`` of its own. It is attached to the one that has most of those that had returned
     themselves; if there is none, it may be an anchor. Settled keyframes that observed nothing are attached like the
     next one that did.
 
@@ -58,7 +56,7 @@ def find_anchors(
         of_row = slice(common.indptr[row], common.indptr[row + 1])
         others, counts = common.indices[of_row], common.data[of_row]
         of_place = is_variable[others] & (travel_m[others] < travel_m[row] - min_travel_m)
-        of_place &= counts >= max(MIN_COMMON, COMMON_SHARE * totals[row])
+        of_place &= counts >= max(3, COMMON_SHARE * totals[row])
         usable = of_place & is_anchor[others]
         if not is_settled[row] or not usable.any():
             is_variable[row] = True
