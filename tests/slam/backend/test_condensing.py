@@ -132,16 +132,6 @@ def test_keyframes_that_saw_nothing_go_with_the_next_one_that_did():
 # What the graph is afterwards
 
 
-def test_condensing_leaves_the_estimate_where_it_was():
-    whole, graph = driven(3), condensed(3)
-    whole.optimize()
-    assert len(graph.keyframe_variables) < 2.5 * ROUND
-    np.testing.assert_array_equal(graph.keyframes, np.arange(3 * ROUND))
-    np.testing.assert_allclose(graph.poses(), whole.poses(), atol=0.02)
-    rows = whole.landmarks
-    np.testing.assert_allclose(graph.landmark_positions(rows), whole.landmark_positions(rows), atol=0.01)
-
-
 def test_the_size_of_a_condensed_graph_does_not_grow_with_the_rounds():
     few, many = condensed(4), condensed(9)
     assert len(many.keyframe_variables) <= len(few.keyframe_variables) + 1

@@ -74,14 +74,6 @@ def test_the_robot_is_found_with_a_fifth_of_the_objects_missing(town: World, ext
 
 
 @pytest.mark.slow
-def test_only_the_map_around_the_robot_is_taken_in(town: World) -> None:
-    known = city_map(town)
-    _, final, _ = drive(town, known, extend=False)
-    of_map = [row for row, count in enumerate(final.object_map.observation_counts) if count >= 1]
-    assert 0 < len(of_map) < 2 * len(known)
-
-
-@pytest.mark.slow
 def test_a_fixed_map_stays_as_it_is_and_another_is_bent(town: World) -> None:
     for extend in (False, True):
         known = city_map(town)
