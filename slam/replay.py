@@ -104,7 +104,7 @@ def replay(
     with LogReader(source, config.reading_limits) as reader:
         _check_drive(reader, source, output)
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
-        clocks = StampClocks(prepared.drift, keeps_delays=online)
+        clocks = StampClocks(prepared.drift)
         slam = LiveSlam(
             prepared.calibration.config.model_copy(update={"calibrate": online and config.calibrate}),
             prior_map,

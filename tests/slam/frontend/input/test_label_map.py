@@ -12,8 +12,8 @@ from slam.common.calibration import DetectionCalibration
 from slam.common.config import LabelsConfig, load_config
 from slam.common.config_tree import to_toml
 from slam.common.errors import ConfigurationError
-from slam.frontend.input.label_map import LabelMap
-from slam.frontend.input.scan import make_scan
+from slam.frontend.input.label_map import DROPPED, LabelMap
+from slam.frontend.input.scan import is_wanted
 
 NAMES = ("car", "van", "person", "pole_1", "tree")
 
@@ -25,10 +25,9 @@ def detections(labels: tuple[str, ...] = NAMES) -> ObjectDetections:
 
 def test_classes_are_renamed_merged_and_dropped() -> None:
     config = LabelsConfig(rename={"pole_*": "pole"}, merge={"vehicle": ("car", "van")}, drop=("person",))
-    scan = make_scan(LabelMap(config).apply(detections()), np.eye(4), DetectionCalibration())
-    assert scan.labels == ("vehicle", "vehicle", "pole", "tree")
-    assert scan.used.tolist() == [True, True, False, True, True]
-    np.testing.assert_array_equal(scan.positions[:, 0], [0.0, 1.0, 3.0, 4.0])
+    renamed = LabelMap(config).apply(detections())
+    assert renamed.labels == ("vehicle", "vehicle", DROPPED, "pole", "tree")
+    assert is_wanted(renamed, DetectionCalibration()).tolist() == [True, True, False, True, True]
 
 
 def test_without_settings_nothing_changes() -> None:
