@@ -22,10 +22,6 @@ logger = logging.getLogger(__name__)
 
 MIN_KEYFRAMES = 3000
 """A graph of so few keyframes, some 200 MB, is never condensed."""
-GROWTH = 2.0
-"""The graph is condensed again once it has that many times the keyframes that it had afterwards."""
-MIN_SHARE = 0.25
-"""Of the keyframes that must go, so that it is worth a solution of the whole graph."""
 
 
 class GraphCondenser:
@@ -51,13 +47,16 @@ class GraphCondenser:
         self._due_at = MIN_KEYFRAMES
 
     def update(self) -> None:
-        """Condense the graph if it is due."""
+        """Condense the graph if it is due: again once it has twice the keyframes that it had afterwards.
+
+        A solution of the whole graph is worth it if a quarter of them goes.
+        """
         # Keyframes in a map without a trajectory are tied to its frame, not to one another.
         if self._variable_count < self._due_at or self._keyframes[0].is_map_frame:
             return
-        if len(self._anchors()) >= MIN_SHARE * self._variable_count:
+        if len(self._anchors()) >= 0.25 * self._variable_count:
             self._condense()
-        self._due_at = max(MIN_KEYFRAMES, round(GROWTH * self._variable_count))
+        self._due_at = max(MIN_KEYFRAMES, 2 * self._variable_count)
 
     @property
     def _variable_count(self) -> int:

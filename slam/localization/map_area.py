@@ -9,9 +9,6 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.odometry.keyframe import Keyframe
 
-_COLUMN = 2**32
-"""Rows of cells in a column: more than any map has."""
-
 
 class MapArea:
     """Area of the square cells, with edges of ``cell_m``, with a keyframe or an object of an imported map."""
@@ -30,7 +27,8 @@ class MapArea:
     def cover_positions(self, positions: FloatArray, *, segment: int = 0) -> None:
         """Add positions (K, 2) m where the robot can be in a segment."""
         columns, rows = (positions // self._cell_m).astype(np.int64).T
-        self._cells.setdefault(segment, set()).update(np.unique(columns * _COLUMN + rows).tolist())
+        # No map has so many rows of cells.
+        self._cells.setdefault(segment, set()).update(np.unique(columns * 2**32 + rows).tolist())
 
     @property
     def area_m2(self) -> float:

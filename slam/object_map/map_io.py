@@ -34,10 +34,9 @@ FORMAT_VERSION = "1"
 METADATA = "dslam_map"
 OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
 POINTS_TOPIC = "/map/landmark_points"
-GRAVITY = "z of the frame map points up"
 IMPORTED = "imported"
 """``kind`` in the metadata of a map without a trajectory."""
-_OF_THE_FILE = ("format_version", "gravity", "drives")
+_OF_THE_FILE = ("format_version", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 
@@ -111,7 +110,7 @@ def save_map(
             len(adrift),
         )
     drives = [*(earlier_drives or ()), _drive(provenance)]
-    about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
+    about = {"format_version": FORMAT_VERSION, **provenance, "drives": json.dumps(drives)}
     with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
@@ -165,8 +164,6 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
             raise SavedMapError(
                 f"{path} is a map of format version {version}, this program reads {FORMAT_VERSION}; {MAKE_IT}"
             )
-        if metadata.get("gravity") != GRAVITY:
-            raise SavedMapError(f"{path} does not hold the direction of gravity; {MAKE_IT}")
         wanted = Selection({OBJECTS_TOPIC: (RecordKind.OBJECT_MAP,), GRAPH_TOPIC: (RecordKind.FACTOR_GRAPH,)})
         try:
             records = [entry.record for entry in reader.records(wanted)]

@@ -29,7 +29,6 @@ def summarize_map(saved: SavedMap) -> dict[str, Any]:
     width_m, height_m = np.ptp(objects.positions[:, :2], axis=0).tolist()
     return {
         "format_version": saved.metadata.get("format_version", ""),
-        "gravity": saved.metadata.get("gravity", ""),
         "landmark_count": len(objects.ids),
         "median_sigma_m": float(np.median(sigmas_m)),
         "classes": classes.sort_values("landmark_count", ascending=False, kind="stable").to_dict("records"),

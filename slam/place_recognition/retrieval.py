@@ -25,12 +25,10 @@ from slam.place_recognition.place_search import PlaceSearch
 
 INACTIVE_RANGES = 2.0
 """A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""
-# Radius of a reference submap, in sensor ranges.
-PLACE_RADIUS_RANGES = 90.0 / 30.0
+PLACE_RADIUS_RANGES = 3.0
+"""Radius of a reference submap, in sensor ranges."""
 INDEXED_TRAVERSALS = 4
 """So many traversals of a place are in the index; what more there are would be found no sooner."""
-# Least travel between two updates of the index, in sensor ranges.
-INDEX_EVERY_RANGES = 10.0 / 30.0
 
 
 class PlaceRetriever:
@@ -51,7 +49,7 @@ class PlaceRetriever:
     def index_inactive_landmarks(self, pose: OdometryPose) -> None:
         """Add the landmarks that the robot has left behind, and those of earlier segments, to the index."""
         travel_m, begins = pose.travel_m, pose.segment != self._indexed_segment
-        if travel_m - self._indexed_m < INDEX_EVERY_RANGES * self._sensor_range_m and not begins:
+        if travel_m - self._indexed_m < self._sensor_range_m / 3.0 and not begins:
             return
         self._indexed_m, self._indexed_segment = travel_m, pose.segment
         landmarks = self._map.rows
