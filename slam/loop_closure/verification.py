@@ -23,9 +23,8 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.estimate import Registration
 from slam.registration.parameters import RegistrationConfig, registration_config
-from slam.registration.registration import refine
+from slam.registration.registration import Registration, refine
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""

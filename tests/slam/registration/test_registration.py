@@ -11,10 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
-from slam.registration.estimate import Registration
 from slam.registration.parameters import RegistrationConfig
-from slam.registration.refinement import LevelPose, Pairs
-from slam.registration.registration import refine
+from slam.registration.registration import LevelPose, Pairs, Registration, estimate, refine
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)
@@ -249,3 +247,17 @@ def test_small_constellations_never_fail(
         assert is_one_to_one(found)
         assert len(found.pairs) >= least
         assert np.linalg.eigvalsh(found.covariance)[0] > 0.0
+
+
+def test_an_inlier_that_the_last_fit_loses_is_none():
+    sigmas_m = np.full(4, 0.3)
+    gate_m = 3.0 * sigmas_m[0]
+    corners = np.array([0.0, 20.0, 20.0j, 20.0 + 20.0j])
+    moved = corners + np.array([0.0, 1.2 * gate_m, 0.0, 0.0])
+    rows, flat, middle = np.column_stack([np.arange(4)] * 2), np.zeros(4), np.zeros(3)
+    pairs = Pairs(rows, corners, moved, flat, flat, sigmas_m, sigmas_m, middle, middle)
+    start = LevelPose(1.0, 0.25 * gate_m, 0.0)
+    assert len(estimate(start, pairs, RegistrationConfig()).pairs) == 3
+    assert estimate(start, pairs, RegistrationConfig(min_inliers=4)).reason == (
+        "3 pairs of objects agree on a pose, fewer than 4"
+    )
