@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from slam.backend.attached_keyframes import AttachedKeyframes
 from slam.backend.batch_solver import BatchSolver
-from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import (
     Edge,
     EdgeKind,

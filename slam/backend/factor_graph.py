@@ -11,8 +11,8 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
+from slam.backend.attached_keyframes import relative_covariances
 from slam.backend.batch_solver import BatchSolver, Optimization
-from slam.backend.condensing.attached_keyframes import relative_covariances
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph

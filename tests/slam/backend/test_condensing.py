@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from slam.backend.condensing.anchors import find_anchors
-from slam.backend.condensing.attached_keyframes import AttachedKeyframes, relative_covariances
+from slam.backend.attached_keyframes import AttachedKeyframes, relative_covariances
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
 from slam.common.geometry import adjoint, apply, invert, relative, transform_from_xyz_yaw
+from slam.graph_condenser import find_anchors
 from tests.slam.backend.graphs import PLAIN
 
 ROUND, LANDMARKS = 12, 15
@@ -70,65 +70,6 @@ def condensed(rounds: int, kernel_width: float = PLAIN, *, settled: int | None =
     graph.optimize()
     graph.condense(anchors_of(graph, settled=rounds * ROUND if settled is None else settled))
     return graph
-
-
-def find(seen: list[tuple[int, list[int]]], travel_m: list[float], **limits: list[bool]) -> dict[int, int]:
-    """Anchors of keyframes, each given with its id and the landmarks that it observed."""
-    everything = np.ones(len(seen), dtype=np.bool_)
-    return find_anchors(
-        [(keyframe, landmark) for keyframe, landmarks in seen for landmark in landmarks],
-        np.array([keyframe for keyframe, _ in seen]),
-        np.array(travel_m),
-        is_settled=np.array(limits.get("is_settled", everything)),
-        may_anchor=np.array(limits.get("may_anchor", everything)),
-        min_travel_m=50.0,
-    )
-
-
-# Which keyframes are attached
-
-
-def test_a_keyframe_is_attached_to_the_one_of_the_second_traversal_that_saw_most_of_its_landmarks():
-    first = [(1, [1, 2, 3, 4, 5, 6])]
-    second = [(4, [1, 2, 3]), (5, [2, 3, 4, 5]), (6, [2, 3, 4]), (7, [7, 8, 9])]
-    seen = [*first, *second, (20, [2, 3, 4, 6])]  # 5 and 6 have three of them each
-    assert find(seen, [0.0, 100.0, 110.0, 115.0, 120.0, 200.0]) == {20: 5}
-
-
-def test_keyframes_of_one_traversal_are_not_attached():
-    seen = [(number, [1, 2, 3]) for number in (0, 1, 2)]
-    assert find(seen, [0.0, 100.0, 150.0]) == {}
-    assert find(seen, [0.0, 100.0, 150.1]) == {2: 1}
-    assert find(seen, [0.0, 50.0, 100.1]) == {}
-
-
-def test_three_common_landmarks_and_half_of_those_seen_are_needed():
-    def third(landmarks: list[int], *, of_second: list[int]) -> dict[int, int]:
-        return find([(0, of_second), (1, of_second), (2, landmarks)], [0.0, 99.0, 198.0])
-
-    assert third([1, 2, 8, 9], of_second=[1, 2, 3]) == {}
-    assert third([1, 2, 3, 4, 5, 6], of_second=[1, 2, 3]) == {2: 1}
-    assert third([1, 2, 3, 4, 5, 6, 7], of_second=[1, 2, 3]) == {}
-
-
-def test_a_keyframe_that_is_not_settled_stays():
-    seen = [(number, [1, 2, 3]) for number in range(3)]
-    assert find(seen, [0.0, 99.0, 198.0], is_settled=[True, True, False]) == {}
-
-
-def test_an_attached_keyframe_is_no_anchor_and_neither_is_one_that_may_not_be():
-    laps = [(number, [1, 2, 3]) for number in range(5)]
-    travel_m = [99.0 * number for number in range(5)]
-    assert find(laps, travel_m) == {2: 1, 3: 1, 4: 1}
-    assert find(laps, travel_m, may_anchor=[True, False, True, True, True]) == {3: 2, 4: 2}
-
-
-def test_keyframes_that_saw_nothing_go_with_the_next_one_that_did():
-    seen = [(0, [1, 2, 3]), (1, [1, 2, 3]), (2, []), (3, []), (4, [1, 2, 3]), (5, []), (6, [7, 8])]
-    assert find(seen, [0.0, 99.0, 196.0, 197.0, 198.0, 199.0, 200.0]) == {2: 1, 3: 1, 4: 1}
-
-
-# What the graph is afterwards
 
 
 def test_the_size_of_a_condensed_graph_does_not_grow_with_the_rounds():
@@ -216,9 +157,6 @@ def test_the_record_holds_all_keyframes_and_ties_each_to_its_anchor():
     assert not attached & set(record.observation_keyframe_ids.tolist())
     assert record.pose_covariances.shape == (3 * ROUND, 6, 6)
     assert (np.linalg.eigvalsh(record.pose_covariances) > 0.0).all()
-
-
-# Factors of attached keyframes
 
 
 def attached_at(T_anchor_keyframe: FloatArray, covariance: FloatArray) -> AttachedKeyframes:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.localization.map_area import MapArea
-from slam.localization.pose_prior import PosePrior
+from slam.localization.pose_prior import MapArea, PosePrior
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
