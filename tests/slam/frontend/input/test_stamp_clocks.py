@@ -202,7 +202,3 @@ def test_a_clock_that_was_set_again_and_again_tells_of_no_drift() -> None:
     assert clocks.drift().rate == 0.0
 
 
-def test_log_times_may_all_be_zero() -> None:
-    clocks = StampClocks()
-    found = [each for row in range(MESSAGES) for each in clocks.follow(item(scan(START_NS + row * TENTH_NS), 0))]
-    assert len([*found, *clocks.finish()]) == MESSAGES
