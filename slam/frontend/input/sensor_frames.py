@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Iterable
+from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
 import numpy as np
@@ -86,27 +88,18 @@ class SensorFrames:
                     waiting.append(neighbour)
         return came_from
 
-    def _refuse_loop(self, connected: dict[str, str]) -> None:
+    def _refuse_loop(self, connected: Iterable[str]) -> None:
         parents: dict[str, list[str]] = {frame: [] for frame in connected}
         for parent, child in self._tracks:
-            if child in connected:
+            if child in parents:
                 parents[child].append(parent)
-        # Without a loop, taking away those that have no parents left takes away all.
-        while roots := {frame for frame, above in parents.items() if not above}:
-            parents = {
-                frame: [parent for parent in above if parent not in roots]
-                for frame, above in parents.items()
-                if frame not in roots
-            }
-        if parents:
-            loop = [min(parents)]
-            while loop[0] not in loop[1:]:
-                loop.insert(0, min(parents[loop[0]]))
-            loop = loop[: loop.index(loop[0], 1) + 1]
+        try:
+            TopologicalSorter(parents).prepare()
+        except CycleError as error:
             raise InputDataError(
-                f"the transforms form a loop: {' -> '.join(loop)}, so the poses of sensors on the body are undefined; "
-                "find the node that publishes a wrong transform, and remove it from the log"
-            )
+                f"the transforms form a loop: {' -> '.join(error.args[1])}, so the poses of sensors on the body are "
+                "undefined; find the node that publishes a wrong transform, and remove it from the log"
+            ) from error
 
 
 def find_sensor(

@@ -24,7 +24,7 @@ def detections(labels: tuple[str, ...] = NAMES) -> ObjectDetections:
 
 
 def test_classes_are_renamed_merged_and_dropped() -> None:
-    config = LabelsConfig(rename={"pole_*": "pole"}, merge={"vehicle": ("car", "van")}, drop=("person",))
+    config = LabelsConfig(rename={"pole_*": "pole", "car": "vehicle", "van": "vehicle"}, drop=("person",))
     renamed = LabelMap(config).apply(detections())
     assert renamed.labels == ("vehicle", "vehicle", DROPPED, "pole", "tree")
     assert is_wanted(renamed, DetectionCalibration()).tolist() == [True, True, False, True, True]
@@ -44,25 +44,23 @@ def test_names_that_differ_in_case_only_are_one_class() -> None:
 
 
 def test_names_that_no_detection_has_are_told() -> None:
-    labels = LabelMap(LabelsConfig(rename={"cars": "car"}, merge={"vehicle": ("van", "bus")}, drop=("person", "dog*")))
+    labels = LabelMap(LabelsConfig(rename={"cars": "car", "van": "vehicle", "bus": "vehicle"}, drop=("person", "dog*")))
     labels.apply(detections())
-    assert labels.unused() == ["labels.drop: dog*", "labels.rename: cars", "labels.merge: bus"]
+    assert labels.unused() == ["labels.drop: dog*", "labels.rename: cars", "labels.rename: bus"]
 
 
 def test_a_name_in_two_settings_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="'car' is in more than one of drop, rename and merge"):
+    with pytest.raises(ConfigurationError, match="'car' is both in drop and in rename"):
         LabelMap(LabelsConfig(rename={"car": "vehicle"}, drop=("car",)))
 
 
 def test_the_settings_come_from_a_file_and_go_into_one(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
-        '[labels]\ndrop = ["person"]\n[labels.rename]\n"pole 1" = "pole"\n[labels.merge]\nvehicle = ["car", "van"]\n'
-        '[topics]\ndetections = "/left,/right"\n'
+        '[labels]\ndrop = ["person"]\n[labels.rename]\n"pole 1" = "pole"\n[topics]\ndetections = "/left,/right"\n'
     )
     config = load_config(path, ['labels.rename.cone="traffic cone"'])
     assert config.labels.rename == {"pole 1": "pole", "cone": "traffic cone"}
-    assert config.labels.merge == {"vehicle": ("car", "van")}
     assert config.labels.drop == ("person",)
     assert config.topics == {"detections": "/left,/right"}
     again = tmp_path / "again.toml"

@@ -200,5 +200,3 @@ def test_a_clock_that_was_set_again_and_again_tells_of_no_drift() -> None:
         list(clocks.follow(item(scan(made_ns - 3 * TENTH_NS * (row // 3334)), made_ns)))
     assert len(clocks.steps) == 2
     assert clocks.drift().rate == 0.0
-
-
