@@ -22,8 +22,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.parameters import RegistrationConfig, registration_config
-from slam.registration.registration import Registration, refine
+from slam.registration.registration import Registration, RegistrationConfig, refine, registration_config
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""

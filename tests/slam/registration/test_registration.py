@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
-from slam.registration.parameters import RegistrationConfig
-from slam.registration.registration import LevelPose, Pairs, Registration, estimate, refine
+from slam.registration.registration import LevelPose, Pairs, Registration, RegistrationConfig, estimate, refine
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)
