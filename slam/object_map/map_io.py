@@ -76,7 +76,7 @@ def save_map(
     provenance: Mapping[str, str],
     *,
     earlier_drives: Sequence[Mapping[str, str]] | None = None,
-) -> int:
+) -> None:
     """Write a map log: NAME.part first, which is renamed when it is complete.
 
     Args:
@@ -86,9 +86,6 @@ def save_map(
             ties to the rest, which lies anywhere, with what only it saw.
         provenance: version, configuration and input of the drive.
         earlier_drives: those of the map that the drive extended.
-
-    Returns:
-        How many keyframes were left out.
 
     Raises:
         LogError: it cannot be written.
@@ -118,7 +115,6 @@ def save_map(
         writer.write(MARKERS_TOPIC, make_markers(kept))
         points = ScenePoints(kept.stamp_ns, kept.frame_id, kept.positions, class_colors(kept.classes))
         writer.write(POINTS_TOPIC, points)
-    return int(np.count_nonzero(~is_tied))
 
 
 def make_markers(objects: ObjectMapRecord) -> SceneMarkers:

@@ -158,9 +158,9 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     """The second drive is in another town: nobody knows where its landmarks are in the first one's map."""
     _, final = elsewhere
     path = tmp_path / "both.mcap"
-    left_out = save_map(path, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
+    save_map(path, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
     loaded = load_map(path)
-    assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
+    assert len(loaded.graph.keyframe_ids) == len(known.graph.keyframe_ids) < len(final.graph.keyframe_ids)
     assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")
     np.testing.assert_allclose(loaded.objects.positions, known.objects.positions, atol=0.02)
 
@@ -184,4 +184,5 @@ def test_a_discontinuity_is_known_by_its_kind_and_not_by_its_covariance(
     covariances = graph.edge_covariances.copy()
     covariances[row] *= scale
     graph = replace(graph, edge_kinds=kinds, edge_covariances=covariances)
-    assert save_map(tmp_path / "m.mcap", first.object_map, graph, PROVENANCE) == left_out
+    save_map(tmp_path / "m.mcap", first.object_map, graph, PROVENANCE)
+    assert len(load_map(tmp_path / "m.mcap").graph.keyframe_ids) == len(ids) - left_out
