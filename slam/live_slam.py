@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -133,8 +133,10 @@ class LiveSlam:
         self.catch_up()
         return self._slam.finish()
 
-    def save(self, path: str | os.PathLike[str], final: FinalMap) -> None:
+    def save(self, path: str | os.PathLike[str], final: FinalMap, provenance: Mapping[str, str] | None = None) -> None:
         """Write the map of the drive, which ``finish`` returned, for later drives.
+
+        ``provenance``: metadata of the map; by default the settings and the calibration.
 
         Raises:
             LogError: it cannot be written.
@@ -142,9 +144,12 @@ class LiveSlam:
         """
         prior_map = self._prior_map
         if prior_map is not None and not self.fixes:
-            raise SavedMapError(f"the robot was never relocalized in the given map, so {path} would hold two places")
+            raise SavedMapError(
+                f"the robot was never relocalized in the given map, so {path} would hold two unrelated places and was "
+                "not written"
+            )
         drives = None if prior_map is None else prior_map.drives
-        about = settings_of(self._given, self.calibration, prior_map, extend=self._extend)
+        about = provenance or settings_of(self._given, self.calibration, prior_map, extend=self._extend)
         save_map(Path(path), final.object_map, final.graph, about, earlier_drives=drives)
 
     def _build(self, config: Config) -> Slam:

@@ -26,7 +26,7 @@ from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
 from slam.log_mapper import LogMapper
-from slam.object_map.map_io import METADATA, save_map
+from slam.object_map.map_io import METADATA
 from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.initial_pose import InitialPose
@@ -122,7 +122,11 @@ def replay(
                 georeference = find_georeference(final.trajectory, mapper.fixes)
             mapper.log.write_final(final, georeference, prepared.last_ns)
         if map_path is not None:
-            _save(Path(map_path), output, slam, final, provenance, prior_map)
+            try:
+                slam.save(map_path, final, provenance)
+            except (SavedMapError, UnwritableLogError) as error:
+                error.add_note(f"{output} is complete")
+                raise
     notes = (
         *calibration.notes,
         *([str(prepared.drift)] if prepared.drift.rate else []),
@@ -179,28 +183,6 @@ def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
             raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
     if METADATA in reader.metadata():
         raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
-
-
-def _save(
-    map_path: Path,
-    output: Path,
-    slam: LiveSlam,
-    final: FinalMap,
-    provenance: dict[str, str],
-    prior_map: PriorMap | None,
-) -> None:
-    """Save the map of a drive."""
-    if prior_map is not None and not slam.fixes:
-        raise SavedMapError(
-            f"the robot was never relocalized in the given map, so {map_path} would hold two unrelated places and was "
-            f"not written; {output} is complete"
-        )
-    earlier_drives = None if prior_map is None else prior_map.drives
-    try:
-        save_map(map_path, final.object_map, final.graph, provenance, earlier_drives=earlier_drives)
-    except (SavedMapError, UnwritableLogError) as error:
-        error.add_note(f"{output} is complete")
-        raise
 
 
 def _about_labels(labels: LabelMap) -> list[str]:
