@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -33,17 +33,12 @@ from slam.self_calibration.survey import survey
 from slam.self_calibration.surveyed_log import MAX_DETECTIONS, SurveyedLog
 from slam.system import Slam
 
-CAUGHT_UP_RECORDS = 4
-"""Records of the past that a new map is built from while one new record comes: it has caught up a third later."""
-SURVEY_SHARE = 0.25
-"""New scans, as a share of those surveyed, that come while a thread estimates the calibration."""
-
 
 class LiveSlam:
     """Maps a drive, record by record, as :class:`slam.system.Slam` does, and calibrates the robot meanwhile.
 
     Each time twice as many scans have come, what was not given of the calibration is estimated from all of them, while
-    a quarter as many new ones come, and a second map is built by it, a few records of the past with each new one. Once
+    a quarter as many new ones come, and a second map is built by it, four records of the past with each new one. Once
     it has caught up, it takes the place of the first. So nothing depends on the clock, and the same records give the
     same results.
     """
@@ -107,14 +102,14 @@ class LiveSlam:
         if not self._is_estimating:
             return self._slam.process(record)
         self._records.append(record)
-        if self._successor is not None and self._successor.follow(self._records, CAUGHT_UP_RECORDS):
+        if self._successor is not None and self._successor.follow(self._records, 4):
             return self._succeed(self._successor)
         updates = self._slam.process(record)
         if isinstance(record, ObjectDetections):
             self._scans += 1
             self._detections += len(record.positions)
             if self._estimate is not None:
-                if self._scans >= self._surveyed * (1.0 + SURVEY_SHARE):
+                if self._scans >= 1.25 * self._surveyed:
                     self._begin_map(self._estimate)
             elif self._scans >= 2 * self._surveyed and self._successor is None:
                 self._calibrate()
@@ -138,8 +133,10 @@ class LiveSlam:
         self.catch_up()
         return self._slam.finish()
 
-    def save(self, path: str | os.PathLike[str], final: FinalMap) -> None:
+    def save(self, path: str | os.PathLike[str], final: FinalMap, provenance: Mapping[str, str] | None = None) -> None:
         """Write the map of the drive, which ``finish`` returned, for later drives.
+
+        ``provenance``: metadata of the map; by default the settings and the calibration.
 
         Raises:
             LogError: it cannot be written.
@@ -147,9 +144,12 @@ class LiveSlam:
         """
         prior_map = self._prior_map
         if prior_map is not None and not self.fixes:
-            raise SavedMapError(f"the robot was never relocalized in the given map, so {path} would hold two places")
+            raise SavedMapError(
+                f"the robot was never relocalized in the given map, so {path} would hold two unrelated places and was "
+                "not written"
+            )
         drives = None if prior_map is None else prior_map.drives
-        about = settings_of(self._given, self.calibration, prior_map, extend=self._extend)
+        about = provenance or settings_of(self._given, self.calibration, prior_map, extend=self._extend)
         save_map(Path(path), final.object_map, final.graph, about, earlier_drives=drives)
 
     def _build(self, config: Config) -> Slam:

@@ -26,7 +26,7 @@ from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
 from slam.log_mapper import LogMapper
-from slam.object_map.map_io import METADATA, save_map
+from slam.object_map.map_io import METADATA
 from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.initial_pose import InitialPose
@@ -41,22 +41,18 @@ DEFAULTS = Config()
 class ReplaySummary:
     """How a replay went. Times are of this machine and go into no output log.
 
-    ``max_message_latency_s``: longest processing time of one message. ``relocalization_times_s``,
-    ``relocalization_distances_m``: time and travel of each relocalization since the start. ``keyframes_not_saved``:
-    those that only a discontinuity connects to the saved map, which are left out of it. ``tracked_ratio``: share of the
-    odometry messages with a pose in the map when they came. ``trajectory_check``: whether the final trajectory is the
-    best of the drive.
+    ``relocalization_times_s``, ``relocalization_distances_m``: time and travel of each relocalization since the start.
+    ``tracked_ratio``: share of the odometry messages with a pose in the map when they came. ``trajectory_check``:
+    whether the final trajectory is the best of the drive.
     """
 
     counters: dict[str, int]
     log_s: float
     wall_s: float
-    max_message_latency_s: float
     final_status: str
     notes: tuple[str, ...] = ()
     relocalization_times_s: tuple[float, ...] = ()
     relocalization_distances_m: tuple[float, ...] = ()
-    keyframes_not_saved: int = 0
     tracked_ratio: float = 0.0
     trajectory_check: TrajectoryCheck = field(default_factory=TrajectoryCheck)
 
@@ -104,7 +100,7 @@ def replay(
     with LogReader(source, config.reading_limits) as reader:
         _check_drive(reader, source, output)
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
-        clocks = StampClocks(prepared.drift, keeps_delays=online)
+        clocks = StampClocks(prepared.drift)
         slam = LiveSlam(
             prepared.calibration.config.model_copy(update={"calibrate": online and config.calibrate}),
             prior_map,
@@ -125,7 +121,12 @@ def replay(
             if prior_map is None:
                 georeference = find_georeference(final.trajectory, mapper.fixes)
             mapper.log.write_final(final, georeference, prepared.last_ns)
-        unsaved = 0 if map_path is None else _save(Path(map_path), output, slam, final, provenance, prior_map)
+        if map_path is not None:
+            try:
+                slam.save(map_path, final, provenance)
+            except (SavedMapError, UnwritableLogError) as error:
+                error.add_note(f"{output} is complete")
+                raise
     notes = (
         *calibration.notes,
         *([str(prepared.drift)] if prepared.drift.rate else []),
@@ -133,7 +134,7 @@ def replay(
         *_about_the_map(mapper, prior_map, final, config),
         *_about_labels(prepared.labels),
     )
-    return _summarize(mapper, final, notes, unsaved, prepared.last_ns - prepared.first_ns, started)
+    return _summarize(mapper, final, notes, prepared.last_ns - prepared.first_ns, started)
 
 
 def _map(
@@ -158,7 +159,6 @@ def _summarize(
     mapper: LogMapper,
     final: FinalMap,
     notes: tuple[str, ...],
-    keyframes_not_saved: int,
     log_ns: int,
     started: float,
 ) -> ReplaySummary:
@@ -167,12 +167,10 @@ def _summarize(
         counters=dict(final.status.counters),
         log_s=log_ns * 1e-9,
         wall_s=time.perf_counter() - started,
-        max_message_latency_s=max(mapper.seconds, default=0.0),
         final_status=final.status.message,
         notes=notes,
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
-        keyframes_not_saved=keyframes_not_saved,
         tracked_ratio=mapper.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
         trajectory_check=final.trajectory_check,
     )
@@ -185,28 +183,6 @@ def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
             raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
     if METADATA in reader.metadata():
         raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
-
-
-def _save(
-    map_path: Path,
-    output: Path,
-    slam: LiveSlam,
-    final: FinalMap,
-    provenance: dict[str, str],
-    prior_map: PriorMap | None,
-) -> int:
-    """Save the map of a drive; returns how many keyframes only a discontinuity connects to it."""
-    if prior_map is not None and not slam.fixes:
-        raise SavedMapError(
-            f"the robot was never relocalized in the given map, so {map_path} would hold two unrelated places and was "
-            f"not written; {output} is complete"
-        )
-    earlier_drives = None if prior_map is None else prior_map.drives
-    try:
-        return save_map(map_path, final.object_map, final.graph, provenance, earlier_drives=earlier_drives)
-    except (SavedMapError, UnwritableLogError) as error:
-        error.add_note(f"{output} is complete")
-        raise
 
 
 def _about_labels(labels: LabelMap) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,7 +65,7 @@ def live(
     prior_map = None if map_log is None else load_prior_map(map_log)
     counters = Counter[str]()
     with ExitStack() as stack:
-        feed = stack.enter_context(FoxgloveFeed(host, port))
+        feed = stack.enter_context(closing(FoxgloveFeed(host, port)))
         typer.echo(f"Foxglove: ws://{host}:{feed.port}", err=True)
         drive = stack.enter_context(LiveDrive(config, feed.show, prior_map=prior_map, output=output))
         if source == STANDARD_INPUT:

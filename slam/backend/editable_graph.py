@@ -9,10 +9,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from slam.backend.attached_keyframes import AttachedKeyframes
 from slam.backend.batch_solver import BatchSolver
-from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import (
-    PRIOR_SIGMA_RANGES,
     Edge,
     EdgeKind,
     Factor,
@@ -38,7 +37,7 @@ class EditableGraph:
     """
 
     def __init__(self, kernel_width: float, *, sensor_range_m: float) -> None:
-        self.prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
+        self.prior_sigma_m = 1e-3 / 30.0 * sensor_range_m
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
         self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()

@@ -4,29 +4,39 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
+from slam.backend.attached_keyframes import relative_covariances
 from slam.backend.batch_solver import BatchSolver, Optimization
-from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.incremental_solver import IncrementalSolver
+from slam.backend.observation_sums import summed
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 
 logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimates:
+    """Ids of keyframes (K,) and of landmarks (L,), and their positions (K, 3) and (L, 3) m in the map."""
+
+    keyframes: IntArray
+    keyframe_positions: FloatArray
+    landmarks: IntArray
+    landmark_positions: FloatArray
 
 
 class FactorGraph(EditableGraph):
@@ -162,27 +172,33 @@ class FactorGraph(EditableGraph):
         """Attach keyframes to others, as they are at the optimum; the incremental estimate continues from there.
 
         An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
-        observed from it.
+        observed from it, summed up. Of its edges those to keyframes that stay remain, but for closures that found it:
+        the anchor represents these.
         """
-        solver = self.settle()
-        factors = self._factors.values()
-        covariances = relative_covariances(
-            ((self._variable_of(each.landmark), each) for each in factors if isinstance(each, Observation)),
-            [each for each in factors if isinstance(each, Edge)],
-            anchors,
-            sensor_range_m=self._sensor_range_m,
-        )
+        solver, concerned = self.settle(), {*anchors, *anchors.values()}
+        observations, edges = dict[int, Observation](), dict[int, Edge]()
+        for number, factor in self._factors.items():
+            match factor:
+                case Observation() if factor.keyframe in concerned:
+                    observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
+                case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
+                    edges[number] = factor
+        covariances = relative_covariances(observations.values(), anchors, sensor_range_m=self._sensor_range_m)
         self._attached.attach(anchors, covariances, self.pose)
-        gone, edges, moved = condensed_factors(self._factors, anchors, self._attached)
-        for edge in edges:
-            self._add(edge)
-        moved = [replace(each, landmark=self._variable_of(each.landmark)) for each in moved]
-        T_map_body = np.array([self.pose(each.keyframe) for each in moved]).reshape(-1, 4, 4)
-        points = np.array([solver.values().atPoint3(L(each.landmark)) for each in moved]).reshape(-1, 3)
-        self.add_observations(summed_at_estimate(moved, T_map_body, points, self._kernel_width))
-        self._remove(gone)
+        for edge in edges.values():
+            self._add_condensed(edge, anchors)
+        self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
+        self._remove([*observations, *edges])
         self._solver = self._incremental_solver()
         self._solver.restart(solver.values(), solver.factors)
+
+    def _add_condensed(self, edge: Edge, anchors: Mapping[int, int]) -> None:
+        """Add an edge of newly attached keyframes as one of their anchors, if it relates variables that stay."""
+        if edge.to_keyframe in anchors and (edge.from_keyframe in anchors or edge.kind == EdgeKind.LOOP_CLOSURE):
+            return
+        moved = self._attached.edge(edge)
+        if moved.from_keyframe != moved.to_keyframe:
+            self._add(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
         """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
@@ -207,7 +223,17 @@ class FactorGraph(EditableGraph):
         values = gtsam.Values(self._solver.values())
         if isinstance(self._solver, IncrementalSolver):
             values.insert(self._solver.new_values)
-        return read_estimates(values, attached, self.poses(attached)[:, :3, 3])
+        # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
+        numbers = np.array([gtsam.symbolIndex(key) for key in values.keys()], dtype=np.int64)  # noqa: SIM118 - no mapping
+        landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
+        keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
+        count = len(landmark_positions)
+        return Estimates(
+            np.concatenate([numbers[count:], attached]),
+            np.concatenate([keyframe_positions, self.poses(attached)[:, :3, 3]]),
+            numbers[:count],
+            landmark_positions,
+        )
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""

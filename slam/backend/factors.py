@@ -18,12 +18,6 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
 PRIOR_SIGMA_RAD = 1e-4
-# In sensor ranges.
-PRIOR_SIGMA_RANGES = 1e-3 / 30.0
-# In sensor ranges: what is in view is so much nearer than the camera of ``observation_factors`` that rays are parallel.
-CAMERA_RANGES = 1e6
-CAMERA_AXES = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-ORTHONORMAL_TOLERANCE = 1e-6
 CLOSURE_KERNEL_WIDTH = 1.0
 OBSERVATION_KERNEL_WIDTH = 1.5
 """Widths of the Cauchy kernels, in standard deviations."""
@@ -122,10 +116,10 @@ def observation_factors(
 ) -> list[gtsam.NonlinearFactor]:
     """The GTSAM factors of observations: the error is that of the position in the body frame, with its covariance.
 
-    GTSAM has no such factor. A stereo camera that looks up from ``CAMERA_RANGES`` below the body, with that distance as
-    its focal length and its baseline, sees a point (x, y, z) at uL = x, uR = x + z - distance, v = y. (A factor of
-    bearing and range would not do: the tangent plane of its bearing has axes that jump, so that it cannot tell a sure
-    azimuth from an unsure height.)
+    GTSAM has no such factor. A stereo camera that looks up from so far below the body that rays are parallel, with that
+    distance as its focal length and its baseline, sees a point (x, y, z) at uL = x, uR = x + z - distance, v = y. (A
+    factor of bearing and range would not do: the tangent plane of its bearing has axes that jump, so that it cannot
+    tell a sure azimuth from an unsure height.)
     """
     if not observations:
         return []
@@ -138,11 +132,12 @@ def observation_factors(
         what = _name(observations[not_finite[0]])
         raise FactorGraphError(f"{what}: the position {positions[not_finite[0]]} is not finite")
     inflations = np.array([observation.covariance_inflation for observation in observations])
-    noises = inflations[:, None, None] * (CAMERA_AXES @ covariances @ CAMERA_AXES.T)
+    left_right_up = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    noises = inflations[:, None, None] * (left_right_up @ covariances @ left_right_up.T)
     # The width of the kernel is in standard deviations of one observation, before the inflation.
     widths = kernel_width / np.sqrt(inflations)
     kernels = {width: gtsam.noiseModel.mEstimator.Cauchy.Create(width) for width in dict.fromkeys(widths.tolist())}
-    distance_m = CAMERA_RANGES * sensor_range_m
+    distance_m = 1e6 * sensor_range_m
     camera = gtsam.Cal3_S2Stereo(distance_m, distance_m, 0.0, 0.0, 0.0, distance_m)
     T_body_camera = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, -distance_m]))
     scales = distance_m / (distance_m + positions[:, 2])
@@ -162,7 +157,7 @@ def observation_factors(
 def checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
     """A rigid transform (4, 4) as GTSAM's; ``what`` it is goes into the error."""
     R = T[:3, :3]
-    if not np.all(np.isfinite(T)) or np.abs(R @ R.T - np.eye(3)).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(R) < 0:
+    if not np.all(np.isfinite(T)) or np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
         raise FactorGraphError(f"{what}: not a rigid transform: {np.array2string(T, precision=4)}")
     return gtsam.Pose3(T)
 

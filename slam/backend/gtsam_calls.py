@@ -10,9 +10,6 @@ import gtsam
 
 from slam.common.errors import FactorGraphError
 
-OUTLIER_WEIGHT = 0.1
-"""Less weight than that a kernel gives to outliers: 1 in 1000 observations without faults."""
-
 
 @contextmanager
 def gtsam_errors(what: str) -> Iterator[None]:
@@ -42,25 +39,3 @@ def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorG
     for factor in factors:
         graph.add(factor)
     return graph
-
-
-def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
-    """A graph of factors at their optimum ``values``, with kernels at outliers only.
-
-    Kernels weight observations and closures, by about half in the mean where the configured noise is true. These
-    weights are not an estimate of the noise: in covariances all but outliers count with the noise that is configured.
-    """
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.add(_without_kernel(factor, values))
-    return graph
-
-
-def _without_kernel(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:
-    if not isinstance(factor, gtsam.NoiseModelFactor):
-        return factor
-    noise = factor.noiseModel()
-    if not isinstance(noise, gtsam.noiseModel.Robust):
-        return factor
-    plain = factor.cloneWithNewNoiseModel(noise.noise())
-    return plain if noise.weight(plain.whitenedError(values)) >= OUTLIER_WEIGHT else factor

@@ -16,8 +16,6 @@ logger = logging.getLogger(__name__)
 
 RELINEARIZE_RAD = 0.05
 """Rotation that relinearises a pose."""
-RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
-"""Unit of length in which a position changes by as much as a rotation in radians, in sensor ranges."""
 
 
 class IncrementalSolver(Solver):
@@ -25,7 +23,7 @@ class IncrementalSolver(Solver):
 
     def __init__(self, *, sensor_range_m: float) -> None:
         super().__init__()
-        self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
+        self._relinearize_m = RELINEARIZE_RAD * (1.0 / 30.0 * sensor_range_m)
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
         self._poses: dict[int, gtsam.Pose3] = {}  # those queried since the last update
@@ -112,11 +110,10 @@ class IncrementalSolver(Solver):
         return self._poses[keyframe]
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:
-        """An empty one, with thresholds in radians and in units of length that are a fraction of the sensor range."""
-        translation = RELINEARIZE_RAD * self._relinearize_unit_m
+        """An empty one, with thresholds by the sensor range."""
         thresholds = gtsam.ISAM2ThresholdMap()
-        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, translation], 3)))
-        thresholds.insert(("l", np.repeat(translation, 3)))
+        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, self._relinearize_m], 3)))
+        thresholds.insert(("l", np.repeat(self._relinearize_m, 3)))
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(thresholds)
         parameters.setFactorization(factorization)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from slam.backend.factors import Observation
@@ -40,3 +42,16 @@ def sum_observations(
             pairs.tolist(), means, sums / shares[:, None, None], shares.tolist(), strict=True
         )
     ]
+
+
+def summed(observations: Sequence[Observation]) -> list[Observation]:
+    """These observations, those of one landmark from one keyframe as one."""
+    inflations = np.array([each.covariance_inflation for each in observations])
+    covariances = np.array([each.covariance for each in observations]).reshape(-1, 3, 3)
+    return sum_observations(
+        np.array([each.keyframe for each in observations]),
+        np.array([each.landmark for each in observations]),
+        np.array([each.position for each in observations]),
+        inflations[:, None, None] * covariances,
+        inflations,
+    )

@@ -25,12 +25,8 @@ from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
 
-HELD = 0.1
-"""Factor on the standard deviations of roll and pitch that gravity holds."""
 DIFFERENCE = 0.8
-"""Factor on them by which the derivative is taken."""
-CHANCE = 0.01
-"""Probability that a tilt that gravity holds is freed."""
+"""Factor on the standard deviations of roll and pitch by which the derivative is taken."""
 
 
 def hold_tilt(graph: FactorGraph) -> None:
@@ -50,9 +46,10 @@ def hold_tilt(graph: FactorGraph) -> None:
         logger.info("the noise of the tilt stays as it is configured: %s", error)
         graph.replace_covariances(configured)
         return
-    graph.replace_covariances(_scaled(graph, steps, HELD))
+    graph.replace_covariances(_scaled(graph, steps, 0.1))
     held = graph.optimize()
-    if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > CHANCE:
+    # A tilt that gravity holds is freed in one drive of a hundred.
+    if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > 0.01:
         return
     graph.replace_covariances(configured)
     graph.optimize()

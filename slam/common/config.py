@@ -81,7 +81,6 @@ class LabelsConfig(Branch):
     rename: dict[str, _Name] = Field(
         default={}, description="old name = new name; several old ones of one new name become one class"
     )
-    merge: dict[_Name, tuple[str, ...]] = Field(default={}, description="new name = list of old names")
     drop: tuple[str, ...] = Field(default=(), description="classes that are left out, under their old names")
 
 

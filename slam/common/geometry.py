@@ -17,9 +17,7 @@ from slam.common.errors import GeometryError
 
 def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Stack ``rotation`` (..., 3, 3) and ``translation`` (..., 3) into transforms (..., 4, 4)."""
-    is_single = rotation.ndim == 2 and translation.ndim == 1
-    shape = () if is_single else np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
-    T = np.zeros((*shape, 4, 4))
+    T = np.zeros((*np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1]), 4, 4))
     T[..., :3, :3] = rotation
     T[..., :3, 3] = translation
     T[..., 3, 3] = 1.0
@@ -35,8 +33,7 @@ def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> Floa
             [[cosine, -sine, 0.0, x], [sine, cosine, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]],
         )
     c, s = np.cos(yaw), np.sin(yaw)
-    shape = translation.shape[:-1]
-    T = np.zeros((*(shape if yaw.shape == shape else np.broadcast_shapes(yaw.shape, shape)), 4, 4))
+    T = np.zeros((*np.broadcast_shapes(yaw.shape, translation.shape[:-1]), 4, 4))
     T[..., 0, 0] = T[..., 1, 1] = c
     T[..., 0, 1], T[..., 1, 0] = -s, s
     T[..., :3, 3] = translation

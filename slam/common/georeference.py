@@ -16,9 +16,6 @@ from logs.container.json_text import parse_json
 from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
 
-_ITERATIONS = 5
-"""Each brings the point nearer to the ellipsoid by a factor of about 1e-3 at 100 km."""
-
 
 @dataclass(frozen=True, slots=True)
 class Georeference:
@@ -48,7 +45,7 @@ class Georeference:
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         x, y = positions[:, 0], positions[:, 1]
         up, height = np.zeros(len(positions)), np.zeros(len(positions))
-        for _ in range(_ITERATIONS):
+        for _ in range(5):  # each brings the points nearer to the ellipsoid by a factor of about 1e-3 at 100 km
             up -= height
             latitude, longitude, height = enu2geodetic(
                 c * x - s * y, s * x + c * y, up, self.latitude_deg, self.longitude_deg, 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Any
 
 from logs.encoders import definition_of, encode, encode_path
@@ -12,7 +11,7 @@ NAME = "dslam"
 
 
 class FoxgloveFeed:
-    """Publishes records on a WebSocket server, each topic as in an output log; a context manager."""
+    """Publishes records on a WebSocket server, each topic as in an output log, until it is closed."""
 
     def __init__(self, host: str, port: int) -> None:
         """Start the server; ``port`` 0 takes a free one.
@@ -32,12 +31,8 @@ class FoxgloveFeed:
         """The port that the server listens on."""
         return int(self._server.port)
 
-    def __enter__(self) -> FoxgloveFeed:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Stop the server."""
         self._server.stop()
 
     def show(self, topic: str, record: Record, log_time_ns: int) -> None:

@@ -11,9 +11,6 @@ from slam.display.snapshot import MapSnapshot
 MAP_FRAME = "map"
 LANDMARKS, LANDMARK_POINTS, SUBMAP = "/slam/landmarks", "/slam/landmark_points", "/slam/submap"
 PATH, CLOSURES = "/slam/path", "/slam/closure_lines"
-PATH_COLOR = (0.15, 0.45, 1.0, 1.0)
-CLOSURE_COLOR = (0.84, 0.15, 0.79, 0.9)
-SUBMAP_COLOR = (1.0, 1.0, 1.0, 1.0)
 
 Message = tuple[str, Record]
 """Topic and record."""
@@ -23,10 +20,10 @@ def map_messages(snapshot: MapSnapshot) -> list[Message]:
     """Landmarks as points, the submap among them, path and closures."""
     stamp_ns, positions = snapshot.stamp_ns, snapshot.positions
     is_submap = np.isin(snapshot.landmarks, snapshot.submap)
-    white = np.tile(SUBMAP_COLOR, (int(is_submap.sum()), 1))
+    white = np.tile((1.0, 1.0, 1.0, 1.0), (int(is_submap.sum()), 1))
     return [
         (LANDMARK_POINTS, ScenePoints(stamp_ns, MAP_FRAME, positions, class_colors(snapshot.classes))),
         (SUBMAP, ScenePoints(stamp_ns, MAP_FRAME, positions[is_submap], white)),
-        (PATH, SceneLines(stamp_ns, MAP_FRAME, snapshot.path, PATH_COLOR)),
-        (CLOSURES, SceneLines(stamp_ns, MAP_FRAME, tuple(snapshot.closures), CLOSURE_COLOR)),
+        (PATH, SceneLines(stamp_ns, MAP_FRAME, snapshot.path, (0.15, 0.45, 1.0, 1.0))),
+        (CLOSURES, SceneLines(stamp_ns, MAP_FRAME, tuple(snapshot.closures), (0.84, 0.15, 0.79, 0.9))),
     ]

@@ -23,9 +23,6 @@ from slam.common.geometry import adjoint, covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import gravity_frame
 
-MIN_DISTANCE_SHARE = 0.02
-"""A landmark nearer to a place, in lengths of a stretch, has no bearing there; the places beside it observe it."""
-
 
 def stretch_length_m(config: Config) -> float:
     """Travel [m] between two places: half of that of a submap."""
@@ -143,7 +140,8 @@ def _observations(saved: SavedMap, stretch: IntArray, T_map_place: FloatArray, s
     T_place_map = invert(T_map_place[places])
     R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[keyframes, :3, :3]
     positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[landmarks]) + T_place_map[:, :3, 3]
-    is_far = np.linalg.norm(positions, axis=1) > MIN_DISTANCE_SHARE * stretch_m
+    # A landmark nearer to a place has no bearing there; the places beside it observe it.
+    is_far = np.linalg.norm(positions, axis=1) > 0.02 * stretch_m
     covariances = R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2)
     summed = sum_observations(
         places[is_far], landmarks[is_far], positions[is_far], covariances[is_far], np.ones(np.count_nonzero(is_far))

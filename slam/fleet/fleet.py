@@ -18,8 +18,7 @@ from slam.fleet.joins import Join, PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts, session_part
-from slam.fleet.passes import find_passes
-from slam.fleet.presence import REPORTED, Presence, estimate_presence, seen_probabilities
+from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
 from slam.fleet.session_config import common_config
 from slam.fleet.sessions import MAP_NAME, VERSION, Session, content_key, map_sessions, session_folder
 from slam.object_map.map_io import load_map, of_rows

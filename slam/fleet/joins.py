@@ -27,8 +27,6 @@ from slam.scan_localization import ScanLocalizer
 
 MAPS_PER_PLACE = 8
 """Poses of a place that are verified: where many maps overlap, a few of them suffice to join it to all."""
-GAP_RANGES = 10.0
-"""Distance between two maps in the index, in sensor ranges: no place has landmarks of two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +77,8 @@ class PlaceIndex:
         self._first_rows = np.cumsum([0, *map(len, positions)])
         self._sensor_range_m = config.sensor_range_m
         lows_m, highs_m = ([extreme(each[:, 0]) for each in positions] for extreme in (np.min, np.max))
-        widths_m = np.subtract(highs_m, lows_m) + GAP_RANGES * config.sensor_range_m
+        # So far apart that no place has landmarks of two maps.
+        widths_m = np.subtract(highs_m, lows_m) + 10.0 * config.sensor_range_m
         self._x_m = np.cumsum(widths_m) - widths_m - lows_m
         side_by_side = np.concatenate(positions)
         side_by_side[:, 0] += np.repeat(self._x_m, np.diff(self._first_rows))

@@ -21,28 +21,47 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.fleet.passes import Passes
+from slam.fleet.part import Part
 
 NOT_YET, PRESENT, GONE = 0, 1, 2
 REPORTED = 0.5
 """States and changes of at least that probability are reported."""
-FALSE_SIGHTING = 1e-3
-"""Probability that a session has a landmark where none stands any more."""
-REACH_QUANTILE = 0.99
-"""Share of the sightings that are nearer to the path than what is taken to be the reach of the sensors."""
 CELLS = 12
 """Cells of the distance, with equal numbers of sightings."""
 DETECTABILITIES = 0.5 ** np.arange(7)
 """Down to one sighting in 64 passes; what is seen more rarely says nothing."""
 PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
 """Passes and sightings that a cell is assumed to have had before."""
-ITERATIONS = 12
 PERIODS = 32
 """Groups of sessions whose evidence is added up while the hazard is estimated: it needs no finer times."""
-MIN_DAYS = 1.0
-"""Sessions of one day are taken to be that far apart."""
 FIRST_CHANGES = 0.1
 """Changes of a landmark over the time of the fleet that the estimate of the hazard begins with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passes:
+    """Of L landmarks by M sessions: ``seen`` (L, M), and ``distances_m`` (L, M) of the landmarks from the paths."""
+
+    seen: BoolArray
+    distances_m: FloatArray
+
+
+def find_passes(part: Part) -> Passes:
+    """The passes of all sessions of a part, in their order."""
+    landmarks = part.objects.positions[:, :2]
+    visits = [part.visits[number] for number in part.sessions]
+    seen = np.zeros((len(landmarks), len(visits)), dtype=np.bool_)
+    for column, visit in enumerate(visits):
+        seen[visit.landmarks, column] = True
+    return Passes(seen, np.column_stack([_distances_m(landmarks, visit.steps[:, :, :2]) for visit in visits]))
+
+
+def _distances_m(points: FloatArray, steps: FloatArray) -> FloatArray:
+    """Distances (N,) m of points (N, 2) from a path of steps (S, 2, 2)."""
+    ways = steps[:, 1] - steps[:, 0]
+    offsets = points[:, None] - steps[:, 0]
+    along = np.einsum("nsi,si->ns", offsets, ways) / np.maximum(np.einsum("si,si->s", ways, ways), 1e-12)
+    return np.asarray(np.linalg.norm(offsets - along.clip(0.0, 1.0)[..., None] * ways, axis=2).min(axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +111,8 @@ def seen_probabilities(passes: Passes) -> FloatArray:
     seen, distances_m = passes.seen, passes.distances_m
     if not seen.any():
         return np.zeros(seen.shape)
-    passed = distances_m <= np.quantile(distances_m[seen], REACH_QUANTILE)
+    # Farther away than nearly all sightings nothing is in reach of the sensors.
+    passed = distances_m <= np.quantile(distances_m[seen], 0.99)
     limits_m = np.quantile(distances_m[seen & passed], np.arange(1, CELLS) / CELLS)
     cells = np.searchsorted(limits_m, distances_m)
     before = np.cumsum(seen, axis=1) > seen
@@ -115,13 +135,13 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
     """
     stamps_days = np.array(stamps_ns) / 86_400e9
     days = np.diff(stamps_days)
-    span = max(float(days.sum()), MIN_DAYS)
+    span = max(float(days.sum()), 1.0)  # sessions of one day
     hazard = FIRST_CHANGES / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
     begins = np.unique(np.linspace(0, len(stamps_days), PERIODS, endpoint=False).astype(np.int64))
     of_periods = [np.add.reduceat(each, begins, axis=1) for each in _log_ratios(seen, probabilities)]
     between = np.diff(stamps_days[begins])
-    for _ in range(ITERATIONS):
+    for _ in range(12):
         states, shares = _average(of_periods, between, hazard, weights)
         there_days = states[:, :-1, PRESENT] @ between
         hazard = (0.5 * float(_changed(states).sum()) + FIRST_CHANGES) / (float(there_days.sum()) + span)
@@ -131,10 +151,13 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
 
 
 def _log_ratios(seen: BoolArray, probabilities: FloatArray) -> Iterator[FloatArray]:
-    """Log-likelihood ratios (L, M) of there against not there, one array for each detectability."""
+    """Log-likelihood ratios (L, M) of there against not there, one array for each detectability.
+
+    A session has a landmark where none stands any more with a probability of one in a thousand.
+    """
     for detectability in DETECTABILITIES.tolist():
         detected = detectability * probabilities
-        yield np.log(np.where(seen, detected / FALSE_SIGHTING, 1.0 - detected))
+        yield np.log(np.where(seen, detected / 1e-3, 1.0 - detected))
 
 
 def _changed(states: FloatArray) -> FloatArray:

@@ -8,9 +8,6 @@ from collections.abc import Iterable, Mapping
 from slam.common.config import Config
 from slam.provenance import recorded_config
 
-EXACT_SHARE = 0.9
-"""Share of the maps whose landmarks are at least as exact as the common configuration says."""
-
 
 def common_config(maps: Iterable[Mapping[str, str]]) -> Config:
     """The configuration for maps with these metadata, one at least: that of :func:`common_metadata`.
@@ -31,4 +28,4 @@ def common_metadata(maps: Iterable[Mapping[str, str]]) -> Mapping[str, str]:
         SavedMapError: as :func:`slam.provenance.recorded_config`.
     """
     ordered = sorted(maps, key=lambda metadata: recorded_config(metadata).calibration.objects.landmark_sigma_m)
-    return ordered[math.ceil(EXACT_SHARE * (len(ordered) - 1))]
+    return ordered[math.ceil(0.9 * (len(ordered) - 1))]

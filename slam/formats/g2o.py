@@ -12,9 +12,6 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.formats.trajectories import format_numbers, position_and_quaternion, write_lines
 
-TRANSLATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
-"""Rows of a pose covariance (rotation first) in g2o's order (translation first)."""
-
 
 def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord) -> None:
     """Write the graph as g2o: keyframes, the edges between them, landmarks and their observations.
@@ -42,7 +39,7 @@ def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapR
     for keyframe, row in zip(keyframes, position_and_quaternion(graph.T_map_body), strict=True):
         lines.append(f"VERTEX_SE3:QUAT {keyframe} {format_numbers(row)}")
     lines += [f"FIX {keyframe}" for keyframe in keyframes[:1]]
-    order = TRANSLATION_FIRST
+    order = np.array([3, 4, 5, 0, 1, 2])  # ours is rotation first
     information = _invert(graph.edge_covariances, "edge")[:, order[:, None], order][:, *np.triu_indices(6)]
     rows = np.hstack([position_and_quaternion(graph.edge_transforms), information])
     for (start, end), row in zip(graph.edge_keyframe_ids, rows, strict=True):

@@ -30,8 +30,6 @@ from slam.odometry.pose import OdometryPose
 
 FALSE_MATCH_PROBABILITY = 0.1
 """P_F."""
-LEAST_LANDMARKS = 2
-"""Landmarks that must be missed, and new ones that must be seen: a sensor that goes blind sees nothing new."""
 PRIOR_SEEN, PRIOR_MISSED = 8.0, 2.0
 """Beta prior of P_D."""
 RANGE_CELLS, BEARING_CELLS = 6, 8
@@ -138,7 +136,8 @@ class ContinuityMonitor:
         self.kidnapping_probability = float(expit(llrs.max() + self._log_prior))
         missed = ((sides.in_view[0] > 0.5) & (sides.seen[0] == 0.0)).sum(axis=1)
         new = (landmarks.first_seen_m > times_m[:, None]).sum(axis=1)
-        noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= LEAST_LANDMARKS))
+        # A sensor that goes blind misses landmarks, but sees nothing new.
+        noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= 2))
         if len(noticed):
             return float(times_m[noticed[np.argmax(llrs[noticed])]])
         if llrs.max() <= 0.0:  # else it might learn from the kidnapping that landmarks are missed

@@ -12,17 +12,9 @@ from slam.common.arrays import FloatArray
 from slam.common.georeference import Georeference
 from slam.place_recognition.initial_pose import GATE_SIGMAS, InitialPose
 
-RECENT = 50
-"""Latest fixes that are compared with one another."""
-LEAST_FIXES = 5
-HEADINGS = 12
-"""Headings from which a fit begins."""
-LEAST_EXTENT = 3.0
-"""Least extent of a path that determines the heading of the map, in errors of a fix."""
-
 
 class GnssPrior:
-    """Where in a map the robot may be by its fixes. An outlier among them is one that most others contradict.
+    """Where in a map the robot may be by its latest fixes. An outlier among them is one that most others contradict.
 
     Fixes without covariance are not used: they may be off by any distance.
     """
@@ -38,7 +30,7 @@ class GnssPrior:
         geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m]])
         position = self._georeference.to_map(geodetic)[0, :2]
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(fix.covariance[:2, :2])[-1]))
-        self._fixes = [*self._fixes[1 - RECENT :], InitialPose(position, sigma_m, at_travel_m=travel_m)]
+        self._fixes = [*self._fixes[-49:], InitialPose(position, sigma_m, at_travel_m=travel_m)]
         for latest in reversed(self._fixes):
             if 2 * sum(_agree(latest, other) for other in self._fixes) > len(self._fixes):
                 return latest
@@ -58,11 +50,11 @@ def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) ->
 
     Returns:
         The georeference, its origin that of the map; None for fewer than five fixes during the drive, or a path too
-        too short against their errors to determine the heading.
+        short against their errors to determine the heading.
     """
     first, last = (trajectory.stamps_ns[0], trajectory.stamps_ns[-1]) if len(trajectory.stamps_ns) else (0, -1)
     used = [fix for fix in fixes if first <= fix.stamp_ns <= last]
-    if len(used) < LEAST_FIXES:
+    if len(used) < 5:
         return None
     seconds = np.array([(fix.stamp_ns - first) * 1e-9 for fix in used])
     known_s = (trajectory.stamps_ns - first) * 1e-9
@@ -73,7 +65,7 @@ def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) ->
     sigmas = _sigmas(used)
     xy, east_north = path[:, :2] @ [1.0, 1.0j], places[:, :2] @ [1.0, 1.0j]
     turn, shift, error_m = _fit(xy, east_north, sigmas)
-    if np.std(xy) < LEAST_EXTENT * error_m:
+    if np.std(xy) < 3.0 * error_m:
         return None
     height_m = float(np.median(places[:, 2] - path[:, 2]))
     origin = start.to_geodetic(np.array([[shift.real, shift.imag, height_m]]))[0]
@@ -96,7 +88,7 @@ def _fit(xy: np.ndarray, places: np.ndarray, sigmas: FloatArray) -> tuple[comple
         return np.concatenate([off.real, off.imag])
 
     fits = []
-    for yaw_rad in np.linspace(-np.pi, np.pi, HEADINGS, endpoint=False):
+    for yaw_rad in np.linspace(-np.pi, np.pi, 12, endpoint=False):
         off = places - np.exp(1j * yaw_rad) * xy
         fits.append(least_squares(residuals, [yaw_rad, np.median(off.real), np.median(off.imag)], loss="cauchy"))
     yaw_rad, x, y = min(fits, key=lambda fit: fit.cost).x

@@ -12,9 +12,6 @@ from slam.common.errors import SavedMapError
 from slam.common.georeference import Georeference
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 
-MAX_DISTANCE_M = 200_000.0
-"""Of the nearest object from the origin: farther ones count from elsewhere, as those of national grids do."""
-
 
 def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | None = None) -> ImportedMap:
     """The map of objects.
@@ -52,7 +49,8 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
 
 def _check_origin(source: str, positions: FloatArray, origin: Georeference) -> None:
     nearest_m = float(np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf))
-    if MAX_DISTANCE_M < nearest_m < np.inf:
+    # Coordinates that are farther away count from elsewhere, as those of national grids do.
+    if 200_000.0 < nearest_m < np.inf:
         raise SavedMapError(
             f"{source}: the nearest object is {nearest_m / 1000.0:.0f} km from the origin at latitude "
             f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the origin of the coordinates, "

@@ -15,17 +15,14 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.map_io import METADATA, SavedMap, load_map
+from slam.object_map.map_io import IMPORTED, METADATA, SavedMap, load_map
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-from slam.place_recognition.imported_map import KIND, ImportedMap, load_imported_map
+from slam.place_recognition.imported_map import ImportedMap, load_imported_map
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M, SEGMENT, TRAVEL_M, ImportedPlaces, is_flat
 
 PriorMap = SavedMap | ImportedMap
 """A map that drives made, or a landmark-only map without a trajectory."""
-
-STAMP_NS = -1
-"""The clocks of the drives are unrelated."""
 
 
 def load_prior_map(path: str | os.PathLike[str]) -> PriorMap:
@@ -36,7 +33,7 @@ def load_prior_map(path: str | os.PathLike[str]) -> PriorMap:
         SavedMapError: a log that is no map, of another format version, damaged, empty, or inconsistent.
     """
     with LogReader(path) as reader:
-        is_imported = reader.metadata().get(METADATA, {}).get("kind") == KIND
+        is_imported = reader.metadata().get(METADATA, {}).get("kind") == IMPORTED
     return load_imported_map(path) if is_imported else load_map(path)
 
 
@@ -110,7 +107,8 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
 
 
 def _prior_pose(T_map_body: FloatArray) -> OdometryPose:
-    return OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf)
+    # The clocks of the drives are unrelated.
+    return OdometryPose(-1, T_map_body, TRAVEL_M, SEGMENT, np.inf)
 
 
 def relocalizations(

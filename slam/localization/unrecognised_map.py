@@ -17,15 +17,10 @@ from slam.localization.prior_map import PriorMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
 
-MOST_LANDMARKS = 60
-FEWEST_LANDMARKS = 4
+MIN_LANDMARKS = 4
 """Fewer do not distinguish places."""
-FEWEST_MET = 8
-PLACES = 5
-FAR_M = 1000.0
-"""Farther from all objects of a map no robot is that sees them."""
-NAMED = 5
-"""Classes that are listed."""
+MIN_MET = 8
+"""Landmarks that meet an object by which a mirror image is told from chance."""
 
 MIRRORED = "the map is mirrored: the landmarks fit with x and y exchanged; import it with these columns swapped"
 
@@ -47,7 +42,7 @@ def why_not_recognised(
         fixes: of satellites.
     """
     far_m = _distance_of_fixes(known, fixes)
-    if far_m > FAR_M:
+    if far_m > 1000.0:  # farther than any sensor reaches
         return (
             f"the fixes of the log are {far_m / 1000.0:.0f} km from the nearest object, so the map is of another place"
         )
@@ -59,7 +54,7 @@ def why_not_recognised(
             "[labels]"
         )
     shared = sum(objects.labels[row] in theirs for row in rows)
-    if shared < FEWEST_LANDMARKS:
+    if shared < MIN_LANDMARKS:
         return f"{shared} landmarks of a class of the map were seen, too few for a relocalization; drive farther"
     if not isinstance(known, ImportedMap):
         return f"no place of the map fits the {shared} landmarks: the map is of another place, or is outdated"
@@ -81,17 +76,17 @@ def why_doubtful(known: PriorMap, objects: ObjectMapRecord, trajectory: Trajecto
     if not isinstance(known, ImportedMap):
         return ""
     seen = _nearest_landmarks(known, objects, trajectory, sigma_m)
-    return MIRRORED if len(seen) >= FEWEST_MET and _fit(known, seen)[1] else ""
+    return MIRRORED if len(seen) >= MIN_MET and _fit(known, seen)[1] else ""
 
 
 def _fit(known: ImportedMap, seen: Submap) -> tuple[int, bool]:
     """How many landmarks meet an object of their class, and whether most meet one once x and y change places."""
     search = known.search()
     met, swapped = (
-        max(search.count_met(each, search.find_poses(each, count=PLACES)).tolist(), default=0)
+        max(search.count_met(each, search.find_poses(each, count=5)).tolist(), default=0)
         for each in (seen, replace(seen, positions=seen.positions[:, [1, 0, 2]]))
     )
-    return met, swapped >= max(FEWEST_MET, len(seen) // 2, 2 * met)
+    return met, swapped >= max(MIN_MET, len(seen) // 2, 2 * met)
 
 
 def _own_rows(objects: ObjectMapRecord, trajectory: TrajectoryRecord) -> list[int]:
@@ -111,7 +106,7 @@ def _nearest_landmarks(
     number_of = {name: number for number, name in enumerate(known.vocabulary)}
     rows = [row for row in _own_rows(objects, trajectory) if objects.labels[row] in number_of]
     positions = objects.positions[rows] - trajectory.T_map_body[:1, :3, 3]
-    nearest = np.argsort(np.linalg.norm(positions[:, :2], axis=1), kind="stable")[:MOST_LANDMARKS]
+    nearest = np.argsort(np.linalg.norm(positions[:, :2], axis=1), kind="stable")[:60]
     labels = np.array([number_of[objects.labels[row]] for row in rows], dtype=np.int64)
     sigmas = np.full(len(nearest), np.hypot(sigma_m, known.sigma_m))
     return Submap(positions[nearest], sigmas, labels[nearest], nearest)
@@ -135,4 +130,4 @@ def _distance_of_fixes(known: PriorMap, fixes: Sequence[GeodeticFix]) -> float:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} others" if len(names) > NAMED else "")
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} others" if len(names) > 5 else "")

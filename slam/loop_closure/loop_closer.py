@@ -34,7 +34,7 @@ from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.parameters import MIN_INLIERS
+from slam.registration.registration import MIN_INLIERS
 
 logger = logging.getLogger(__name__)
 

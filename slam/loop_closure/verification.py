@@ -12,8 +12,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert
-from slam.localization.map_area import MapArea
-from slam.localization.pose_prior import PosePrior, failure_probability
+from slam.localization.pose_prior import MapArea, PosePrior, failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD, odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
@@ -23,9 +22,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.estimate import Registration
-from slam.registration.parameters import RegistrationConfig, registration_config
-from slam.registration.registration import refine
+from slam.registration.registration import Registration, RegistrationConfig, refine, registration_config
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""

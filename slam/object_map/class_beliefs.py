@@ -34,9 +34,7 @@ class ClassBeliefs:
             if label not in self._label_index:
                 self._add_class(label)
         if len(self._label_index) > self._label_counts.shape[1]:
-            wider = np.zeros((len(self._label_counts), 2 * len(self._label_index)))
-            wider[:, : self._label_counts.shape[1]] = self._label_counts
-            self._label_counts = wider
+            self.reserve(classes=2 * len(self._label_index))
         other = self._label_index.get(OTHER_CLASS, 0)
         indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
         if self._config.max_classes > 1:
@@ -50,16 +48,11 @@ class ClassBeliefs:
         else:
             self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
 
-    def reserve(self, rows: int) -> None:
-        """Make room for so many landmarks."""
-        if rows > len(self._label_counts):
-            counts = np.zeros((rows, self._label_counts.shape[1]))
-            counts[: len(self._label_counts)] = self._label_counts
-            self._label_counts = counts
-
-    def begin(self, rows: IntArray, labels: IntArray) -> None:
-        """Give new landmarks (N,) their first labels (N,)."""
-        self._label_counts[rows, labels] = 1.0
+    def reserve(self, *, rows: int = 0, classes: int = 0) -> None:
+        """Make room for so many landmarks and classes at least."""
+        counts = self._label_counts
+        self._label_counts = np.zeros((max(rows, counts.shape[0]), max(classes, counts.shape[1])))
+        self._label_counts[: counts.shape[0], : counts.shape[1]] = counts
 
     def count(self, rows: IntArray, labels: IntArray) -> None:
         """Count one more label (N,) of each of different landmarks (N,)."""

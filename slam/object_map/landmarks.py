@@ -157,7 +157,7 @@ class ObjectMap:
         landmarks["position_local"][new] = positions_local
         landmarks["first_position_local"][new] = positions_local
         landmarks["covariance_local"][new] = landmarks["sum_c"][new] = covariances_local
-        self._beliefs.begin(new, labels)
+        self._beliefs.count(new, labels)
         return new
 
     def restore(self, saved: ObjectMapRecord, *, travel_m: float, relative_sigma_m: float = 0.0) -> IntArray:
@@ -315,4 +315,4 @@ class ObjectMap:
         rows = np.zeros(capacity, dtype=LANDMARK)
         rows[: self._size] = self._rows[: self._size]
         self._rows = rows
-        self._beliefs.reserve(capacity)
+        self._beliefs.reserve(rows=capacity)

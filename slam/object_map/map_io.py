@@ -34,10 +34,9 @@ FORMAT_VERSION = "1"
 METADATA = "dslam_map"
 OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
 POINTS_TOPIC = "/map/landmark_points"
-GRAVITY = "z of the frame map points up"
 IMPORTED = "imported"
 """``kind`` in the metadata of a map without a trajectory."""
-_OF_THE_FILE = ("format_version", "gravity", "drives")
+_OF_THE_FILE = ("format_version", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 
@@ -77,7 +76,7 @@ def save_map(
     provenance: Mapping[str, str],
     *,
     earlier_drives: Sequence[Mapping[str, str]] | None = None,
-) -> int:
+) -> None:
     """Write a map log: NAME.part first, which is renamed when it is complete.
 
     Args:
@@ -87,9 +86,6 @@ def save_map(
             ties to the rest, which lies anywhere, with what only it saw.
         provenance: version, configuration and input of the drive.
         earlier_drives: those of the map that the drive extended.
-
-    Returns:
-        How many keyframes were left out.
 
     Raises:
         LogError: it cannot be written.
@@ -111,7 +107,7 @@ def save_map(
             len(adrift),
         )
     drives = [*(earlier_drives or ()), _drive(provenance)]
-    about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
+    about = {"format_version": FORMAT_VERSION, **provenance, "drives": json.dumps(drives)}
     with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
@@ -119,7 +115,6 @@ def save_map(
         writer.write(MARKERS_TOPIC, make_markers(kept))
         points = ScenePoints(kept.stamp_ns, kept.frame_id, kept.positions, class_colors(kept.classes))
         writer.write(POINTS_TOPIC, points)
-    return int(np.count_nonzero(~is_tied))
 
 
 def make_markers(objects: ObjectMapRecord) -> SceneMarkers:
@@ -165,8 +160,6 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
             raise SavedMapError(
                 f"{path} is a map of format version {version}, this program reads {FORMAT_VERSION}; {MAKE_IT}"
             )
-        if metadata.get("gravity") != GRAVITY:
-            raise SavedMapError(f"{path} does not hold the direction of gravity; {MAKE_IT}")
         wanted = Selection({OBJECTS_TOPIC: (RecordKind.OBJECT_MAP,), GRAPH_TOPIC: (RecordKind.FACTOR_GRAPH,)})
         try:
             records = [entry.record for entry in reader.records(wanted)]

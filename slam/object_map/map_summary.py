@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.container.json_text import parse_json
 from slam.backend.edge_kind import EdgeKind
 from slam.object_map.map_io import SavedMap, are_of_kind
 
@@ -18,8 +17,7 @@ def summarize_map(saved: SavedMap) -> dict[str, Any]:
     ``classes``: the most frequent first; ``median_sigma_m``: of the standard deviations in the plane, a coordinate;
     ``closure_count``: factors of loop closures, those between drives included; ``width_m``, ``height_m``: extent of the
     landmarks along x and y of the map; ``path_m``: what the drives went, as far as it is in the map; ``drives``: inputs
-    and versions, the first one first; ``descriptor``: that of the last drive's configuration, empty if it is not known;
-    ``stamp_ns``: when the last drive ended, on its own clock.
+    and versions, the first one first; ``stamp_ns``: when the last drive ended, on its own clock.
     """
     objects, graph = saved.objects, saved.graph
     sigmas_m = np.sqrt(np.trace(objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
@@ -28,27 +26,15 @@ def summarize_map(saved: SavedMap) -> dict[str, Any]:
     is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     width_m, height_m = np.ptp(objects.positions[:, :2], axis=0).tolist()
     return {
-        "format_version": saved.metadata.get("format_version", ""),
-        "gravity": saved.metadata.get("gravity", ""),
         "landmark_count": len(objects.ids),
         "median_sigma_m": float(np.median(sigmas_m)),
         "classes": classes.sort_values("landmark_count", ascending=False, kind="stable").to_dict("records"),
-        "vocabulary_size": len(objects.vocabulary),
         "keyframe_count": len(graph.keyframe_ids),
-        "odometry_edge_count": int(np.count_nonzero(is_driven)),
         "closure_count": int(np.count_nonzero(are_of_kind(graph, EdgeKind.LOOP_CLOSURE))),
         "observation_count": len(graph.observation_landmark_ids),
         "width_m": width_m,
         "height_m": height_m,
         "path_m": float(np.linalg.norm(graph.edge_transforms[is_driven, :3, 3], axis=1).sum()),
         "drives": [dict(drive) for drive in saved.drives],
-        "descriptor": _descriptor(saved.metadata.get("configuration", "")),
         "stamp_ns": objects.stamp_ns,
     }
-
-
-def _descriptor(configuration: str) -> str:
-    try:
-        return str(parse_json(configuration)["loop_closure"]["descriptor"])
-    except (ValueError, KeyError, TypeError):
-        return ""

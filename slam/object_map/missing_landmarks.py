@@ -15,8 +15,6 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import gravity_frame
 from slam.odometry.keyframe import Keyframe
 
-MIN_CLOSURES = 6
-"""A landmark that was passed at that many closures and matched at none is missing."""
 PASSED_RANGES = 0.5
 """All objects so near to the path of the robot, in sensor ranges, have been seen when it has driven on for as long."""
 
@@ -55,8 +53,8 @@ class MissingLandmarks:
         self._passed.update(rows[np.isfinite(apart_m)].tolist())
 
     def rows(self) -> IntArray:
-        """Rows (K,) of the missing landmarks."""
-        missing = [row for row, count in self._passed.items() if count >= MIN_CLOSURES and row not in self._matched]
+        """Rows (K,) of the missing landmarks: passed at six closures, and matched at none."""
+        missing = [row for row, count in self._passed.items() if count >= 6 and row not in self._matched]
         return np.array(sorted(missing), dtype=np.int64)
 
     def _path_before(self, last: Keyframe) -> FloatArray:

@@ -19,8 +19,6 @@ from slam.odometry.keyframe import Keyframe
 
 # A traversal reaches that far before and after a place, in multiples of the least travel between two traversals.
 TRAVERSAL_EXTENT = 1.1
-# Seen once only, a landmark is rather a false detection.
-MIN_OBSERVATIONS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +71,7 @@ def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, ca
     """
     landmarks = object_map.rows
     rows = _recent_rows(object_map, keyframe, calibration)
-    rows = rows[object_map.may_exist(rows) & (landmarks["observations"][rows] >= MIN_OBSERVATIONS)]
+    rows = rows[object_map.may_exist(rows) & (landmarks["observations"][rows] >= 2)]
     decided = (landmarks["segment"] == keyframe.odometry.segment) & (landmarks["state"] != LandmarkState.TENTATIVE)
     as_often = landmarks["observations"][decided] >= landmarks["observations"][rows][:, None]
     is_confirmed = landmarks["state"][decided] == LandmarkState.CONFIRMED

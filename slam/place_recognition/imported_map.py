@@ -25,15 +25,10 @@ from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError, SlamError
 from slam.common.georeference import Georeference
-from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC
+from slam.object_map.map_io import FORMAT_VERSION, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC
 from slam.place_recognition.place_search import PlaceSearch
 
-KIND = IMPORTED
 MAKE_IT = "import it again by 'dslam import'"
-MIN_SPACING_M = 0.01
-"""Median distance to the nearest neighbour below which positions cannot be metres."""
-MAX_EXTENT_M = 1e6
-"""Extent above which they cannot be either, nor the plane of one map."""
 _CHECKED = ("positions", "classes", "ids")
 _OF_PAIRS = ("words", "ends", "lengths", "classes")
 _LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "pair_words": ("u", 2), "pair_ends": ("u", 2),
@@ -146,8 +141,7 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
     about = {
         **imported.metadata,
         "format_version": FORMAT_VERSION,
-        "gravity": GRAVITY,
-        "kind": KIND,
+        "kind": IMPORTED,
         "vocabulary": json.dumps(imported.vocabulary),
         "grid": json.dumps({"sigma_m": imported.sigma_m, "unit_m": imported.pairs.unit_m}),
     }
@@ -174,7 +168,7 @@ def load_imported_map(path: str | os.PathLike[str]) -> ImportedMap:
     """
     with LogReader(path) as reader:
         about = reader.metadata().get(METADATA, {})
-        if about.get("kind") != KIND or about.get("format_version") != FORMAT_VERSION:
+        if about.get("kind") != IMPORTED or about.get("format_version") != FORMAT_VERSION:
             raise SavedMapError(f"{path} is not an imported map of format version {FORMAT_VERSION}; {MAKE_IT}")
     try:
         return _assembled(about, read_arrays(Path(path), checked=_CHECKED))
@@ -223,9 +217,9 @@ def _check_positions(positions: FloatArray) -> None:
     plane = positions[:, :2]
     extent_m = float(np.ptp(plane, axis=0).max())
     spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
-    if extent_m > MAX_EXTENT_M:
+    if extent_m > 1e6:
         raise SavedMapError(f"the objects extend over {extent_m / 1000.0:.0f} km, too much for a plane; crop the map")
-    if spacing_m < MIN_SPACING_M and np.abs(plane).max() <= 180.0:
+    if spacing_m < 0.01 and np.abs(plane).max() <= 180.0:
         raise SavedMapError(
             f"the objects are {spacing_m:.2g} m apart; name the columns lat and lon if these are degrees, else remove "
             "repeated objects"

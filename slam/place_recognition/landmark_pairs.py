@@ -17,12 +17,6 @@ from slam.common.config import Config
 
 DESCRIPTOR_RANGE_M = 30.0
 """Sensor range for which vectors of constellations are made: their rings and radii are lengths of their own."""
-ADDED_AT_ONCE = 50_000
-"""Constellations that are in memory at the same time."""
-MAX_MATCHES = 1000
-"""Matches of single objects that make pairs, the nearest: half a million pairs."""
-SPACING_FACTOR = 1.25
-"""If the spacing of the landmarks has changed by that factor since their pairs were indexed, they are indexed again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,14 +41,14 @@ class LearnedPairs:
         self._batches = list[Batch]()
 
     def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
-        """Add landmarks."""
+        """Add landmarks; all are indexed again if their spacing has changed by a quarter since they were."""
         del vocabulary  # classes are compared by their numbers
         self._batches.append(batch)
         is_first = len(self._batches) == 1
         unit_m = spacing_m(
             batch.positions if is_first else np.concatenate([each.positions[each.centres] for each in self._batches])
         )
-        if self._index.unit_m is None or abs(np.log(unit_m / self._index.unit_m)) > np.log(SPACING_FACTOR):
+        if self._index.unit_m is None or abs(np.log(unit_m / self._index.unit_m)) > np.log(1.25):
             self._index = self._index.emptied(unit_m)
             for each in self._batches:
                 self._enter(each)
@@ -83,19 +77,17 @@ class VectorPairs:
     def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
         """Add landmarks."""
         self._vocabulary = vocabulary
-        for start in range(0, len(batch.centres), ADDED_AT_ONCE):
-            centres = batch.centres[start : start + ADDED_AT_ONCE]
-            self._index.add(self._constellations(batch.positions, batch.labels, centres))
+        self._index.add(self._constellations(batch.positions, batch.labels, batch.centres))
         self._plane = np.concatenate([self._plane, batch.positions[batch.centres, :2]])
         self._segments = np.concatenate([self._segments, np.full(len(batch.centres), batch.segment)])
 
     def search(
         self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
     ) -> PairMatches:
-        """Pairs of matches of single objects whose lengths agree."""
+        """Pairs of the thousand nearest matches of single objects, where their lengths agree."""
         allowed = np.ones(len(self._plane), dtype=np.bool_) if allowed is None else allowed
         matches = self._index.search(self._constellations(positions, labels), self._top_k, allowed)
-        nearest = np.argsort(matches.distances, kind="stable")[:MAX_MATCHES]
+        nearest = np.argsort(matches.distances, kind="stable")[:1000]
         queries, entries = matches.queries[nearest], matches.entries[nearest]
         tolerance_m = length_tolerances(np.asarray(np.median(sigmas_m)))
         lengths_m = pdist(positions[queries, :2])

@@ -29,24 +29,6 @@ ROUNDS = 3
 """Of association and least squares with the noise of a voted pose, and as many with that of a fitted one. After one of
 each, right poses 2 m off are not yet better than others.
 """
-VOTE_SIGMAS = 1.8
-"""Two poses of a right match differ by that many standard deviations of a coordinate over the length of a pair."""
-MIN_VOTE_NATS = 0.1
-"""Every match has a vote, also an unlikely one: many of them agree only at the right place."""
-MATCH_ODDS = 3.0
-"""Of an object of a query to be one of the map: three of four are, the others are missing there or clutter."""
-REACH_SIGMAS = 3.5
-"""Farther apart no two observations of one object are: 2 in 1000 pairs, in the plane."""
-VOTED_POSE = 0.5
-"""Variance of the place of a voted pose, by that of a coordinate of an object: a pair has two objects."""
-FITTED_POSE = 0.4
-"""The same of a pose that is fitted to several objects."""
-MIN_FITTED = 3
-"""A pose is fitted to so many objects at least; two always fit."""
-CLASS_PITCH_SPACINGS = 1e6
-"""Objects of different classes are that far apart on a third axis: farther than any map is wide."""
-SCORE_DECIMALS = 6
-"""Of log-likelihood ratios that are compared: what differs less is rounding."""
 SAME_TURN_RAD = 0.2
 """Poses that differ by less than that, and by less than half a spacing, are one."""
 
@@ -99,7 +81,8 @@ class PlaceSearch:
         self._plane = plane[:, 0] + 1j * plane[:, 1]
         numbers = np.asarray(labels, dtype=np.int64)
         self._spacing_m = max(spacing_m(plane), float(np.finfo(np.float32).eps))
-        self._pitch_m = CLASS_PITCH_SPACINGS * self._spacing_m
+        # On a third axis objects of different classes are farther apart than any map is wide.
+        self._pitch_m = 1e6 * self._spacing_m
         self._tree = cKDTree(np.column_stack([plane, self._pitch_m * numbers]))
         shares = np.maximum(np.bincount(numbers, minlength=class_count), 1) / max(len(numbers), 1)
         self._densities = DENSITY / self._spacing_m**2 * shares
@@ -138,14 +121,16 @@ class PlaceSearch:
         matches = self._pairs.search(positions, labels, sigmas_m=sigmas_m, allowed=allowed)
         if not len(matches.nats):
             return np.zeros((0, 4, 4))
+        # Every match has a vote, also an unlikely one: many of them agree only at the right place. Two poses of a right
+        # match differ by 1.8 standard deviations of a coordinate over the length of a pair.
         rows, ends = np.unique(matches.entries, return_inverse=True)
         T_voted = vote_for_poses(
             positions,
             self._positions[rows].astype(np.float64),
             matches.queries,
             ends.reshape(-1, 2),
-            np.maximum(matches.nats, MIN_VOTE_NATS),
-            tolerance_m=VOTE_SIGMAS * float(np.median(sigmas_m)),
+            np.maximum(matches.nats, 0.1),
+            tolerance_m=1.8 * float(np.median(sigmas_m)),
             count=max(count, COMPARED),
         )
         placed = _query(positions, labels, sigmas_m)
@@ -169,8 +154,9 @@ class PlaceSearch:
         placed = poses.middles[:, None] + poses.turns[:, None] * query.objects
         classes = np.broadcast_to(self._pitch_m * query.labels, placed.shape)
         asked = np.stack([placed.real, placed.imag, classes], axis=-1).reshape(-1, 3)
-        # No farther than the next object of the map, or chance would draw the fit.
-        reach_m = np.minimum(REACH_SIGMAS * sigmas_m, self._spacing_m)
+        # Of 1000 pairs of observations of one object 2 are farther apart in the plane than 3.5 standard deviations. No
+        # farther than the next object of the map, or chance would draw the fit.
+        reach_m = np.minimum(3.5 * sigmas_m, self._spacing_m)
         found = self._tree.query(asked, distance_upper_bound=float(reach_m.max()))
         apart_m, rows = (np.reshape(each, placed.shape) for each in found)
         is_met = apart_m <= reach_m
@@ -180,7 +166,7 @@ class PlaceSearch:
         """The poses by weighted least squares over what the query meets there; those that meet little as they are."""
         apart_m, met = self._met(poses, query, sigmas_m)
         weights = np.where(np.isfinite(apart_m), 1.0 / sigmas_m**2, 0.0)
-        has_enough = (weights > 0.0).sum(axis=1) >= MIN_FITTED
+        has_enough = (weights > 0.0).sum(axis=1) >= 3  # two always fit
         weights[~has_enough] = 1.0
         weights /= weights.sum(axis=1, keepdims=True)
         mean_query, mean_met = weights @ query.objects, (weights * met).sum(axis=1)
@@ -190,11 +176,14 @@ class PlaceSearch:
         return _Poses(np.where(has_enough, mean_met - turns * mean_query, poses.middles), turns)
 
     def _log_likelihood_ratios(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> FloatArray:
-        """Of the objects of a query being those of the map at each pose, against any others, up to a constant: (H,)."""
+        """Of the objects of a query being those of the map at each pose, against any others, up to a constant: (H,).
+
+        Three of four are, the others are missing in the map or clutter.
+        """
         apart_m, _ = self._met(poses, query, sigmas_m)
         variance = sigmas_m**2
         density = np.exp(-0.5 * apart_m**2 / variance) / (2.0 * np.pi * variance)
-        return np.asarray(np.log1p(MATCH_ODDS * density / self._densities[query.labels]).sum(axis=1))
+        return np.asarray(np.log1p(3.0 * density / self._densities[query.labels]).sum(axis=1))
 
     def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
         """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""
@@ -210,8 +199,11 @@ class PlaceSearch:
 
 
 def _likeliest(scores: FloatArray) -> IntArray:
-    """Rows of poses in the order of their scores (H,), of equal ones in the given order, that of their votes."""
-    return np.argsort(-np.round(scores, SCORE_DECIMALS), kind="stable")
+    """Rows of poses in the order of their scores (H,), of equal ones in the given order, that of their votes.
+
+    What differs in the seventh decimal is rounding.
+    """
+    return np.argsort(-np.round(scores, 6), kind="stable")
 
 
 def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Query:
@@ -219,8 +211,9 @@ def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Qu
     middle = complex(plane.mean())
     from_middle = np.abs(plane - middle)
     radius_m = max(float(np.sqrt(np.mean(from_middle**2))), float(np.finfo(np.float64).tiny))
-    # The heading of a voted pose moves objects the more, the farther from the middle they are.
+    # The place of a voted pose is the mean of two objects, that of a fitted one of several; the heading of a voted pose
+    # moves objects the more, the farther from the middle they are.
     sigma_m = np.median(sigmas_m)
-    voted = np.sqrt(sigmas_m**2 + sigma_m**2 * (VOTED_POSE + 2.0 * (from_middle / radius_m) ** 2))
-    fitted = np.sqrt(sigmas_m**2 + FITTED_POSE * sigma_m**2)
+    voted = np.sqrt(sigmas_m**2 + sigma_m**2 * (0.5 + 2.0 * (from_middle / radius_m) ** 2))
+    fitted = np.sqrt(sigmas_m**2 + 0.4 * sigma_m**2)
     return _Query(middle, plane - middle, labels, voted, fitted)

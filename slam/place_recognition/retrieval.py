@@ -1,6 +1,6 @@
 """Retrieval: candidate places of a query submap among the landmarks that the robot has left behind.
 
-Inactive landmarks are indexed by what is around them (:mod:`slam.place_recognition.landmark_index`). A map that is
+Inactive landmarks are indexed by what is around them (:mod:`slam.place_recognition.retrieval`). A map that is
 imported has an index of its own, which is made once.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from descriptors.descriptellation_lr.pair_index import PairIndex
+from descriptors.descriptellation_lr.pairs import spacing_m
 from descriptors.registry import shipped_likelihood
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
@@ -18,19 +19,16 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
-from slam.place_recognition.landmark_index import LandmarkIndex
-from slam.place_recognition.landmark_pairs import Batch
+from slam.place_recognition.landmark_pairs import Batch, make_landmark_pairs
 from slam.place_recognition.place import Place
 from slam.place_recognition.place_search import PlaceSearch
 
 INACTIVE_RANGES = 2.0
 """A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""
-# Radius of a reference submap, in sensor ranges.
-PLACE_RADIUS_RANGES = 90.0 / 30.0
+PLACE_RADIUS_RANGES = 3.0
+"""Radius of a reference submap, in sensor ranges."""
 INDEXED_TRAVERSALS = 4
 """So many traversals of a place are in the index; what more there are would be found no sooner."""
-# Least travel between two updates of the index, in sensor ranges.
-INDEX_EVERY_RANGES = 10.0 / 30.0
 
 
 class PlaceRetriever:
@@ -51,7 +49,7 @@ class PlaceRetriever:
     def index_inactive_landmarks(self, pose: OdometryPose) -> None:
         """Add the landmarks that the robot has left behind, and those of earlier segments, to the index."""
         travel_m, begins = pose.travel_m, pose.segment != self._indexed_segment
-        if travel_m - self._indexed_m < INDEX_EVERY_RANGES * self._sensor_range_m and not begins:
+        if travel_m - self._indexed_m < self._sensor_range_m / 3.0 and not begins:
             return
         self._indexed_m, self._indexed_segment = travel_m, pose.segment
         landmarks = self._map.rows
@@ -163,3 +161,60 @@ class PlaceRetriever:
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
         return placed_submap(self._map, rows, centre, self._calibration)
+
+
+class LandmarkIndex:
+    """Entries are landmarks, numbered in the order in which they were added."""
+
+    def __init__(self, config: Config) -> None:
+        self._pairs = make_landmark_pairs(config)
+        self._search: PlaceSearch | None = None
+        self._positions, self._segments = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        self._labels = np.zeros(0, dtype=np.int64)
+        self._shifts_m, self._pitch_m = {0: 0.0}, 1.0
+
+    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+        """Add landmarks."""
+        new = batch.centres
+        self._positions = np.concatenate([self._positions, batch.positions[new]])
+        self._labels = np.concatenate([self._labels, batch.labels[new]])
+        self._segments = np.concatenate([self._segments, np.full(len(new), batch.segment)])
+        self._pairs.add(batch, vocabulary)
+        self._search = None
+
+    def propose(self, query: Submap, allowed: BoolArray, count: int) -> list[tuple[FloatArray, int, IntArray]]:
+        """At most ``count`` poses (4, 4) of a query, the likeliest first, each with its segment and the entries (K,) of
+        that around it that are ``allowed`` (M,).
+        """
+        if not len(query) or not allowed.any():
+            return []
+        if self._search is None:
+            self._search = self._side_by_side()
+        poses = self._search.find_poses(query, count=count, allowed=allowed)
+        middle = np.append(query.positions.mean(axis=0), 1.0)
+        radius_m = float(np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max())
+        slots = dict(enumerate(self._shifts_m))
+        places = []
+        for T in poses:
+            segment = slots.get(int((T @ middle)[0] // self._pitch_m))
+            if segment is None:
+                continue
+            T[0, 3] -= self._shifts_m[segment]
+            offsets = self._positions[:, :2] - (T @ middle)[:2]
+            near = np.flatnonzero(allowed & (self._segments == segment) & (np.hypot(*offsets.T) <= radius_m))
+            if len(near):
+                places.append((T, segment, near))
+        return places
+
+    def _side_by_side(self) -> PlaceSearch:
+        """All landmarks in one map, those of each segment of the odometry apart from the others, along x."""
+        segments = np.unique(self._segments).tolist()
+        xs_m = [self._positions[self._segments == segment, 0] for segment in segments]
+        self._pitch_m = 2.0 * max(float(np.ptp(x_m)) for x_m in xs_m) + 1e3 * spacing_m(self._positions)
+        self._shifts_m = {
+            segment: (slot + 0.25) * self._pitch_m - float(x_m.min())
+            for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
+        }
+        placed = self._positions.copy()
+        placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(self._segments)
+        return PlaceSearch(self._pairs, placed, self._labels, int(self._labels.max()) + 1)

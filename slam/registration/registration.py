@@ -1,20 +1,62 @@
 """Registration of two constellations of objects from an approximate pose.
 
-The input is positions, their noise and labels; neither map nor graph.
+The input is positions, their noise and labels; neither map nor graph. Association by a gate and weighted least squares
+alternate; then the inliers are assigned one to one. The motion is yaw and translation, because both frames have z up.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, yaw_rad
-from slam.registration.estimate import Registration, estimate, not_found
-from slam.registration.parameters import RegistrationConfig
-from slam.registration.refinement import LevelPose, Pairs, refine_pose
+from slam.common.arrays import ComplexArray, FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.geometry import adjoint, apply, make_transform, yaw_rad
 
-REACH_RADII = 2.0
-"""Objects that are so many search radii, or gates, apart are not matched in a refinement."""
+MIN_INLIERS = 3
+"""Fewest pairs of objects that support a pose, unless the query has fewer."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationConfig:
+    """Registration of one constellation of objects with another.
+
+    ``height_sigma_m``: additional noise of heights, for example of partly visible objects; ``search_radius_m``: initial
+    matching distance; ``min_inliers``: minimum number of pairs of objects that support a pose; ``gate_sigma``: gate of
+    residuals, in standard deviations; ``tilt_sigma_rad``: uncertainty of roll and pitch between the two frames.
+    """
+
+    height_sigma_m: float = 0.3
+    search_radius_m: float = 3.0
+    min_inliers: int = MIN_INLIERS
+    gate_sigma: float = 3.0
+    tilt_sigma_rad: float = 0.005
+
+
+def registration_config(config: Config) -> RegistrationConfig:
+    """The parameters by the calibration: lengths are fractions of the sensor range."""
+    range_m, height_m = config.sensor_range_m, config.calibration.objects.height_sigma_m
+    return RegistrationConfig(
+        height_sigma_m=0.01 * range_m if height_m is None else height_m,
+        search_radius_m=0.1 * range_m,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Pose of the query constellation in the reference, or the ``reason`` of the failure.
+
+    ``T_reference_query`` (4, 4) carries query points into the reference frame. ``covariance`` (6, 6) is that of its
+    right perturbation ``T Exp([rotation rad, translation m])``. ``pairs`` (K, 2) are the inliers, one to one, as
+    (query, reference) indices by increasing query.
+    """
+
+    T_reference_query: FloatArray | None
+    covariance: FloatArray | None
+    pairs: IntArray
+    reason: str
 
 
 def refine(
@@ -44,7 +86,7 @@ def refine(
         reference_sigmas: (M,) m.
     """
     if not len(query_positions) or not len(reference_positions):
-        return not_found("no object of the query is near one of its label in the reference")
+        return _not_found("no object of the query is near one of its label in the reference")
     query_middle, reference_middle = query_positions.mean(axis=0), reference_positions.mean(axis=0)
     query, reference = query_positions - query_middle, reference_positions - reference_middle
     place = apply(T_initial, query_middle[None])[0] - reference_middle
@@ -52,11 +94,12 @@ def refine(
     plane, reference_plane = (points[:, 0] + 1j * points[:, 1] for points in (query, reference))
     pose = LevelPose(complex(turn), complex(*place[:2]), float(place[2]))
     sigma_m = float(np.hypot(query_sigmas.max(), reference_sigmas.max()))
-    reach_m = REACH_RADII * max(config.search_radius_m, config.gate_sigma * sigma_m)
+    # Objects farther apart are not matched while the pose is refined.
+    reach_m = 2.0 * max(config.search_radius_m, config.gate_sigma * sigma_m)
     apart_m = np.abs((turn * plane + pose.shift)[:, None] - reference_plane)
     rows = np.argwhere((apart_m <= reach_m) & (query_labels[:, None] == reference_labels))
     if not len(rows):
-        return not_found("no object of the query is near one of its label in the reference")
+        return _not_found("no object of the query is near one of its label in the reference")
     q, r = rows.T
     variances = query_sigmas[q] ** 2 + reference_sigmas[r] ** 2
     # A tilt that neither frame knows of shows as a height that grows with the distance.
@@ -72,4 +115,167 @@ def refine(
         query_middle,
         reference_middle,
     )
-    return estimate(refine_pose(pose, pairs, config), pairs, config)
+    return estimate(_refine_pose(pose, pairs, config), pairs, config)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelPose:
+    """A pose of the query in the reference: rotation ``turn``, a complex number of length 1, then translation ``shift``
+    in the plane, complex metres, and ``rise`` [m].
+    """
+
+    turn: complex
+    shift: complex
+    rise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """P pairs of a query and a reference object.
+
+    ``rows`` (P, 2): query and reference index. ``query`` and ``reference`` (P,): places in the plane, complex metres,
+    and ``query_z``, ``reference_z`` (P,) m, about the middles (3,) m of their objects. ``sigmas`` and ``sigmas_z`` (P,)
+    m: noise of the difference of the two, with an unknown tilt of the query.
+    """
+
+    rows: IntArray
+    query: ComplexArray
+    reference: ComplexArray
+    query_z: FloatArray
+    reference_z: FloatArray
+    sigmas: FloatArray
+    sigmas_z: FloatArray
+    query_middle: FloatArray
+    reference_middle: FloatArray
+
+    def squared_residuals(self, pose: LevelPose) -> FloatArray:
+        """Squared residuals (P,) at a pose, in variances."""
+        apart_m = np.abs(pose.turn * self.query + pose.shift - self.reference)
+        return np.asarray(
+            (apart_m / self.sigmas) ** 2 + ((self.query_z + pose.rise - self.reference_z) / self.sigmas_z) ** 2
+        )
+
+    def least_squares(self, pose: LevelPose, weights: FloatArray) -> LevelPose:
+        """The pose with the least squared residuals, with ``weights`` (P,) times the inverse variances.
+
+        The plane part is Umeyama's solution (PAMI 1991) in two dimensions, where it is a rotation for any input:
+        complex numbers cannot mirror. A heading that no pair determines stays as it was; so does all without a weight.
+        """
+        planar, vertical = weights / self.sigmas**2, weights / self.sigmas_z**2
+        total = planar.sum()
+        if total == 0.0:
+            return pose
+        mean_query, mean_reference = planar @ self.query / total, planar @ self.reference / total
+        cross = planar @ ((self.reference - mean_reference) * (self.query - mean_query).conj())
+        # Below that it is rounding.
+        is_turn = abs(cross) > 1e-9 * (planar @ (1.0 + np.abs(self.query) ** 2))
+        turn = cross / abs(cross) if is_turn else pose.turn
+        rise = vertical @ (self.reference_z - self.query_z) / vertical.sum()
+        return LevelPose(complex(turn), complex(mean_reference - turn * mean_query), float(rise))
+
+
+def _refine_pose(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> LevelPose:
+    """Iterate association and least squares; each pair enters if its two objects prefer it.
+
+    The gate is halved from one iteration to the next, from ``config.search_radius_m`` to the noise. A pose that moves
+    no object by more than a three-thousandth of that radius stands still.
+    """
+    noise_gate_m = config.gate_sigma * float(pairs.sigmas.min())
+    extent_m = float(np.abs(pairs.query).max())
+    radius_m = config.search_radius_m
+    for _ in range(8):
+        ratio = pairs.squared_residuals(pose) * np.minimum((pairs.sigmas / radius_m) ** 2, config.gate_sigma**-2)
+        moved = pairs.least_squares(pose, _weights(ratio, pairs.rows))
+        changes_m = extent_m * abs(moved.turn - pose.turn), abs(moved.shift - pose.shift), abs(moved.rise - pose.rise)
+        pose = moved
+        if max(changes_m) < config.search_radius_m / 3000.0 and radius_m <= noise_gate_m:
+            break
+        radius_m *= 0.5
+    return pose
+
+
+def _weights(ratio: FloatArray, rows: IntArray) -> FloatArray:
+    """Weights (P,) 1 - ratio^2 of pairs that are the best of both their objects; 0 for all others.
+
+    Flat around zero, so that it costs hardly any efficiency, and continuous at the gate.
+    """
+    weights = np.maximum(1.0 - ratio * ratio, 0.0)
+    for objects in rows.T:
+        best = np.zeros(objects.max() + 1)
+        np.maximum.at(best, objects, weights)
+        weights = np.where(weights >= best[objects], weights, 0.0)
+    return weights
+
+
+def estimate(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> Registration:
+    """The answer at a refined pose: optimal one-to-one inliers, a last fit to them, and its covariance."""
+    ratio = pairs.squared_residuals(pose) / config.gate_sigma**2
+    chosen = _assign(ratio, pairs.rows)
+    if len(chosen) < config.min_inliers:
+        return _not_found(_too_few(len(chosen), config))
+    weights = np.zeros(len(ratio))
+    weights[chosen] = 1.0 - ratio[chosen] ** 2
+    fitted = pairs.least_squares(pose, weights)
+    ratio = pairs.squared_residuals(fitted) / config.gate_sigma**2
+    chosen = chosen[ratio[chosen] < 1.0]
+    if len(chosen) < config.min_inliers:
+        return _not_found(_too_few(len(chosen), config))
+    information = _information(pairs, chosen, 1.0 - ratio[chosen] ** 2)
+    # That of the heading alone, the translation marginalised. The linearisation holds up to a deviation of 0.2 rad.
+    cross = information[2, 3:]
+    if information[2, 2] - cross @ np.linalg.solve(information[3:, 3:], cross) < 0.2**-2:
+        return _not_found(f"the {len(chosen)} objects that agree are too near one another for a heading")
+    turn, place = fitted.turn, [fitted.shift.real, fitted.shift.imag, fitted.rise]
+    R = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
+    T = make_transform(R, pairs.reference_middle + place - R @ pairs.query_middle)
+    covariance = _covariance(information, pairs.query_middle, config.tilt_sigma_rad**2)
+    return Registration(T, covariance, pairs.rows[chosen], "")
+
+
+def _not_found(reason: str) -> Registration:
+    """The answer "no", and why."""
+    return Registration(None, None, np.zeros((0, 2), np.int64), reason)
+
+
+def _too_few(count: int, config: RegistrationConfig) -> str:
+    return f"{count} pairs of objects agree on a pose, fewer than {config.min_inliers}"
+
+
+def _assign(ratio: FloatArray, rows: IntArray) -> IntArray:
+    """Increasing indices of the one-to-one pairs with the largest sum of 1 - ``ratio`` (P,)."""
+    inside = np.flatnonzero(ratio < 1.0)
+    (queries, query), (references, reference) = (np.unique(side, return_inverse=True) for side in rows[inside].T)
+    gain = np.zeros((len(queries), len(references)))
+    which = np.full(gain.shape, -1, dtype=np.int64)
+    gain[query, reference] = 1.0 - ratio[inside]
+    which[query, reference] = inside
+    chosen = which[linear_sum_assignment(gain, maximize=True)]
+    return np.sort(chosen[chosen >= 0])
+
+
+def _information(pairs: Pairs, chosen: IntArray, weights: FloatArray) -> FloatArray:
+    """(6, 6) of rotation and translation about the middle of the query, in its axes."""
+    x, y, z = pairs.query.real[chosen], pairs.query.imag[chosen], pairs.query_z[chosen]
+    J = np.zeros((len(chosen), 3, 6))
+    J[:, 0, 1], J[:, 0, 2] = z, -y
+    J[:, 1, 0], J[:, 1, 2] = -z, x
+    J[:, 2, 0], J[:, 2, 1] = y, -x
+    J[:, 0, 3] = J[:, 1, 4] = J[:, 2, 5] = 1.0
+    sigmas = np.column_stack([pairs.sigmas, pairs.sigmas, pairs.sigmas_z])[chosen]
+    rows = (J * (np.sqrt(weights)[:, None] / sigmas)[:, :, None]).reshape(-1, 6)
+    return np.asarray(rows.T @ rows)
+
+
+def _covariance(information: FloatArray, middle: FloatArray, tilt_variance: float) -> FloatArray:
+    """(6, 6) at the query's origin from the information (6, 6) about its middle.
+
+    Roll and pitch, which are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
+    others by -G times the tilt, with G from the normal equations.
+    """
+    inverse = np.linalg.inv(information[2:, 2:])
+    G = np.vstack([np.eye(2), -inverse @ information[2:, :2]])
+    P = tilt_variance * G @ G.T
+    P[2:, 2:] += inverse
+    Ad = adjoint(make_transform(np.eye(3), middle))
+    covariance = Ad @ P @ Ad.T
+    return np.asarray(0.5 * (covariance + covariance.T))

@@ -19,12 +19,6 @@ from slam.trajectory_check.sampled_scans import SampledScan
 ODOMETRY, ONLINE, FINAL = "odometry", "online", "final"
 MAX_QUERIES = 256
 """Scans that are predicted, spread evenly over the drive."""
-CONFIDENCE = 0.999
-"""Probability that a difference of two trajectories is not by chance."""
-MIN_ADVANTAGE = 0.1
-"""Least difference that is reported, in nats per detection: a density that is a tenth higher."""
-MIN_BLOCKS = 4
-"""Parts of the way, each as long as the sensor range, whose scatter gives the significance of a difference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +58,7 @@ def check_trajectories(
     told = np.any([prediction.has_sources for prediction in predictions.values()], axis=0)
     counts = np.where(told, predictor.count(queries), 0)
     blocks = np.unique([int(scans[query].travel_m / sensor_range_m) for query in queries], return_inverse=True)[1]
-    if not told.any() or len(np.unique(blocks[told])) < MIN_BLOCKS:
+    if not told.any() or len(np.unique(blocks[told])) < 4:  # their scatter gives the significance
         return TrajectoryCheck()
     gains = {name: float(prediction.gains.sum() / counts.sum()) for name, prediction in predictions.items()}
     if max(gains.values()) <= 0.0:
@@ -80,7 +74,8 @@ def check_trajectories(
 def _is_better(differences: FloatArray, counts: IntArray, blocks: IntArray) -> bool:
     """Whether the mean of the differences (Q,) by the counts (Q,) of detections is more than chance makes.
 
-    Scans of one block (Q,) err together, so the test is a one-sided t-test over the blocks.
+    Scans of one block (Q,), a part of the way as long as the sensor range, err together, so the test is a one-sided
+    t-test over the blocks, at a level of 0.1 %. A density that is less than a tenth higher is not worth a report.
     """
     of_block = np.bincount(blocks, counts)
     informative = of_block > 0
@@ -88,4 +83,4 @@ def _is_better(differences: FloatArray, counts: IntArray, blocks: IntArray) -> b
     residuals = (np.bincount(blocks, differences) - advantage * of_block)[informative]
     degrees = len(residuals) - 1
     sigma = np.sqrt((residuals**2).sum() * (degrees + 1) / degrees) / counts.sum()
-    return bool(advantage > max(MIN_ADVANTAGE, float(stdtrit(degrees, CONFIDENCE)) * sigma))
+    return bool(advantage > max(0.1, float(stdtrit(degrees, 0.999)) * sigma))

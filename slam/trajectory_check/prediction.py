@@ -14,8 +14,6 @@ from scipy.spatial import KDTree
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.trajectory_check.sampled_scans import SampledScan
 
-VISIT_RANGES = 2.0
-"""Travel in sensor ranges between two visits: what was in view before it need not be in view any more."""
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
 MAX_SOURCES, MAX_DETECTIONS = 1000, 64
@@ -61,7 +59,8 @@ class VisitPredictor:
         for place, query in enumerate(queries.tolist()):
             near = np.array(tree.query_ball_point(t[query], self._range_m, return_sorted=True), dtype=np.int64)
             visit_m = np.abs(self._travel_m[self._scan_of[near]] - self._travel_m[query])
-            sources = _thinned(near[visit_m > VISIT_RANGES * self._range_m], MAX_SOURCES)
+            # After two sensor ranges of travel nothing that was in view before need still be.
+            sources = _thinned(near[visit_m > 2.0 * self._range_m], MAX_SOURCES)
             seen = (points[sources] - t[query]) @ R[query]
             gains[place], has_sources[place] = self._gain(query, seen, self._labels[sources])
         return Prediction(gains, has_sources)

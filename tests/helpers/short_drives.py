@@ -20,7 +20,7 @@ from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.result import Evaluation
-from slam.object_map.map_io import GRAVITY, METADATA
+from slam.object_map.map_io import METADATA
 from slam.replay import ReplaySummary, replay
 from slam.simulation.config import OdometryConfig, SensorConfig, SimulationConfig
 from slam.simulation.simulation import simulate
@@ -99,7 +99,7 @@ def write_log(path: Path, entries: Iterable[Entry]) -> Path:
 def write_map(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord, *, twice: bool = False) -> Path:
     """A map file without any of the checks of ``save_map``."""
     with LogWriter(path) as writer:
-        writer.add_metadata(METADATA, {"format_version": "1", "gravity": GRAVITY})
+        writer.add_metadata(METADATA, {"format_version": "1"})
         for _ in range(1 + twice):
             writer.write("/map/objects", objects, 0)
         writer.write("/map/graph", graph, 0)

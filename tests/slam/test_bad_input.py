@@ -122,11 +122,6 @@ def without_poses(entries: list[Entry], every: int) -> list[Entry]:
     return change(entries, Odometry, alter)
 
 
-def test_poses_that_are_not_finite_are_left_out_and_counted(entries, output):
-    counters = mapped(without_poses(entries, 8), output)
-    assert (counters["invalid_messages"], counters["odometry_used"]) == (10, 70)
-
-
 def test_if_no_pose_is_any_good_nothing_is_mapped(entries, output):
     with pytest.raises(InputDataError, match="no odometry message was usable"):
         mapped(without_poses(entries, 1), output)
@@ -169,36 +164,12 @@ def replaced(detections: ObjectDetections, positions, labels) -> ObjectDetection
     return ObjectDetections(detections.stamp_ns, detections.frame_id, positions, tuple(labels), np.ones(len(positions)))
 
 
-def test_a_label_that_was_never_seen_before_joins_the_vocabulary(entries, output):
-    def rename(i: int, detections: ObjectDetections) -> ObjectDetections:
-        new = tuple("fire hydrant" if label == "tree" else label for label in detections.labels)
-        return replace(detections, labels=new) if i >= 40 else detections
-
-    mapped(altered_scans(entries, rename), output, AS_GIVEN)
-    (object_map,) = records_of(output, "/slam/map")
-    assert object_map.vocabulary[-1] == "fire hydrant"
-    assert set(object_map.vocabulary) == {"bench", "lamp", "tree", "vehicle", "fire hydrant"}
-    np.testing.assert_allclose(object_map.class_probabilities.sum(axis=1), 1.0)
-
-
 def test_if_nothing_is_ever_seen_the_odometry_is_the_result(entries, output):
     counters = mapped(altered_scans(entries, lambda i, d: replaced(d, [], [])), output)
     assert counters["landmarks_confirmed"] == counters["objects_used"] == 0
     (trajectory,) = records_of(output, "/slam/trajectory_stamped")
     odometry = [record for _, _, record in entries if isinstance(record, Odometry)]
     np.testing.assert_allclose(trajectory.T_map_body, [o.T_odom_body for o in odometry], atol=1e-6)
-
-
-def test_five_thousand_detections_in_a_message(entries, output):
-    rng = np.random.default_rng(0)
-
-    def crowd(i: int, detections: ObjectDetections) -> ObjectDetections:
-        positions = np.concatenate([rng.uniform(-50, 50, (5000, 2)), np.zeros((5000, 1))], axis=1)
-        return replaced(detections, positions, ["tree"] * 5000) if i == 40 else detections
-
-    counters = mapped(altered_scans(entries, crowd), output, AS_GIVEN)
-    assert counters["objects_used"] >= 5_000
-    assert counters["detections_used"] == 80
 
 
 def test_two_objects_at_the_very_same_place_are_two(entries, output):

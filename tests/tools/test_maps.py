@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.library import read_map
-from slam.object_map.map_io import GRAVITY, METADATA, POINTS_TOPIC
+from slam.object_map.map_io import METADATA, POINTS_TOPIC
 from tests.helpers.short_drives import raw_messages, records_of
 from tests.tools.runs import Run, assert_refused
 from tools import cli
@@ -138,7 +138,7 @@ def test_no_solver_is_loaded_to_look_into_a_map(town: Path) -> None:
 def rewritten(path: Path, source: Path, metadata: dict[str, str]) -> Path:
     """The map with other metadata."""
     with LogWriter(path) as writer:
-        writer.add_metadata(METADATA, {"format_version": "1", "gravity": GRAVITY, **metadata})
+        writer.add_metadata(METADATA, {"format_version": "1", **metadata})
         for message in raw_messages(source):
             writer.write_raw(message)
     return path
@@ -153,7 +153,7 @@ def test_bad_maps_are_refused_in_one_line(dslam: Run, folder: Path, town: Path, 
         assert_refused(dslam(*refuse, folder / "out.mcap"), "is a log, but no map", "--save-map")
         assert_refused(dslam(*refuse, tmp_path / "none.mcap"), "cannot read", "check the path")
     assert "cannot be used" in dslam("info", path).out
-    for metadata, told in (({"gravity": ""}, "direction of gravity"), ({"drives": "[1"}, "list of drives")):
+    for metadata, told in (({"drives": "[1"}, "list of drives"),):
         assert told in json.loads(dslam("info", rewritten(path, town, metadata), "--json").out)["map"]["fault"]
     assert_refused(dslam("replay", town, "-o", output), "is a saved map, not a drive", "--map")
     assert_refused(dslam("relocalize", folder / "second.mcap", "--map", town, "-o", town), "is the input")

@@ -8,7 +8,6 @@ import gtsam
 import numpy as np
 from scipy import sparse
 
-from slam.backend.gtsam_calls import without_kernels
 from slam.common.arrays import FloatArray
 
 
@@ -17,9 +16,32 @@ def linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) ->
 
     Rows are in the order of the factors, columns in that of the keys of the variables.
     """
-    linear = without_kernels(factors, values).linearize(values)
+    linear = _without_kernels(factors, values).linearize(values)
     row, column, entry = np.asarray(linear.sparseJacobian_())
     # Both are counted from one; the last column is the right side.
     places = row.astype(np.int32) - 1, column.astype(np.int32) - 1
     system = sparse.csc_array((entry, places), shape=(places[0].max() + 1, values.dim() + 1))
     return sparse.csr_array(system[:, :-1]), system[:, -1].toarray().ravel()
+
+
+def _without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+    """A graph of factors at their optimum ``values``, with kernels at outliers only.
+
+    Kernels weight observations and closures, by about half in the mean where the configured noise is true. These
+    weights are not an estimate of the noise: in covariances all but outliers count with the noise that is configured.
+    """
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(_without_kernel(factor, values))
+    return graph
+
+
+def _without_kernel(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:
+    if not isinstance(factor, gtsam.NoiseModelFactor):
+        return factor
+    noise = factor.noiseModel()
+    if not isinstance(noise, gtsam.noiseModel.Robust):
+        return factor
+    plain = factor.cloneWithNewNoiseModel(noise.noise())
+    # Less weight than a tenth have outliers, and 1 in 1000 observations without faults.
+    return plain if noise.weight(plain.whitenedError(values)) >= 0.1 else factor

@@ -23,14 +23,6 @@ STRETCH_STEPS = 50
 """Steps of the odometry over which its error is looked at: 100 m of keyframes every 2 m."""
 MIN_SAMPLES, MAX_SAMPLES = 5, 20
 """Of stretches or closures: fewer are not significant, more would cost time and add little."""
-ROUNDS = 10
-"""Of expectation and maximisation. They begin with the configured noise, and near none at all they are slow."""
-FACTOR_LIMITS = (1e-3, 1e2)
-"""Bounds of the factors on variances."""
-MIN_INFORMATION = 0.01
-"""Share of the information of an edge that the others must add to it: less is taken to be none."""
-TEST_PROBABILITY = 0.05
-"""Probability that the test rejects the configured noise although it is right."""
 
 
 def matched_covariances(
@@ -92,9 +84,9 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
     columns = (sums @ jacobian).toarray().T
     errors = (sums @ residuals).reshape(-1, 6)
     posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)
-    # Information beside that of the row itself; what is next to nothing is nothing.
+    # Information that other factors add to that of the row itself; less than a hundredth of it is taken to be none.
     measured = 1.0 / posterior - 1.0
-    measured = np.where(measured < MIN_INFORMATION, 0.0, measured)
+    measured = np.where(measured < 0.01, 0.0, measured)
     return np.where(_differs(errors, posterior, measured), _maximize(errors, posterior, measured), 1.0)
 
 
@@ -108,19 +100,19 @@ def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:
 def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
     """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and the information (S, 6) of other factors."""
     variance = np.ones(6)
-    for _ in range(ROUNDS):
+    for _ in range(10):  # from the configured noise; near none at all the iteration is slow
         left = variance / (1.0 + variance * measured)
         expected = np.where(measured > 0.0, left / posterior * residuals, 0.0)
-        variance = np.clip(np.mean(expected**2 + left, axis=0), *FACTOR_LIMITS)
+        variance = np.clip(np.mean(expected**2 + left, axis=0), 1e-3, 1e2)
     return variance
 
 
 def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> BoolArray:
-    """Whether (6,) the residuals reject a variance of 1, by their sum and the redundancy."""
+    """Whether (6,) the residuals reject a variance of 1 at the level of 5 %, by their sum and the redundancy."""
     redundancy = measured / (1.0 + measured)
     squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
     chance = chdtr(np.maximum(redundancy.sum(axis=0), 1e-9), squares.sum(axis=0))
-    return np.asarray(np.minimum(chance, 1.0 - chance) < 0.5 * TEST_PROBABILITY)
+    return np.asarray(np.minimum(chance, 1.0 - chance) < 0.5 * 0.05)
 
 
 def _scaled(covariance: FloatArray, factors: FloatArray) -> FloatArray:

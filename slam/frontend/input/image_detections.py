@@ -18,10 +18,6 @@ from slam.frontend.input.sensor_frames import SensorFrames
 
 BOX_SIGMA = 1.0 / 6.0
 """Of the sides of a box: two sigmas are the shift, a third of a side, at which a box counts as wrong (IoU 0.5)."""
-CORNER_SIGMA_PX = 0.5
-"""Of the corners of a tag, which are found to fractions of a pixel."""
-DEPTHS_KEPT = 10
-UNDISTORTING_STEPS = 20
 
 _Object = tuple[FloatArray, FloatArray]
 
@@ -42,7 +38,7 @@ class ImageLifter:
         if isinstance(record, CameraModel):
             self._cameras[record.frame_id] = record
         else:
-            self._depths.setdefault(record.frame_id, deque(maxlen=DEPTHS_KEPT)).append(record)
+            self._depths.setdefault(record.frame_id, deque(maxlen=10)).append(record)
 
     def lift(self, detections: ImageDetections) -> ObjectDetections:
         """The detections that can be placed, in the camera's frame, with covariances that are long along the ray."""
@@ -106,7 +102,7 @@ def ray(camera: CameraModel, u: float, v: float) -> FloatArray:
     xy = np.array([(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]])
     if camera.distortion.any():
         given = xy.copy()
-        for _ in range(UNDISTORTING_STEPS):
+        for _ in range(20):
             xy = xy + given - _distorted(camera, xy)
     return np.array([xy[0], xy[1], 1.0])
 
@@ -202,8 +198,9 @@ def place_tag(camera: CameraModel, corners: FloatArray, size_m: float) -> _Objec
     side_px = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
     if not (position[2] > 0.0 and side_px > 0.0 and np.isfinite(position).all()):
         return None
-    lateral = np.full(2, position[2] * CORNER_SIGMA_PX / camera.K[0, 0])
-    return position, _long_along(position, float(np.linalg.norm(position)) * CORNER_SIGMA_PX / side_px, lateral)
+    sigma_px = 0.5  # corners are found to fractions of a pixel
+    lateral = np.full(2, position[2] * sigma_px / camera.K[0, 0])
+    return position, _long_along(position, float(np.linalg.norm(position)) * sigma_px / side_px, lateral)
 
 
 def _long_along(direction: FloatArray, along_m: float, lateral_m: FloatArray) -> FloatArray:

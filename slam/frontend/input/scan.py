@@ -14,11 +14,6 @@ from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply
 from slam.frontend.input.label_map import DROPPED
 
-MIN_SIGMA_RANGES = 1.0 / 3000.0
-"""Noise that is added to the messages' own covariances, in sensor ranges: a message that claims none is not exact."""
-UPRIGHT = np.array([0.0, 0.0, 1.0])
-"""The vertical in the axes of a body that does not lean."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
@@ -40,40 +35,28 @@ class Scan:
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
         if chosen.all():
             return self
-        return Scan(
-            self.stamp_ns,
-            self.sensor,
-            self.positions[chosen],
-            self.covariances[chosen],
-            tuple(compress(self.labels, chosen.tolist())),
-            self.used,
-            self.has_own_covariance[chosen],
+        return replace(
+            self,
+            positions=self.positions[chosen],
+            covariances=self.covariances[chosen],
+            labels=tuple(compress(self.labels, chosen.tolist())),
+            has_own_covariance=self.has_own_covariance[chosen],
         )
 
     def joined(self, other: Scan) -> Scan:
         """These detections and those of another scan, in one frame; ``used`` stays that of this message."""
-        return Scan(
-            self.stamp_ns,
-            self.sensor,
-            np.concatenate([self.positions, other.positions]),
-            np.concatenate([self.covariances, other.covariances]),
-            self.labels + other.labels,
-            self.used,
-            np.concatenate([self.has_own_covariance, other.has_own_covariance]),
+        return replace(
+            self,
+            positions=np.concatenate([self.positions, other.positions]),
+            covariances=np.concatenate([self.covariances, other.covariances]),
+            labels=self.labels + other.labels,
+            has_own_covariance=np.concatenate([self.has_own_covariance, other.has_own_covariance]),
         )
 
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]
-        return Scan(
-            self.stamp_ns,
-            self.sensor,
-            apply(T_frame_body, self.positions),
-            R @ self.covariances @ R.T,
-            self.labels,
-            self.used,
-            self.has_own_covariance,
-        )
+        return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
 
 
 def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> NDArray[np.bool_]:
@@ -92,7 +75,7 @@ def in_metres(detections: ObjectDetections, config: DetectionCalibration) -> Obj
 
 
 def make_scan(
-    detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionCalibration, up_body: FloatArray = UPRIGHT
+    detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionCalibration, up_body: FloatArray
 ) -> Scan:
     """The detections of one message that pass the limits on score and range, in the body frame.
 
@@ -112,9 +95,8 @@ def make_scan(
         own = detections.covariances[used]
         has_own_covariance = own.any(axis=(1, 2))
         # No detector is right to the millimetre; what claims it would outweigh everything else.
-        covariances = config.claimed_sigma_factor**2 * (R @ own @ R.T) + (
-            MIN_SIGMA_RANGES * config.sensor_range_m
-        ) ** 2 * np.eye(3)
+        floor_m = 1.0 / 3000.0 * config.sensor_range_m
+        covariances = config.claimed_sigma_factor**2 * (R @ own @ R.T) + floor_m**2 * np.eye(3)
     if not has_own_covariance.all():
         by_range = _covariances_by_range(positions, ranges[used], config)
         covariances = np.where(has_own_covariance[:, None, None], covariances, by_range)

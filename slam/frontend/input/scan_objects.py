@@ -8,9 +8,6 @@ from logs.messages import LabelledScan, ObjectDetections
 from slam.frontend.input.label_map import DROPPED, LabelMap
 from slam.frontend.input.sensor_frames import SensorFrames
 
-_UPRIGHT = 0.7
-"""Cosine of the tilt of a sensor below which it stands upright; between those of level and optical frames, 1 and 0."""
-
 
 class ScanObjects:
     """Finds the objects of each scan once, in however many passes over a log.
@@ -41,7 +38,8 @@ class ScanObjects:
         numbers = [number for number in np.unique(scan.classes).tolist() if number]
         names = {number: str(number) for number in numbers if self._labels.name(str(number)) != DROPPED}
         T_body_sensor = self._frames.find(body_frame, scan.frame_id, scan.stamp_ns)
-        is_upright = T_body_sensor is None or abs(float(T_body_sensor[2, 2])) > _UPRIGHT
+        # The cosine of the tilt is 1 for a level frame and 0 for an optical one.
+        is_upright = T_body_sensor is None or abs(float(T_body_sensor[2, 2])) > 0.7
         cloud = LabelledCloud(scan.positions, scan.classes, scan.instances)
         objects = find_objects(cloud, names, viewpoint=np.zeros(3), upright=is_upright)
         return objects.detections(scan.stamp_ns, scan.frame_id)

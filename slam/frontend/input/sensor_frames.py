@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Iterable
+from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ from logs.messages import ObjectDetections, Odometry, Transform
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
-from slam.common.geometry import interpolate, invert, make_transform
+from slam.common.geometry import blend, invert, make_transform
 
 _Edge = tuple[str, str]
 
@@ -87,27 +88,18 @@ class SensorFrames:
                     waiting.append(neighbour)
         return came_from
 
-    def _refuse_loop(self, connected: dict[str, str]) -> None:
+    def _refuse_loop(self, connected: Iterable[str]) -> None:
         parents: dict[str, list[str]] = {frame: [] for frame in connected}
         for parent, child in self._tracks:
-            if child in connected:
+            if child in parents:
                 parents[child].append(parent)
-        # Without a loop, taking away those that have no parents left takes away all.
-        while roots := {frame for frame, above in parents.items() if not above}:
-            parents = {
-                frame: [parent for parent in above if parent not in roots]
-                for frame, above in parents.items()
-                if frame not in roots
-            }
-        if parents:
-            loop = [min(parents)]
-            while loop[0] not in loop[1:]:
-                loop.insert(0, min(parents[loop[0]]))
-            loop = loop[: loop.index(loop[0], 1) + 1]
+        try:
+            TopologicalSorter(parents).prepare()
+        except CycleError as error:
             raise InputDataError(
-                f"the transforms form a loop: {' -> '.join(loop)}, so the poses of sensors on the body are undefined; "
-                "find the node that publishes a wrong transform, and remove it from the log"
-            )
+                f"the transforms form a loop: {' -> '.join(error.args[1])}, so the poses of sensors on the body are "
+                "undefined; find the node that publishes a wrong transform, and remove it from the log"
+            ) from error
 
 
 def find_sensor(
@@ -138,36 +130,31 @@ class _Track:
     """The transforms between two frames by time."""
 
     def __init__(self) -> None:
-        self._stamps_ns = array("q")
-        self._rows = array("d")  # the upper three rows of each transform
+        self._stamps_ns: list[int] = []
+        self._transforms: list[FloatArray] = []
 
     def add(self, stamp_ns: int, T: FloatArray) -> None:
-        row = array("d", T[:3].ravel().tolist())
         place = bisect_left(self._stamps_ns, stamp_ns)
+        stands_still = len(self._stamps_ns) >= 2 and all(np.array_equal(each, T) for each in self._transforms[-2:])
         if place < len(self._stamps_ns) and self._stamps_ns[place] == stamp_ns:
-            self._rows[12 * place : 12 * place + 12] = row
-        elif place == len(self._stamps_ns) >= 2 and self._rows[-24:-12] == self._rows[-12:] == row:
-            self._stamps_ns[-1] = stamp_ns  # it stands still: two are enough
+            self._transforms[place] = T
+        elif place == len(self._stamps_ns) and stands_still:
+            self._stamps_ns[-1] = stamp_ns  # two are enough
         else:
             self._stamps_ns.insert(place, stamp_ns)
-            self._rows[12 * place : 12 * place] = row
+            self._transforms.insert(place, T)
 
     def at(self, stamp_ns: int | None) -> FloatArray:
-        count = len(self._stamps_ns)
         if stamp_ns is None:
-            return self._transform(count - 1)
+            return self._transforms[-1]
         after = bisect_left(self._stamps_ns, stamp_ns)
-        before = max(after - 1, 0)
-        stands_still = self._rows[12 * before : 12 * before + 12] == self._rows[12 * after : 12 * after + 12]
-        if after in (0, count) or stands_still:
-            return self._transform(min(after, count - 1))
-        ends = np.stack([self._transform(after - 1), self._transform(after)])
-        stamps_ns = np.array(self._stamps_ns[after - 1 : after + 1], dtype=np.int64)
-        return np.asarray(interpolate(stamps_ns, ends, np.array([stamp_ns], dtype=np.int64))[0])
-
-    def _transform(self, place: int) -> FloatArray:
-        T = np.array(self._rows[12 * place : 12 * place + 12]).reshape(3, 4)
-        return make_transform(T[:, :3], T[:, 3])
+        if after in (0, len(self._stamps_ns)):
+            return self._transforms[min(after, len(self._stamps_ns) - 1)]
+        start, end = self._transforms[after - 1 : after + 1]
+        if np.array_equal(start, end):
+            return end
+        start_ns, end_ns = self._stamps_ns[after - 1 : after + 1]
+        return blend(start, end, (stamp_ns - start_ns) / (end_ns - start_ns))
 
 
 def _plain(frame: str) -> str:

@@ -8,6 +8,7 @@ before, or stamps are suddenly later than their log times.
 
 from __future__ import annotations
 
+from array import array
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,22 +19,10 @@ import numpy as np
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from logs.reader import LogItem
 
-LEAST_MESSAGES = 16
-"""Messages of a topic that are needed to distinguish a step of its clock from jitter."""
+MIN_MESSAGES = 16
+"""Messages of a topic that are needed to distinguish a step of its clock from jitter, or to tell its drift."""
 CONFIRMING = 5
 """Messages in a row that show the same step: single stamps are wrong for other reasons."""
-TOLERANCE = 2.0
-"""Intervals between messages and spreads of their delays; within so many of both together nothing is a step."""
-IMPOSSIBLE = 10.0
-"""How many times as much a message counts that was logged before it was made, as one that was logged late."""
-
-BLOCKS = 16
-SIGNIFICANT = 6.0
-"""By how many times the scatter of its delays a clock must have drifted in the end."""
-LEAST_DRIFT = 0.1
-"""Of the interval between scans: less drift in the whole log does no harm."""
-MOST_RATE = 1e-3
-"""Oscillators are better than that; where delays grow faster, messages queue."""
 
 Stamped = Odometry | ObjectDetections | ImageDetections | LabelledScan
 
@@ -59,7 +48,8 @@ class LoggingDelays:
 
 
 def _badness(delay_s: float) -> float:
-    return delay_s if delay_s >= 0.0 else -IMPOSSIBLE * delay_s
+    """A message that was logged before it was made counts ten times as much as one that was logged late."""
+    return delay_s if delay_s >= 0.0 else -10.0 * delay_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,16 +94,14 @@ NO_DRIFT = ClockDrift()
 class StampClocks:
     """Follows the messages of a log in its order, and takes steps of the clocks, and a known ``drift``, off their
     stamps.
-
-    ``keeps_delays``: for :meth:`drift` and :meth:`delays`, which need those of all messages.
     """
 
-    def __init__(self, drift: ClockDrift = NO_DRIFT, *, keeps_delays: bool = True) -> None:
+    def __init__(self, drift: ClockDrift = NO_DRIFT) -> None:
         self._drift = drift
-        self._keeps_delays = keeps_delays
-        self._logged: defaultdict[bool, list[int]] = defaultdict(list)
         self._topics: defaultdict[str, _TopicClock] = defaultdict(_TopicClock)
-        self._delays: defaultdict[bool, list[int]] = defaultdict(list)
+        # Of the odometry and of the detections.
+        self._logged: defaultdict[bool, array[int]] = defaultdict(lambda: array("q"))
+        self._delays: defaultdict[bool, array[int]] = defaultdict(lambda: array("q"))
         self._first_ns, self._last_ns = 2**63, 0
         self.steps: list[ClockStep] = []
 
@@ -124,17 +112,13 @@ class StampClocks:
             return
         logged_ns, topic = item.raw.log_time_ns, item.raw.topic
         record = self._drift.correct(record)
-        if self._keeps_delays:
-            self._keep(record, logged_ns)
+        self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
+        self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
+        self._logged[isinstance(record, Odometry)].append(logged_ns)
         ready, step_ns = self._topics[topic].follow(record, logged_ns)
         if step_ns:
             self.steps.append(ClockStep(topic, record.stamp_ns, step_ns))
         yield from ready
-
-    def _keep(self, record: Stamped, logged_ns: int) -> None:
-        self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
-        self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
-        self._logged[isinstance(record, Odometry)].append(logged_ns)
 
     def finish(self) -> Iterator[Record]:
         """The waiting records, unchanged."""
@@ -142,13 +126,17 @@ class StampClocks:
             yield from clock.release()
 
     def drift(self) -> ClockDrift:
-        """Drift of the clock of the detections against that of the odometry; none if a clock was set."""
-        if self.steps or len(self._delays[False]) < BLOCKS:
+        """Drift of the clock of the detections against that of the odometry; none if a clock was set.
+
+        A drift of less than a tenth of the interval between scans in the whole log does no harm. Oscillators keep time
+        to a thousandth; where delays grow faster, messages queue.
+        """
+        if self.steps or len(self._delays[False]) < MIN_MESSAGES:
             return NO_DRIFT
         rates = [_rate(self._logged[of_odometry], self._delays[of_odometry]) for of_odometry in (False, True)]
         rate, seconds = rates[0] - rates[1], (self._last_ns - self._first_ns) * 1e-9
         interval_s = seconds / len(self._delays[False])
-        if not LEAST_DRIFT * interval_s < abs(rate) * seconds < MOST_RATE * seconds:
+        if not 0.1 * interval_s < abs(rate) * seconds < 1e-3 * seconds:
             return NO_DRIFT
         return ClockDrift(rate, self._logged[False][0] - self._delays[False][0])
 
@@ -165,19 +153,20 @@ class StampClocks:
         return LoggingDelays(of_odometry_ns * 1e-9, of_detections_ns * 1e-9)
 
 
-def _rate(logged_ns: list[int], delays_ns: list[int]) -> float:
+def _rate(logged_ns: array[int], delays_ns: array[int]) -> float:
     """Growth of the least delays in a unit of time, where it is significant: nothing is logged sooner than it can be.
 
     The least delays of blocks lie on the line of the clocks (Moon, Skelly and Towsley, INFOCOM 1999).
     """
-    if len(logged_ns) < BLOCKS:
+    count = 16
+    if len(logged_ns) < count:
         return 0.0
-    rows = [block[np.argmin(np.array(delays_ns)[block])] for block in np.array_split(np.arange(len(logged_ns)), BLOCKS)]
+    rows = [block[np.argmin(np.array(delays_ns)[block])] for block in np.array_split(np.arange(len(logged_ns)), count)]
     times, least = ((np.array(values)[rows] - values[0]) * 1e-9 for values in (logged_ns, delays_ns))
-    A = np.column_stack([times, np.ones(BLOCKS)])
+    A = np.column_stack([times, np.ones(count)])
     line, *_ = np.linalg.lstsq(A, least)
-    scatter = float(np.sqrt(np.sum((least - A @ line) ** 2) / (BLOCKS - 2)))
-    is_significant = abs(line[0]) * float(np.ptp(times)) > SIGNIFICANT * scatter
+    scatter = float(np.sqrt(np.sum((least - A @ line) ** 2) / (count - 2)))
+    is_significant = abs(line[0]) * float(np.ptp(times)) > 6.0 * scatter
     return float(line[0]) if is_significant else 0.0
 
 
@@ -186,8 +175,8 @@ class _TopicClock:
 
     def __init__(self) -> None:
         self._shift_ns = 0
-        self._delays: deque[int] = deque(maxlen=2 * LEAST_MESSAGES)  # by the corrected stamps
-        self._intervals: deque[int] = deque(maxlen=2 * LEAST_MESSAGES)
+        self._delays: deque[int] = deque(maxlen=2 * MIN_MESSAGES)  # by the corrected stamps
+        self._intervals: deque[int] = deque(maxlen=2 * MIN_MESSAGES)
         self._logged_ns: int | None = None
         self._latest_ns = 0
         self._waiting: list[Stamped] = []
@@ -199,17 +188,17 @@ class _TopicClock:
         if self._logged_ns is not None:
             self._intervals.append(logged_ns - self._logged_ns)
         self._logged_ns = logged_ns
-        if len(self._delays) < LEAST_MESSAGES:
+        if len(self._delays) < MIN_MESSAGES:
             self._delays.append(delay_ns)
             return [self._corrected(record)], 0
         least_ns, most_ns = min(self._delays), max(self._delays)
         if least_ns <= delay_ns <= most_ns:  # within the spread, whatever the medians are
             return self._as_usual(record, delay_ns), 0
         usual_ns = median_low(self._delays)
-        tolerance_ns = TOLERANCE * (median_low(self._intervals) + most_ns - least_ns)
-        if abs(delay_ns - usual_ns) <= tolerance_ns:
+        tolerance_ns = median_low(self._intervals) + most_ns - least_ns
+        if abs(delay_ns - usual_ns) <= 2.0 * tolerance_ns:
             return self._as_usual(record, delay_ns), 0
-        is_steady = all(abs(delay_ns - each) <= tolerance_ns / TOLERANCE for each in self._waiting_delays)
+        is_steady = all(abs(delay_ns - each) <= tolerance_ns for each in self._waiting_delays)
         ready = [] if is_steady else self.release()
         self._waiting.append(record)
         self._waiting_delays.append(delay_ns)

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from slam.backend.condensing.anchors import find_anchors
-from slam.backend.condensing.attached_keyframes import AttachedKeyframes
-from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
+from slam.backend.attached_keyframes import AttachedKeyframes, relative_covariances
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, Observation, between_factor
+from slam.backend.factors import Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
 from slam.common.geometry import adjoint, apply, invert, relative, transform_from_xyz_yaw
+from slam.graph_condenser import find_anchors
 from tests.slam.backend.graphs import PLAIN
 
 ROUND, LANDMARKS = 12, 15
@@ -73,75 +72,6 @@ def condensed(rounds: int, kernel_width: float = PLAIN, *, settled: int | None =
     return graph
 
 
-def find(seen: list[tuple[int, list[int]]], travel_m: list[float], **limits: list[bool]) -> dict[int, int]:
-    """Anchors of keyframes, each given with its id and the landmarks that it observed."""
-    everything = np.ones(len(seen), dtype=np.bool_)
-    return find_anchors(
-        [(keyframe, landmark) for keyframe, landmarks in seen for landmark in landmarks],
-        np.array([keyframe for keyframe, _ in seen]),
-        np.array(travel_m),
-        is_settled=np.array(limits.get("is_settled", everything)),
-        may_anchor=np.array(limits.get("may_anchor", everything)),
-        min_travel_m=50.0,
-    )
-
-
-# Which keyframes are attached
-
-
-def test_a_keyframe_is_attached_to_the_one_of_the_second_traversal_that_saw_most_of_its_landmarks():
-    first = [(1, [1, 2, 3, 4, 5, 6])]
-    second = [(4, [1, 2, 3]), (5, [2, 3, 4, 5]), (6, [2, 3, 4]), (7, [7, 8, 9])]
-    seen = [*first, *second, (20, [2, 3, 4, 6])]  # 5 and 6 have three of them each
-    assert find(seen, [0.0, 100.0, 110.0, 115.0, 120.0, 200.0]) == {20: 5}
-
-
-def test_keyframes_of_one_traversal_are_not_attached():
-    seen = [(number, [1, 2, 3]) for number in (0, 1, 2)]
-    assert find(seen, [0.0, 100.0, 150.0]) == {}
-    assert find(seen, [0.0, 100.0, 150.1]) == {2: 1}
-    assert find(seen, [0.0, 50.0, 100.1]) == {}
-
-
-def test_three_common_landmarks_and_half_of_those_seen_are_needed():
-    def third(landmarks: list[int], *, of_second: list[int]) -> dict[int, int]:
-        return find([(0, of_second), (1, of_second), (2, landmarks)], [0.0, 99.0, 198.0])
-
-    assert third([1, 2, 8, 9], of_second=[1, 2, 3]) == {}
-    assert third([1, 2, 3, 4, 5, 6], of_second=[1, 2, 3]) == {2: 1}
-    assert third([1, 2, 3, 4, 5, 6, 7], of_second=[1, 2, 3]) == {}
-
-
-def test_a_keyframe_that_is_not_settled_stays():
-    seen = [(number, [1, 2, 3]) for number in range(3)]
-    assert find(seen, [0.0, 99.0, 198.0], is_settled=[True, True, False]) == {}
-
-
-def test_an_attached_keyframe_is_no_anchor_and_neither_is_one_that_may_not_be():
-    laps = [(number, [1, 2, 3]) for number in range(5)]
-    travel_m = [99.0 * number for number in range(5)]
-    assert find(laps, travel_m) == {2: 1, 3: 1, 4: 1}
-    assert find(laps, travel_m, may_anchor=[True, False, True, True, True]) == {3: 2, 4: 2}
-
-
-def test_keyframes_that_saw_nothing_go_with_the_next_one_that_did():
-    seen = [(0, [1, 2, 3]), (1, [1, 2, 3]), (2, []), (3, []), (4, [1, 2, 3]), (5, []), (6, [7, 8])]
-    assert find(seen, [0.0, 99.0, 196.0, 197.0, 198.0, 199.0, 200.0]) == {2: 1, 3: 1, 4: 1}
-
-
-# What the graph is afterwards
-
-
-def test_condensing_leaves_the_estimate_where_it_was():
-    whole, graph = driven(3), condensed(3)
-    whole.optimize()
-    assert len(graph.keyframe_variables) < 2.5 * ROUND
-    np.testing.assert_array_equal(graph.keyframes, np.arange(3 * ROUND))
-    np.testing.assert_allclose(graph.poses(), whole.poses(), atol=0.02)
-    rows = whole.landmarks
-    np.testing.assert_allclose(graph.landmark_positions(rows), whole.landmark_positions(rows), atol=0.01)
-
-
 def test_the_size_of_a_condensed_graph_does_not_grow_with_the_rounds():
     few, many = condensed(4), condensed(9)
     assert len(many.keyframe_variables) <= len(few.keyframe_variables) + 1
@@ -197,6 +127,26 @@ def test_merged_landmarks_can_be_condensed_and_removed():
     assert not {0, 1} & set(graph.landmarks.tolist())
 
 
+def test_edges_to_keyframes_that_stay_remain():
+    step = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    graph = FactorGraph(kernel_width=PLAIN)
+    graph.add_first_keyframe(0, np.eye(4))
+    for k in range(5):
+        graph.add_next_keyframe(Edge(k, k + 1, step, STEP_COVARIANCE, "odometry"))
+    graph.add_edge(Edge(1, 3, step @ step, STEP_COVARIANCE, "closure"))
+    graph.add_edge(Edge(4, 5, step, STEP_COVARIANCE, "closure"))
+    graph.condense({3: 1, 4: 2})
+    edges = [each for each in graph.factors.values() if isinstance(each, Edge)]
+    assert [(each.from_keyframe, each.to_keyframe, each.kind) for each in edges] == [
+        (0, 1, "odometry"),
+        (1, 2, "odometry"),
+        (2, 1, "condensed"),
+        (2, 5, "condensed"),
+        (2, 5, "closure"),
+    ]
+    np.testing.assert_allclose(graph.poses()[:, 0, 3], np.arange(6.0), atol=1e-6)
+
+
 def test_the_record_holds_all_keyframes_and_ties_each_to_its_anchor():
     graph = condensed(3)
     record = graph.to_record(0, np.arange(3 * ROUND))
@@ -207,9 +157,6 @@ def test_the_record_holds_all_keyframes_and_ties_each_to_its_anchor():
     assert not attached & set(record.observation_keyframe_ids.tolist())
     assert record.pose_covariances.shape == (3 * ROUND, 6, 6)
     assert (np.linalg.eigvalsh(record.pose_covariances) > 0.0).all()
-
-
-# Factors of attached keyframes
 
 
 def attached_at(T_anchor_keyframe: FloatArray, covariance: FloatArray) -> AttachedKeyframes:
@@ -272,45 +219,6 @@ def test_an_attached_keyframe_follows_when_its_anchor_is_attached():
     assert attached.covariances([2], np.zeros((1, 6, 6)))[0, 0, 0] == pytest.approx(0.02)
 
 
-def test_edges_between_attached_keyframes_and_their_closures_are_no_longer_needed():
-    T = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
-    factors = {
-        0: Edge(11, 12, T, np.eye(6), "odometry"),
-        1: Edge(12, 13, T, np.eye(6), "odometry"),
-        2: Edge(2, 12, np.eye(4), np.eye(6), "closure"),
-        3: Edge(12, 20, np.eye(4), np.eye(6), "closure"),
-        4: Edge(1, 2, T, np.eye(6), "odometry"),
-        5: Observation(12, 7, np.array([1.0, 0.0, 0.0]), np.eye(3)),
-        6: Observation(2, 7, np.array([1.0, 0.0, 0.0]), np.eye(3)),
-        7: Observation(13, 7, np.array([1.0, 0.0, 0.0]), np.eye(3)),
-    }
-    attached = AttachedKeyframes()
-    anchors = {11: 1, 12: 2}
-    attached.attach(anchors, dict.fromkeys(anchors, np.zeros((6, 6))), lambda _: np.eye(4))
-    gone, edges, moved = condensed_factors(factors, anchors, attached)
-    assert gone == [0, 1, 2, 3, 5, 6]
-    assert [(each.from_keyframe, each.to_keyframe, each.kind) for each in edges] == [
-        (2, 13, "condensed"),
-        (2, 20, "closure"),
-    ]
-    assert [each.keyframe for each in moved] == [2, 2]
-
-
-# Noise
-
-
-def test_an_outlier_has_hardly_any_weight_in_a_sum():
-    right = [Observation(0, 5, np.array([10.0, 0.0, 0.0]), 0.01 * np.eye(3)) for _ in range(2)]
-    wrong = Observation(0, 5, np.array([10.0, 3.0, 0.0]), 0.01 * np.eye(3))
-    at, point = np.tile(np.eye(4), (3, 1, 1)), np.tile([10.0, 0.0, 0.0], (3, 1))
-    cauchy = summed_at_estimate([*right, wrong], at, point, OBSERVATION_KERNEL_WIDTH)
-    plain = summed_at_estimate([*right, wrong], at, point, 1e6)
-    assert len(cauchy) == len(plain) == 1
-    assert cauchy[0].position[1] < 0.01
-    assert plain[0].position[1] == pytest.approx(1.0)
-    np.testing.assert_allclose(plain[0].covariance_inflation * plain[0].covariance, 0.01 / 3.0 * np.eye(3))
-
-
 def test_common_landmarks_tell_the_relative_pose_as_surely_as_a_solver_says():
     T, landmarks = true_poses(1)[0], true_landmarks()
     graph = FactorGraph(kernel_width=1e6)
@@ -321,19 +229,5 @@ def test_common_landmarks_tell_the_relative_pose_as_surely_as_a_solver_says():
     graph.add_observations(observations)
     graph.optimize()
     exact = graph.pose_covariances()[1] - graph.pose_covariances()[0]
-    found = relative_covariances([(o.landmark, o) for o in observations], [], {1: 0}, sensor_range_m=30.0)[1]
+    found = relative_covariances(observations, {1: 0}, sensor_range_m=30.0)[1]
     np.testing.assert_allclose(np.sqrt(np.diag(found)), np.sqrt(np.diag(exact)), rtol=0.2)
-
-
-def test_odometry_carries_what_is_known_of_one_keyframe_to_its_neighbours():
-    seen = [Observation(k, row, p, SEEN_COVARIANCE) for k in (0, 2) for row, p in enumerate(5.0 * np.eye(3))]
-    step = 1e-4 * np.eye(6)
-    edges = [Edge(2, 3, np.eye(4), step, "odometry"), Edge(3, 4, np.eye(4), step, "odometry")]
-    anchors = {2: 0, 3: 0, 4: 0}
-    found = relative_covariances([(o.landmark, o) for o in seen], edges, anchors, sensor_range_m=30.0)
-    np.testing.assert_allclose(found[3], found[2] + step, rtol=1e-3, atol=1e-6)
-    np.testing.assert_allclose(found[4], found[2] + 2 * step, rtol=1e-3, atol=1e-6)
-    closed = [*edges, Edge(1, 4, np.eye(4), 1e-6 * np.eye(6), "closure")]
-    sure = relative_covariances([(o.landmark, o) for o in seen], closed, anchors, sensor_range_m=30.0)
-    assert np.diag(sure[4]).max() < 1.1e-6
-    assert (np.diag(sure[2]) < np.diag(found[2])).all()

@@ -60,16 +60,6 @@ def test_the_incremental_and_the_batch_estimate_agree():
     np.testing.assert_allclose(landmarks_before, graph.landmark_positions(rows), atol=0.02)
 
 
-def test_a_closure_between_far_keyframes_bends_the_chain():
-    T = true_poses()
-    closure = replace(edge(0, 11, invert(T[0]) @ T[11], "closure"), covariance=1e-6 * np.eye(6))
-    open_loop, closed = build(noisy_edges(), []), build([*noisy_edges(), closure], [])
-    assert np.linalg.norm(open_loop.pose(11)[:3, 3] - T[11, :3, 3]) > 1.0
-    closed.optimize()
-    np.testing.assert_allclose(closed.pose(11), T[11], atol=0.02)
-    assert worst_pose_error_m(closed) < worst_pose_error_m(open_loop)
-
-
 def test_a_pose_that_was_asked_for_is_another_after_the_next_update():
     T = true_poses()
     graph = build(noisy_edges(), [])

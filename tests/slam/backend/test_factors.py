@@ -78,7 +78,7 @@ def test_the_error_of_an_observation_is_that_of_the_position_in_the_body(seed, s
     A = rng.normal(size=(3, 3))
     observation = replace(observed(position), covariance=1e-4 * np.eye(3) + 0.01 * A @ A.T)
     plain = 1e6
-    (factor,) = observation_factors([observation], plain, sensor_range_m=sensor_range_m)
+    _, factor = observation_factors([observed(inflation=4.0), observation], plain, sensor_range_m=sensor_range_m)
     T_map_body = make_transform(Rotation.random(random_state=rng).as_matrix(), 100.0 * rng.normal(size=3))
     R, seen = T_map_body[:3, :3], position + off
     point = R @ seen + T_map_body[:3, 3]

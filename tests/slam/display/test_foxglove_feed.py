@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ SUBPROTOCOL, MESSAGE_DATA = "foxglove.sdk.v1", 1
 def test_client_receives_the_poses_that_it_subscribes_to() -> None:
     T_map_body = np.eye(4)
     T_map_body[:3, 3] = [1.0, 2.0, 3.0]
-    with FoxgloveFeed("127.0.0.1", 0) as feed:
+    with closing(FoxgloveFeed("127.0.0.1", 0)) as feed:
         feed.show("/slam/pose", SlamPose(5, np.eye(4)), 5)
         with connect(f"ws://127.0.0.1:{feed.port}", subprotocols=[SUBPROTOCOL]) as client:
             channel = _advertised(client, "/slam/pose")

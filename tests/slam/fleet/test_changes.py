@@ -8,8 +8,7 @@ import pytest
 
 from slam.common.georeference import Georeference
 from slam.fleet.changes import Change, find_changes, write_changes
-from slam.fleet.passes import find_passes
-from slam.fleet.presence import estimate_presence, seen_probabilities
+from slam.fleet.presence import estimate_presence, find_passes, seen_probabilities
 from tests.slam.fleet.parts import street_part
 
 MONTH_NS = 30 * 86_400 * 10**9

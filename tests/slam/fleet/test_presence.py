@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.fleet.passes import Passes
-from slam.fleet.presence import estimate_presence, seen_probabilities
+from slam.fleet.presence import Passes, estimate_presence, find_passes, seen_probabilities
+from tests.slam.fleet.parts import street_part
 
 DAY_NS = 86_400 * 10**9
 MONTHS_NS = np.arange(8) * 30 * DAY_NS
@@ -92,3 +92,11 @@ def test_probabilities_are_learned_by_the_distance_from_what_certainly_stood_the
     assert abs(np.median(probabilities[:, middle][missed & (away_m < 12.0)]) - 0.95) < 0.05
     assert abs(np.median(probabilities[:, middle][missed & (away_m > 18.0)]) - 0.5) < 0.1
     assert (probabilities[:, 1] == 0.0).all()
+
+
+def test_find_passes_measures_distances_from_the_path_and_beyond_its_ends() -> None:
+    positions = np.array([[50.0, 5.0, 0.0], [37.0, -8.0, 1.0], [-3.0, 4.0, 0.0], [101.0, 8.0, 0.0]])
+    seen = np.array([[True, False], [True, True], [False, False], [False, True]])
+    passes = find_passes(street_part(positions, ["tree"] * 4, seen))
+    np.testing.assert_array_equal(passes.seen, seen)
+    np.testing.assert_allclose(passes.distances_m, np.repeat([[5.0], [8.0], [5.0], [10.0]], 2, axis=1))

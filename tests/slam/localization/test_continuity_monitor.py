@@ -12,7 +12,6 @@ from slam.localization.continuity_monitor import (
     FALSE_MATCH_PROBABILITY,
     ContinuityMonitor,
     RecentLandmarks,
-    Visibility,
     _Sides,
 )
 from slam.odometry.keyframe import Keyframe
@@ -132,17 +131,6 @@ def test_after_a_kidnapping_the_next_one_is_as_improbable_as_before(street):
     street.monitor.restart()
     street.drive(1, hidden=street.hide_known())
     assert street.monitor.kidnapping_probability < 1e-3
-
-
-def test_where_a_sensor_sees_is_learned_by_range_and_bearing():
-    visibility = Visibility(RANGE_M)
-    ahead, behind, far = np.array([[10.0, 1.0]]), np.array([[-10.0, 1.0]]), np.array([[31.0, 0.0]])
-    assert visibility.probability(ahead)[0] == visibility.probability(behind)[0] == 0.0
-    for _ in range(50):
-        visibility.learn(np.concatenate([ahead, behind, far]), np.array([True, False, True]))
-    assert visibility.probability(ahead)[0] > 0.9
-    assert visibility.probability(behind)[0] < 0.1
-    assert visibility.probability(far)[0] == 0.0
 
 
 def test_two_landmarks_that_are_missed_are_enough():

@@ -67,14 +67,6 @@ class TestGeoreference:
         assert np.abs(off).max() < 1.0
         assert abs(found.yaw_rad - TRUE.yaw_rad) < 0.01
 
-    def test_fixes_weigh_by_their_covariances(self) -> None:
-        positions = path().T_map_body[:, :3, 3]
-        good, bad = fixes_of(positions, 0.1), fixes_of(positions, 20.0, seed=3)
-        mixed = [bad[i] if i % 4 else good[i] for i in range(len(good))]
-        found = find_georeference(path(), mixed)
-        assert found is not None
-        assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions)[:, :2].max() < 0.15
-
     def test_few_good_fixes_weigh_more_than_many_bad_ones(self) -> None:
         positions = path().T_map_body[:, :3, 3]
         good, bad = fixes_of(positions, 0.1), fixes_of(positions, 20.0, seed=3)

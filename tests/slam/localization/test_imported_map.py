@@ -14,7 +14,6 @@ from slam.final_map import FinalMap
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import MIRRORED
 from slam.place_recognition.imported_map import make_imported_map
-from slam.place_recognition.initial_pose import InitialPose
 from slam.replay import replay as replay_log
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import simulate, write_simulation
@@ -44,13 +43,11 @@ def city_map(town: World, sigma_m: float = 0.3) -> PriorMap:
     )
 
 
-def drive(
-    town: World, known: PriorMap, *, extend: bool, initial_pose: InitialPose | None = None
-) -> tuple[list[float], FinalMap, Slam]:
+def drive(town: World, known: PriorMap, *, extend: bool) -> tuple[list[float], FinalMap, Slam]:
     """Errors [m] of the poses in the map when they came."""
     records = list(simulate(town.shortened(LENGTH_M), SimulationConfig(), seed=2))
     truth = truth_of(records)
-    slam, errors = Slam(Config(), known, extend=extend, initial_pose=initial_pose), list[float]()
+    slam, errors = Slam(Config(), known, extend=extend), list[float]()
     for record in records:
         if not isinstance(record, Odometry | ObjectDetections | Transform) or isinstance(record, GroundTruthPose):
             continue
@@ -71,34 +68,6 @@ def test_the_robot_is_found_with_a_fifth_of_the_objects_missing(town: World, ext
     # The optimised trajectory lies in the map, too, and lines to its far origin are not drawn.
     assert abs(final.trajectory.T_map_body[0, 0, 3] - town.tour[0, 0]) < 1.0
     assert len(final.snapshot.closures) == 0
-
-
-@pytest.mark.slow
-def test_only_the_map_around_the_robot_is_taken_in(town: World) -> None:
-    known = city_map(town)
-    _, final, _ = drive(town, known, extend=False)
-    of_map = [row for row, count in enumerate(final.object_map.observation_counts) if count >= 1]
-    assert 0 < len(of_map) < 2 * len(known)
-
-
-@pytest.mark.slow
-def test_a_fixed_map_stays_as_it_is_and_another_is_bent(town: World) -> None:
-    for extend in (False, True):
-        known = city_map(town)
-        _, final, _ = drive(town, known, extend=extend)
-        reference = np.asarray(known.positions, dtype=np.float64)
-        offsets = np.abs(final.object_map.positions[:, None, :2] - reference[None, :, :2]).max(axis=2).min(axis=1)
-        observed = final.object_map.observation_counts > 5
-        moved = offsets[observed] > 1e-3
-        assert moved.any() if extend else (~moved).any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("off_m", [0.0, 500.0])
-def test_it_is_looked_for_only_where_it_is_said_to_be(town: World, off_m: float) -> None:
-    prior = InitialPose(town.tour[0] + [off_m, 0.0], 20.0)
-    _, _, slam = drive(town, city_map(town), extend=False, initial_pose=prior)
-    assert bool(slam.fixes) == (off_m == 0.0)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Factor, Observation, observation_factors
+from slam.backend.factors import Edge, Factor, Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
@@ -113,18 +113,13 @@ def test_observations_that_share_their_errors_come_back_as_robust_as_they_were()
     assert np.abs(before[:, 1] - OBJECTS[:, 1]).max() < 0.2
 
 
-def test_landmarks_of_a_map_that_stays_as_it_is_do_not_move(saved: SavedMap) -> None:
+def test_landmarks_of_a_fixed_map_stay_and_tell_where_the_robot_is(saved: SavedMap) -> None:
+    """Everything is seen beside where the map has it, so the robot is that far beside where it is, the other way."""
     _, graph = loaded(saved, fixed=True)
     see_again(graph)
     assert graph.landmarks.tolist() == []
     np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-3)
-
-
-def test_and_they_tell_where_the_robot_is(saved: SavedMap) -> None:
-    """Everything is seen beside where the map has it, so the robot is that far beside where it is, the other way."""
-    _, graph = loaded(saved, fixed=True)
-    see_again(graph)
     np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
 
 
@@ -174,16 +169,6 @@ def test_removing_a_landmark_removes_what_was_merged_into_it(saved: SavedMap) ->
     assert set(graph.to_record(9, np.arange(3)).observation_landmark_ids) == {"3"}
 
 
-def test_twin_removing_what_was_merged_leaves_what_it_became_part_of(saved: SavedMap) -> None:
-    _, graph = loaded(saved, fixed=False)
-    graph.alias_landmarks({2: 0})
-    graph.remove_landmarks([2])
-    graph.update()
-    assert graph.landmarks.tolist() == [0, 1, 3]
-    seen = graph.to_record(9, np.arange(3)).observation_landmark_ids
-    assert seen.count("0") == 3
-
-
 def test_retiring_a_landmark_retires_what_was_merged_into_it(saved: SavedMap) -> None:
     object_map, _ = loaded(saved, fixed=False)
     object_map.merge(0, 2)
@@ -200,19 +185,3 @@ def test_twin_retiring_what_was_merged_leaves_the_other(saved: SavedMap) -> None
 
 
 # Many factors at once
-
-
-def test_factors_made_at_once_are_those_made_one_by_one() -> None:
-    rng = np.random.default_rng(5)
-    observations = []
-    for row in range(30):
-        A = rng.normal(size=(3, 3))
-        observations.append(
-            Observation(0, row, rng.uniform(1.0, 20.0, 3), A @ A.T + 0.01 * np.eye(3), float(rng.choice([1.0, 500.0])))
-        )
-    together = observation_factors(observations, WIDTH, sensor_range_m=30.0)
-    for observation, factor in zip(observations, together, strict=True):
-        assert factor.equals(observation_factors([observation], WIDTH, sensor_range_m=30.0)[0], 1e-12)
-    other = replace(observations[0], covariance=2.0 * observations[0].covariance)
-    assert not together[0].equals(observation_factors([other], WIDTH, sensor_range_m=30.0)[0], 1e-12)
-    assert observation_factors([], WIDTH, sensor_range_m=30.0) == []

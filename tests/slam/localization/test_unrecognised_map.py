@@ -12,7 +12,7 @@ from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.common.georeference import Georeference
-from slam.localization.unrecognised_map import FEWEST_LANDMARKS, MIRRORED, why_doubtful, why_not_recognised
+from slam.localization.unrecognised_map import MIN_LANDMARKS, MIRRORED, why_doubtful, why_not_recognised
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 
 SIGMA_M = 0.1
@@ -65,7 +65,7 @@ def test_fixes_far_from_the_map_come_first() -> None:
 
 def test_landmarks_of_the_drive_alone_count_and_a_few_are_too_few() -> None:
     objects, trajectory = driven(town())
-    first_seen_ns = np.where(np.arange(SEEN) < FEWEST_LANDMARKS - 1, 5, 4)
+    first_seen_ns = np.where(np.arange(SEEN) < MIN_LANDMARKS - 1, 5, 4)
     old = replace(objects, first_seen_ns=first_seen_ns)
     assert "3 landmarks" in why_not_recognised(town(), old, trajectory, SIGMA_M)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import slam
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import LocalizationConfig, LoopClosureConfig
-from slam.registration.parameters import RegistrationConfig
+from slam.registration.registration import RegistrationConfig
 
 MODULES = (
     "localization/pose_prior.py",

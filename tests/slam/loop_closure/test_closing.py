@@ -22,7 +22,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
-from slam.registration.parameters import MIN_INLIERS
+from slam.registration.registration import MIN_INLIERS
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 

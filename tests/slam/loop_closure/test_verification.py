@@ -23,7 +23,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.place import Place
-from slam.registration.parameters import registration_config
+from slam.registration.registration import registration_config
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import make_submap, part_of
 

@@ -16,7 +16,7 @@ from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
-from tests.helpers.short_drives import Entry, block_world, drive, keep_until, records_of, write_log, write_map
+from tests.helpers.short_drives import Entry, block_world, drive, write_log, write_map
 
 pytestmark = pytest.mark.slow
 
@@ -110,21 +110,6 @@ def test_what_is_gone_is_retired_from_a_map_that_is_extended_and_from_no_other(k
     assert gone >= 3 if extend else gone == 0
 
 
-def test_the_same_drive_in_the_same_map_gives_the_same_bytes(path: Path, tmp_path: Path, second: list[Entry]) -> None:
-    log = write_log(tmp_path / "in.mcap", keep_until(second, 15.0))
-    outputs = []
-    for name in ("a", "b"):
-        replay(
-            log, tmp_path / f"{name}.mcap", Config(), prior_map=load_map(path), map_path=tmp_path / f"{name}_map.mcap"
-        )
-        outputs.append((tmp_path / f"{name}.mcap").read_bytes() + (tmp_path / f"{name}_map.mcap").read_bytes())
-    assert outputs[0] == outputs[1]
-    assert len(records_of(tmp_path / "a.mcap", "/slam/relocalizations")) > 0
-    extended = load_map(tmp_path / "a_map.mcap")
-    assert len(extended.objects.ids) > 0
-    assert [len(saved["input_sha256"]) for saved in extended.drives] == [0, 64]
-
-
 def test_an_empty_map_is_refused(first: FinalMap, tmp_path: Path) -> None:
     nothing = replace(first.object_map, states=("retired",) * len(first.object_map.ids))
     with pytest.raises(SavedMapError, match="no landmarks or no keyframes"):
@@ -173,9 +158,9 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     """The second drive is in another town: nobody knows where its landmarks are in the first one's map."""
     _, final = elsewhere
     path = tmp_path / "both.mcap"
-    left_out = save_map(path, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
+    save_map(path, final.object_map, final.graph, PROVENANCE, earlier_drives=known.drives)
     loaded = load_map(path)
-    assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
+    assert len(loaded.graph.keyframe_ids) == len(known.graph.keyframe_ids) < len(final.graph.keyframe_ids)
     assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")
     np.testing.assert_allclose(loaded.objects.positions, known.objects.positions, atol=0.02)
 
@@ -199,4 +184,5 @@ def test_a_discontinuity_is_known_by_its_kind_and_not_by_its_covariance(
     covariances = graph.edge_covariances.copy()
     covariances[row] *= scale
     graph = replace(graph, edge_kinds=kinds, edge_covariances=covariances)
-    assert save_map(tmp_path / "m.mcap", first.object_map, graph, PROVENANCE) == left_out
+    save_map(tmp_path / "m.mcap", first.object_map, graph, PROVENANCE)
+    assert len(load_map(tmp_path / "m.mcap").graph.keyframe_ids) == len(ids) - left_out

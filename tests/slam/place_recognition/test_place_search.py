@@ -98,15 +98,6 @@ def test_pairs_are_compared_by_the_noise_between_neighbours() -> None:
     assert found[None] <= 3
 
 
-def test_only_objects_of_the_same_class_are_met() -> None:
-    positions, labels = town(classes=2)
-    search = searched(positions, labels, classes=2)
-    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(3), missing=0.1, clutter=0)
-    assert is_near(search.find_poses(query(seen, labels[rows]), count=1)[0], T_gt)
-    wrong = search.find_poses(query(seen, 1 - labels[rows]), count=5)
-    assert not any(is_near(each, T_gt) for each in wrong)
-
-
 @pytest.mark.parametrize("count", [0, 1])
 def test_query_of_too_few_objects_has_no_pose(count: int) -> None:
     positions, labels = town(50)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,11 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert, make_transform, skew, transform_from_xyz_yaw
-from slam.registration.estimate import Registration, _covariance
-from slam.registration.parameters import RegistrationConfig
-from slam.registration.refinement import LevelPose, Pairs
-from slam.registration.registration import refine
+from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from slam.registration.registration import LevelPose, Pairs, Registration, RegistrationConfig, estimate, refine
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)
@@ -62,15 +60,6 @@ def is_one_to_one(registration: Registration) -> bool:
     return all(len(set(side.tolist())) == len(side) for side in registration.pairs.T)
 
 
-def logarithm(T: FloatArray) -> FloatArray:
-    """GTSAM's Pose3.Logmap (6,): rotation, then the translation taken back through the left Jacobian."""
-    w = Rotation.from_matrix(T[:3, :3]).as_rotvec()
-    W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    angle = max(float(np.linalg.norm(w)), 1e-9)
-    factor = (1.0 - angle * np.sin(angle) / (2.0 * (1.0 - np.cos(angle)))) / angle**2 if angle > 1e-4 else 1.0 / 12.0
-    return np.concatenate([w, (np.eye(3) - 0.5 * W + factor * W @ W) @ T[:3, 3]])
-
-
 def near_place(seed: int) -> tuple[FloatArray, IntArray, FloatArray, IntArray, FloatArray]:
     """24 of 60 objects and 6 that are new: query and labels, reference and labels, T_reference_query."""
     rng = np.random.default_rng(seed)
@@ -100,7 +89,7 @@ def test_refinement_from_an_approximate_pose() -> None:
             assert len(registration.pairs) >= 22
             assert is_one_to_one(registration)
             assert (query_labels[registration.pairs[:, 0]] == labels[registration.pairs[:, 1]]).all()
-            error = logarithm(invert(registration.T_reference_query) @ T_gt)
+            error = gtsam.Pose3.Logmap(gtsam.Pose3(invert(registration.T_reference_query) @ T_gt))
             assert error @ np.linalg.solve(registration.covariance, error) < 30.0
 
 
@@ -167,7 +156,7 @@ def test_covariance_against_monte_carlo() -> None:
         reference[:, 2] += rng.normal(0.0, config.height_sigma_m, 25)
         sigmas = {"sigma_m": query_sigmas, "reference_sigma_m": reference_sigmas}
         registration = one_to_one(query, reference, T_level, config=config, **sigmas)
-        errors.append(logarithm(invert(registration.T_reference_query) @ T_gt))
+        errors.append(gtsam.Pose3.Logmap(gtsam.Pose3(invert(registration.T_reference_query) @ T_gt)))
         covariances.append(registration.covariance)
     xi = np.array(errors)
     nees = np.einsum("ni,ni->n", xi, np.linalg.solve(np.array(covariances), xi[..., None])[..., 0])
@@ -176,20 +165,6 @@ def test_covariance_against_monte_carlo() -> None:
     spread = (xi / np.sqrt(np.array([np.diag(P) for P in covariances]))).std(axis=0)
     assert spread.min() > 0.75
     assert spread.max() < 1.2
-
-
-def test_precise_objects_count_for_more() -> None:
-    errors = {True: [], False: []}
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        reference = street_objects(20, rng=rng)
-        sigmas = np.where(np.arange(20) % 2, 0.05, 1.0)
-        query = reference + sigmas[:, None] * rng.normal(size=(20, 3))
-        for told, given_sigmas in ((True, sigmas), (False, np.full(20, 0.7))):
-            registration = one_to_one(query, reference, sigma_m=given_sigmas)
-            centre = reference.mean(axis=0, keepdims=True)
-            errors[told].append(np.linalg.norm(apply(registration.T_reference_query, centre) - centre))
-    assert np.median(errors[True]) < 0.5 * np.median(errors[False])
 
 
 def test_crowded_objects_are_assigned_so_that_most_agree() -> None:
@@ -233,15 +208,6 @@ def test_objects_in_a_row_determine_yaw_the_better_the_longer_it_is() -> None:
     assert sigmas[0] == pytest.approx(10.0 * sigmas[1], rel=0.01)
 
 
-def test_a_mirrored_constellation_is_no_match() -> None:
-    for seed in range(10):
-        reference = street_objects(40, rng=np.random.default_rng(seed))
-        registration = one_to_one(reference * [1.0, -1.0, 1.0], reference)
-        assert len(registration.pairs) <= 12
-        if registration.T_reference_query is not None:
-            assert np.linalg.det(registration.T_reference_query[:3, :3]) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(
     ("query", "reference", "labels", "reason"),
     [
@@ -282,10 +248,15 @@ def test_small_constellations_never_fail(
         assert np.linalg.eigvalsh(found.covariance)[0] > 0.0
 
 
-def test_covariance_moves_from_the_middle_to_the_origin_of_the_query() -> None:
-    A = np.random.default_rng(0).normal(size=(6, 6))
-    information, middle = A @ A.T + np.eye(6), np.array([20.0, -30.0, 4.0])
-    there = _covariance(information, np.zeros(3), 1e-4)
-    Ad = np.eye(6)
-    Ad[3:, :3] = skew(middle)
-    np.testing.assert_allclose(_covariance(information, middle, 1e-4), Ad @ there @ Ad.T, rtol=1e-9)
+def test_an_inlier_that_the_last_fit_loses_is_none():
+    sigmas_m = np.full(4, 0.3)
+    gate_m = 3.0 * sigmas_m[0]
+    corners = np.array([0.0, 20.0, 20.0j, 20.0 + 20.0j])
+    moved = corners + np.array([0.0, 1.2 * gate_m, 0.0, 0.0])
+    rows, flat, middle = np.column_stack([np.arange(4)] * 2), np.zeros(4), np.zeros(3)
+    pairs = Pairs(rows, corners, moved, flat, flat, sigmas_m, sigmas_m, middle, middle)
+    start = LevelPose(1.0, 0.25 * gate_m, 0.0)
+    assert len(estimate(start, pairs, RegistrationConfig()).pairs) == 3
+    assert estimate(start, pairs, RegistrationConfig(min_inliers=4)).reason == (
+        "3 pairs of objects agree on a pose, fewer than 4"
+    )

@@ -31,7 +31,7 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place_search import PlaceSearch
-from slam.registration.parameters import registration_config
+from slam.registration.registration import registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario

@@ -12,8 +12,8 @@ from slam.common.calibration import DetectionCalibration
 from slam.common.config import LabelsConfig, load_config
 from slam.common.config_tree import to_toml
 from slam.common.errors import ConfigurationError
-from slam.frontend.input.label_map import LabelMap
-from slam.frontend.input.scan import make_scan
+from slam.frontend.input.label_map import DROPPED, LabelMap
+from slam.frontend.input.scan import is_wanted
 
 NAMES = ("car", "van", "person", "pole_1", "tree")
 
@@ -24,11 +24,10 @@ def detections(labels: tuple[str, ...] = NAMES) -> ObjectDetections:
 
 
 def test_classes_are_renamed_merged_and_dropped() -> None:
-    config = LabelsConfig(rename={"pole_*": "pole"}, merge={"vehicle": ("car", "van")}, drop=("person",))
-    scan = make_scan(LabelMap(config).apply(detections()), np.eye(4), DetectionCalibration())
-    assert scan.labels == ("vehicle", "vehicle", "pole", "tree")
-    assert scan.used.tolist() == [True, True, False, True, True]
-    np.testing.assert_array_equal(scan.positions[:, 0], [0.0, 1.0, 3.0, 4.0])
+    config = LabelsConfig(rename={"pole_*": "pole", "car": "vehicle", "van": "vehicle"}, drop=("person",))
+    renamed = LabelMap(config).apply(detections())
+    assert renamed.labels == ("vehicle", "vehicle", DROPPED, "pole", "tree")
+    assert is_wanted(renamed, DetectionCalibration()).tolist() == [True, True, False, True, True]
 
 
 def test_without_settings_nothing_changes() -> None:
@@ -45,25 +44,23 @@ def test_names_that_differ_in_case_only_are_one_class() -> None:
 
 
 def test_names_that_no_detection_has_are_told() -> None:
-    labels = LabelMap(LabelsConfig(rename={"cars": "car"}, merge={"vehicle": ("van", "bus")}, drop=("person", "dog*")))
+    labels = LabelMap(LabelsConfig(rename={"cars": "car", "van": "vehicle", "bus": "vehicle"}, drop=("person", "dog*")))
     labels.apply(detections())
-    assert labels.unused() == ["labels.drop: dog*", "labels.rename: cars", "labels.merge: bus"]
+    assert labels.unused() == ["labels.drop: dog*", "labels.rename: cars", "labels.rename: bus"]
 
 
 def test_a_name_in_two_settings_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="'car' is in more than one of drop, rename and merge"):
+    with pytest.raises(ConfigurationError, match="'car' is both in drop and in rename"):
         LabelMap(LabelsConfig(rename={"car": "vehicle"}, drop=("car",)))
 
 
 def test_the_settings_come_from_a_file_and_go_into_one(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
-        '[labels]\ndrop = ["person"]\n[labels.rename]\n"pole 1" = "pole"\n[labels.merge]\nvehicle = ["car", "van"]\n'
-        '[topics]\ndetections = "/left,/right"\n'
+        '[labels]\ndrop = ["person"]\n[labels.rename]\n"pole 1" = "pole"\n[topics]\ndetections = "/left,/right"\n'
     )
     config = load_config(path, ['labels.rename.cone="traffic cone"'])
     assert config.labels.rename == {"pole 1": "pole", "cone": "traffic cone"}
-    assert config.labels.merge == {"vehicle": ("car", "van")}
     assert config.labels.drop == ("person",)
     assert config.topics == {"detections": "/left,/right"}
     again = tmp_path / "again.toml"

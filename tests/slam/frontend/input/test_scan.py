@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, make_transform
-from slam.frontend.input.scan import in_metres, make_scan, with_expected_noise
+from slam.frontend.input import scan as scans
+from slam.frontend.input.scan import in_metres, with_expected_noise
 from tests.logs.examples import random_detections, random_transform
+
+make_scan = partial(scans.make_scan, up_body=np.array([0.0, 0.0, 1.0]))
 
 
 def detections(positions, *, scores=None, covariances=None) -> ObjectDetections:
@@ -94,7 +99,7 @@ def test_an_empty_message_is_an_empty_scan(covariances):
 def test_the_noise_of_heights_is_along_the_vertical_of_a_body_that_leans():
     up_body = np.array([0.0, 0.6, 0.8])
     config = DetectionCalibration(base_sigma_m=0.1, sigma_per_m=0.0, height_sigma_m=2.0)
-    covariance = make_scan(detections([[10, 0, 0]]), np.eye(4), config, up_body).covariances[0]
+    covariance = make_scan(detections([[10, 0, 0]]), np.eye(4), config, up_body=up_body).covariances[0]
     assert up_body @ covariance @ up_body == pytest.approx(0.01 + 4.0)
     across = np.array([0.0, 0.8, -0.6])
     assert across @ covariance @ across == pytest.approx(0.01)

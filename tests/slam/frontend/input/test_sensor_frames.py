@@ -80,7 +80,7 @@ def test_the_tree_of_a_frame_is_named():
 
 def test_a_loop_is_named():
     found = frames(base__a=np.eye(4), a__b=np.eye(4), b__c=np.eye(4), c__a=np.eye(4))
-    with pytest.raises(InputDataError, match="form a loop: a -> b -> c -> a"):
+    with pytest.raises(InputDataError, match=r"form a loop: (a -> b -> c -> a|b -> c -> a -> b|c -> a -> b -> c),"):
         found.find("base", "c")
     assert frames(base__a=np.eye(4), b__c=np.eye(4), c__b=np.eye(4)).find("base", "a") is not None
     assert frames(base__a=np.eye(4), a__a=np.eye(4)).find("base", "a") is not None

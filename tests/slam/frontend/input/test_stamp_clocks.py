@@ -200,20 +200,3 @@ def test_a_clock_that_was_set_again_and_again_tells_of_no_drift() -> None:
         list(clocks.follow(item(scan(made_ns - 3 * TENTH_NS * (row // 3334)), made_ns)))
     assert len(clocks.steps) == 2
     assert clocks.drift().rate == 0.0
-
-
-def test_a_whole_drive_is_followed_in_little_memory() -> None:
-    clocks = StampClocks(keeps_delays=False)
-    for row in range(20 * MESSAGES):
-        made_ns = START_NS + row * TENTH_NS
-        set_back_ns = 3 * S_NS if row > 10 * MESSAGES else 0
-        list(clocks.follow(item(scan(made_ns - set_back_ns), made_ns + jitter_ns(row))))
-    assert len(clocks.steps) == 1
-    assert not clocks._delays
-    assert not clocks._logged
-
-
-def test_log_times_may_all_be_zero() -> None:
-    clocks = StampClocks()
-    found = [each for row in range(MESSAGES) for each in clocks.follow(item(scan(START_NS + row * TENTH_NS), 0))]
-    assert len([*found, *clocks.finish()]) == MESSAGES

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from slam.backend.factors import PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray
-from slam.common.geometry import adjoint, invert
+from slam.common.geometry import adjoint, invert, skew
 
 
 class AttachedKeyframes:
@@ -102,3 +102,38 @@ class AttachedKeyframes:
                 Ad = adjoint(invert(self._transforms[keyframe]))
                 covariances[row] = Ad @ of_anchors[row] @ Ad.T + self._covariances[keyframe]
         return covariances
+
+
+def relative_covariances(
+    observations: Iterable[Observation], anchors: Mapping[int, int], *, sensor_range_m: float
+) -> dict[int, FloatArray]:
+    """Covariance (6, 6) of the pose of each keyframe relative to its anchor, about the axes of the keyframe.
+
+    Args:
+        observations: of variables, from the keyframes and from their anchors: those that both observed tell the pose.
+        anchors: of the keyframes in question.
+        sensor_range_m: what they do not tell is off by half a turn and by that at most.
+    """
+    seen = dict[int, dict[int, Observation]]()
+    for each in observations:
+        seen.setdefault(each.keyframe, {})[each.landmark] = each
+    unknown = np.diag(np.repeat([np.pi, sensor_range_m], 3) ** -2.0)
+    return {
+        keyframe: np.asarray(
+            np.linalg.inv(unknown + _relative_information(seen.get(keyframe, {}), seen.get(anchor, {})))
+        )
+        for keyframe, anchor in anchors.items()
+    }
+
+
+def _relative_information(seen: Mapping[int, Observation], by_anchor: Mapping[int, Observation]) -> FloatArray:
+    """Information (6, 6) that common landmarks hold on the pose of a keyframe relative to its anchor."""
+    information = np.zeros((6, 6))
+    for variable, each in seen.items():
+        if (other := by_anchor.get(variable)) is None:
+            continue
+        noise = each.covariance_inflation * each.covariance
+        noise = noise + other.covariance_inflation * np.trace(other.covariance) / 3.0 * np.eye(3)
+        J = np.hstack([skew(each.position), -np.eye(3)])
+        information += J.T @ np.linalg.solve(noise, J)
+    return information
