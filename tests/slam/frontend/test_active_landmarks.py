@@ -129,6 +129,23 @@ def test_body_that_turns_on_the_spot_sees_landmarks_as_before() -> None:
     assert bench.sigma_m(0) == pytest.approx(SIGMA_M, rel=1e-3)
 
 
+def test_one_landmark_tells_the_noise_of_all_steps_since_the_last_correction(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, shares = Bench(odometry={"translation_sigma": 0.04}, detection={"common_sigma_m": 0.0}), []
+    monkeypatch.setattr(
+        bench.active._noise, "add", lambda innovation, effects: shares.append(np.sum(effects[:, 3:5] ** 2, axis=0))
+    )
+    rows = bench.add([[5.0, 2.0, 0.0]])
+    bench.advance(4.0, step_m=1.0)
+    bench.see(rows)
+    bench.see(rows)
+    bench.advance(8.0, step_m=1.0)
+    bench.active.restart()
+    bench.see(bench.add([[12.0, 2.0, 0.0]]))
+    variance = 4.0 * (SLIP_INFLATION * 0.04) ** 2
+    np.testing.assert_allclose(shares[0], variance / (variance + 2.0 * SIGMA_M**2), rtol=1e-6)
+    np.testing.assert_array_equal(shares[1:], np.zeros((2, 2)))
+
+
 def test_map_tells_which_landmarks_are_active() -> None:
     bench = Bench()
     rows = bench.add([[5.0, 2.0, 0.0], [9.0, 2.0, 0.0]])
