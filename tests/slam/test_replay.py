@@ -15,7 +15,6 @@ from logs.importers.text_log import read_text_log
 from logs.messages import (
     DetectionAssociations,
     FactorGraphRecord,
-    GroundTruthPose,
     ObjectDetections,
     ObjectMapRecord,
     Odometry,
@@ -216,22 +215,6 @@ def test_progress_stays_within_its_bounds_where_the_truth_is_longer_than_the_dri
     replay(source, tmp_path / "out.mcap", Config(), progress=told.append)
     assert min(told) >= 0.0
     assert max(told) <= 1.0
-
-
-def test_a_topic_can_be_named(noisy_drive, tmp_path):
-    entries = keep_until(noisy_drive, 2.0)
-    true_odometry = [
-        ("/other", ns, Odometry(ns, record.T_world_body))
-        for _, ns, record in entries
-        if isinstance(record, GroundTruthPose)
-    ]
-    source = write_log(tmp_path / "in.mcap", sorted([*entries, *true_odometry], key=lambda entry: entry[1]))
-    with pytest.raises(TopicSelectionError, match="/odom, /other"):
-        replay(source, tmp_path / "out.mcap", Config())
-    assert not list(tmp_path.glob("out*"))
-    replay(source, tmp_path / "out.mcap", Config(), topics={"odometry": "/other"})
-    (trajectory,) = records_of(tmp_path / "out.mcap", "/slam/trajectory_stamped")
-    np.testing.assert_allclose(trajectory.T_map_body[0], true_odometry[0][2].T_odom_body, atol=1e-6)
 
 
 def test_an_output_can_not_be_replayed_as_if_it_had_detections(noisy_output, tmp_path):

@@ -132,13 +132,6 @@ def test_landmark_is_confirmed_by_enough_sightings_and_then_enters_the_graph_wit
     np.testing.assert_allclose(bench.observations()[0].covariance, 0.1**2 * np.eye(3), atol=1e-9)
 
 
-def test_sightings_of_a_tentative_landmark_are_kept_over_keyframes():
-    bench = Bench()
-    bench.drive(13)
-    bench.mapper.close_keyframe()
-    assert sorted({o.keyframe for o in bench.observations()}) == [0, 1, 2, 3]
-
-
 def test_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
     bench = Bench()
     bench.drive(10)

@@ -121,14 +121,6 @@ def test_a_few_wrong_matches_and_moving_objects_change_little():
         assert sigma / 1.5 < np.sqrt(getattr(spoilt.variances, name)) < sigma * 1.5, name
 
 
-@pytest.mark.usefixtures("few_pairs")
-def test_no_variance_is_negative_and_all_are_finite():
-    found = estimate(SurveyedDrive(0, {"radial": 1e-9}, scans=300))
-    assert np.isfinite(astuple(found.variances)).all()
-    assert min(astuple(found.variances)) >= 0.0
-    assert min(astuple(found.standard_errors)) >= 0.0
-
-
 def test_a_robot_that_neither_moves_nor_turns_tells_the_noise_of_its_detector():
     drive = SurveyedDrive(3, DETECTOR)
     tracks, motion = drive.tracks, drive.motion

@@ -83,19 +83,6 @@ def test_noise_is_that_of_the_paper() -> None:
     np.testing.assert_allclose(pooled.std(axis=0), 0.1 / np.sqrt(12.0), rtol=0.05)
 
 
-def test_wrong_labels_are_twice_as_frequent_at_twice_the_range(street):
-    objects, tour = street
-    near = far = expected_near = expected_far = 0.0
-    for query in draw_queries(objects, tour, NOISY, count=400, rng=np.random.default_rng(7)):
-        ranges_m = np.linalg.norm(objects.positions[query.objects] - query.T_map_query_gt[:3, 3], axis=1)
-        share, wrong = ranges_m / ranges_m.max(), query.labels != objects.labels[query.objects]
-        near, far = near + wrong[share < 0.6].sum(), far + wrong[share >= 0.6].sum()
-        expected_near += 0.2 * share[share < 0.6].sum()
-        expected_far += 0.2 * share[share >= 0.6].sum()
-    assert near == pytest.approx(expected_near, rel=0.15)
-    assert far == pytest.approx(expected_far, rel=0.15)
-
-
 def _scale_of(positions: FloatArray, truth: FloatArray) -> float:
     """The slope of the regression of the positions on the truth, whose mean error is the constant."""
     seen, true = positions[:, :2] - positions[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
