@@ -24,6 +24,7 @@ from slam.simulation.simulation import simulate
 from slam.simulation.world import World
 from slam.system import Slam
 
+CLASSES = ("bench", "lamp", "tree", "vehicle")
 Entry = tuple[str, int, Record]
 """Topic, log time, record."""
 
@@ -39,11 +40,10 @@ EXACT_SENSOR = SensorConfig(
 EXACT = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR)
 
 
-def block_world(*, side_m: float = 40.0, classes: tuple[str, ...] = ("bench", "lamp", "tree", "vehicle")) -> World:
+def block_world() -> World:
     """A tour once around a square block, with about an object every 4 m, 4 m to 9 m off it."""
-    rng = np.random.default_rng(7)
+    rng, side_m, count = np.random.default_rng(7), 40.0, 40
     corners = np.array([[0.0, 0.0], [side_m, 0.0], [side_m, side_m], [0.0, side_m], [0.0, 0.0]])
-    count = int(side_m)
     along = (np.arange(count) + rng.uniform(-0.3, 0.3, count)) * 4.0 * side_m / count % (4.0 * side_m)
     side = (along // side_m).astype(np.int64)
     direction = (corners[side + 1] - corners[side]) / side_m
@@ -52,7 +52,7 @@ def block_world(*, side_m: float = 40.0, classes: tuple[str, ...] = ("bench", "l
     xy = corners[side] + direction * (along - side * side_m)[:, None] + normal * offset[:, None]
     positions = np.concatenate([xy, rng.uniform(-0.5, 1.5, (count, 1))], axis=1)
     ids = tuple(f"object-{i}" for i in range(count))
-    return World("block", ids, positions, tuple(rng.choice(classes, count).tolist()), corners)
+    return World("block", ids, positions, tuple(rng.choice(CLASSES, count).tolist()), corners)
 
 
 def drive(config: SimulationConfig = EXACT, *, seed: int = 1, world: World | None = None) -> list[Entry]:

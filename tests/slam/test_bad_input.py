@@ -60,22 +60,6 @@ def test_a_truncated_log_is_mapped_where_a_chunk_is_left(noisy_log, tmp_path, ou
 # Time
 
 
-def test_a_body_that_stands_still_for_a_minute_is_mapped(entries, output):
-    first = {type(record): (topic, record) for topic, _, record in reversed(entries)}
-    start_ns = entries[0][1]
-    still = []
-    for i in range(600):
-        ns = start_ns + i * SECOND_NS // 10
-        still += [
-            (topic, ns, replace(record, stamp_ns=ns)) for topic, record in (first[Odometry], first[ObjectDetections])
-        ]
-    counters = mapped(still, output, AS_GIVEN)
-    assert counters["detections_used"] == 600
-    assert counters["keyframes"] <= 13
-    (trajectory,) = records_of(output, "/slam/trajectory_stamped")
-    np.testing.assert_allclose(trajectory.T_map_body, np.tile(np.eye(4), (600, 1, 1)), atol=1e-3)
-
-
 @pytest.mark.parametrize(("there", "used", "outside"), [(range(20, 80), 60, 20), (range(1), 1, 79)])
 def test_detections_before_and_after_the_odometry_are_counted(entries, output, there, used, outside):
     counters = mapped(change(entries, Odometry, lambda i, record: record if i in there else None), output, AS_GIVEN)

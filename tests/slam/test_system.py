@@ -42,8 +42,8 @@ pytestmark = pytest.mark.slow
 TRUTHS = (GroundTruthPose, DetectionTruth, ObjectMapRecord)
 
 
-def finished(entries: list[Entry], config: Config | None = None) -> FinalMap:
-    return map_in_memory(entries, config).finish()
+def finished(entries: list[Entry]) -> FinalMap:
+    return map_in_memory(entries).finish()
 
 
 # Without noise

@@ -71,8 +71,8 @@ def places(told: str, text: str, *options: str, code: int = 0) -> Case:
     return Case(told, " ".join(["import map map.mcap --file objects.csv", *options]), {"objects.csv": text}, code)
 
 
-def drive(told: str, made: Drive, command: str = "replay drive.mcap -o out.mcap", code: int = 0) -> Case:
-    return Case(told, command, {"drive.mcap": made}, code)
+def drive(told: str, made: Drive, code: int = 0) -> Case:
+    return Case(told, "replay drive.mcap -o out.mcap", {"drive.mcap": made}, code)
 
 
 PLANTS = json.dumps({"plants": [{"kind": "tree", "sure": 0.5, "at": {"x": 5, "y": 2}}]})

@@ -45,9 +45,9 @@ def made_log() -> list[tuple[str, Record]]:
         log.append(("/odom", Odometry(t, odom)))
         log.append(("/ground_truth", GroundTruthPose(t, gt)))
         log.append(("/slam/pose", SlamPose(t, est, np.eye(4))))
-    seen = [(index, f"o{index}", str(index)) for index in range(10)]
+    names, ids = tuple(map(str, range(10))), tuple(f"o{index}" for index in range(10))
     sightings, at_frames = [], []
-    for index, truth, landmark in seen:
+    for index, (truth, landmark) in enumerate(zip(ids, names, strict=True)):
         for k in range(3):
             missed = index == 9 and k == 2
             sightings.append([(truth, "" if missed else landmark, k == 0)])
@@ -57,10 +57,8 @@ def made_log() -> list[tuple[str, Record]]:
     log += [("/ground_truth/detections", record) for record in truths]
     positions = winding_path(COUNT)[:100:10, :3, 3] + np.random.default_rng(0).uniform(-5, 5, (10, 3))
     labels = ("tree",) * 9 + ("pole",)
-    ids = tuple(truth for _, truth, _ in seen)
     log.append(("/ground_truth/objects", object_map(ids, positions, labels)))
     first = np.array(at_frames[::3], dtype=np.int64)
-    names = tuple(landmark for _, _, landmark in seen)
     in_map = apply(invert(T_WORLD_MAP), positions)
     log.append(("/slam/map", object_map(names, in_map + 99.0, labels, first_seen_ns=first)))
     log.append(("/slam/map", object_map(names, in_map, ("tree",) * 10, first_seen_ns=first)))

@@ -52,12 +52,12 @@ def random_covariances(rng: np.random.Generator, count: int, sigma_m: float) -> 
     return A @ np.swapaxes(A, 1, 2) + 0.1 * sigma_m**2 * np.eye(3)
 
 
-def random_scene(rng: np.random.Generator, detections: int, landmarks: int, *, classes: int = 3) -> Scene:
+def random_scene(rng: np.random.Generator, detections: int, landmarks: int) -> Scene:
     """Crowded enough that greedy choices are often wrong."""
     places = [rng.uniform(-2.0, 2.0, (count, 3)) * [1.0, 1.0, 0.2] for count in (detections, landmarks)]
     P = random_covariances(rng, detections, 0.5), random_covariances(rng, landmarks, 0.4)
-    beliefs = rng.dirichlet(np.full(classes, 0.3), size=landmarks)
-    return Scene(Objects(places[0], P[0], rng.integers(classes, size=detections)), places[1], P[1], beliefs)
+    beliefs = rng.dirichlet(np.full(3, 0.3), size=landmarks)
+    return Scene(Objects(places[0], P[0], rng.integers(3, size=detections)), places[1], P[1], beliefs)
 
 
 def plain_scene(seen, landmarks, *, labels=None, beliefs=None, sigma_m: float = SIGMA_M) -> Scene:

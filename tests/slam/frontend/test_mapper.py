@@ -40,8 +40,8 @@ class Bench:
         self.mapper = Mapper(self.config, self.map, self.graph)
         self.track = OdometryTrack()
 
-    def move(self, seconds: float, x: float = 0.0, *, yaw: float = 0.0) -> Keyframe | None:
-        T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+    def move(self, seconds: float, x: float = 0.0) -> Keyframe | None:
+        T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), 0.0)
         odometry = Odometry(round(seconds * 1e9), T)
         (pose,) = self.track.add(odometry) or self.track.finish()
         assert pose is not None

@@ -19,10 +19,8 @@ SURE_LLR = PENALTY - logit(LocalizationConfig().error_probability) + 0.5
 """A little more than the log odds that are wanted, above the penalty."""
 
 
-def candidate(x_m: float, llr: float, *, row: int = 0, reference: int = 3) -> Candidate:
-    made = make_candidate(
-        T_local_query=at(x_m), llrs={row: llr}, odometry_penalty=PENALTY, reference=reference, T_reference_query=at(0.0)
-    )
+def candidate(x_m: float, llr: float) -> Candidate:
+    made = make_candidate(T_local_query=at(x_m), llrs={0: llr}, odometry_penalty=PENALTY, T_reference_query=at(0.0))
     return replace(made, unpredicted_penalty=PENALTY + 10.0)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.consistency import (
     AGREE_RAD,
     AGREE_RANGES,
@@ -17,17 +16,18 @@ from slam.loop_closure.consistency import (
 )
 from slam.odometry.noise import SLIP_INFLATION
 from tests.helpers.candidates import make_candidate
+from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.35
 """Of a landmark between two traversals."""
 RANGE_M = 30.0
 DRIFT = (0.8, 0.02)
-T_BASE = transform_from_xyz_yaw(np.array([40.0, -7.0, 1.0]), 2.5)
+T_BASE = pose_at(40.0, -7.0, z=1.0, yaw=2.5)
 
 
 def moved(T: FloatArray, x_m: float = 0.0, y_m: float = 0.0, turn_rad: float = 0.0, z_m: float = 0.0) -> FloatArray:
     """``T`` shifted in its outer frame, and turned on the spot."""
-    turned = T @ transform_from_xyz_yaw(np.zeros(3), turn_rad)
+    turned = T @ pose_at(yaw=turn_rad)
     turned[:3, 3] += [x_m, y_m, z_m]
     return turned
 
@@ -49,7 +49,7 @@ def test_places_agree_up_to_the_limit_in_every_direction(direction_rad):
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_headings_agree_up_to_the_limit_also_across_half_a_turn(sign):
     for yaw_rad in (0.0, 2.5, np.pi - 0.01, -np.pi + 0.01):
-        T = transform_from_xyz_yaw(np.array([3.0, 4.0, 0.0]), yaw_rad)
+        T = pose_at(3.0, 4.0, yaw=yaw_rad)
         assert poses_agree(T, moved(T, turn_rad=0.99 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
         assert not poses_agree(T, moved(T, turn_rad=1.01 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import betaln
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.loop_closure.likelihood_ratio import (
     CLUTTER_RANGES,
     COVERAGE_RANGES,
@@ -20,18 +20,21 @@ from slam.loop_closure.likelihood_ratio import (
     compute_log_likelihood_ratio,
 )
 from slam.object_map.submap import Submap
+from tests.helpers.poses import pose_at
 
 RANGE_M = 30.0
 COVERAGE_M = COVERAGE_RANGES * RANGE_M
-T_REFERENCE_QUERY = transform_from_xyz_yaw(np.array([30.0, -20.0, 1.0]), 0.7)
+T_REFERENCE_QUERY = pose_at(30.0, -20.0, z=1.0, yaw=0.7)
+SIGMA_M = 0.35
+"""Of a landmark."""
 HERE = np.eye(4)
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 AROUND_AREA_M2 = np.pi * (CLUTTER_RANGES * RANGE_M) ** 2
 
 
-def submap(positions: FloatArray, labels: IntArray | int = 0, sigma_m: float = 0.35) -> Submap:
+def submap(positions: FloatArray, labels: IntArray | int = 0) -> Submap:
     count = len(positions)
-    return Submap(positions, np.full(count, sigma_m), np.broadcast_to(labels, count), np.arange(count))
+    return Submap(positions, np.full(count, SIGMA_M), np.broadcast_to(labels, count), np.arange(count))
 
 
 def scattered(count: int, *, seed: int) -> tuple[FloatArray, IntArray]:
@@ -44,14 +47,6 @@ def each_with_its_own(count: int) -> IntArray:
     return np.column_stack([np.arange(count), np.arange(count)])
 
 
-def seen_again(
-    positions: FloatArray, T: FloatArray = T_REFERENCE_QUERY, *, seed: int, sigma_m: float = 0.3
-) -> FloatArray:
-    """The objects as the query has them, if it is where ``T`` puts it."""
-    noise = np.random.default_rng(seed).normal(scale=sigma_m, size=positions.shape)
-    return apply(invert(T), positions + noise)
-
-
 def ratio_of(
     query: Submap, reference: Submap, pairs: IntArray, T: FloatArray = HERE, shares: FloatArray | None = None
 ) -> LikelihoodRatio:
@@ -61,7 +56,8 @@ def ratio_of(
 @pytest.mark.parametrize("seed", range(5))
 def test_a_place_with_all_objects_seen_again_has_a_clearly_positive_llr(seed):
     positions, labels = scattered(15, seed=seed)
-    query = submap(seen_again(positions, seed=seed), labels)
+    noise = np.random.default_rng(seed).normal(scale=0.3, size=positions.shape)
+    query = submap(apply(invert(T_REFERENCE_QUERY), positions + noise), labels)
     ratio = ratio_of(query, submap(positions, labels), each_with_its_own(15), T_REFERENCE_QUERY)
     assert ratio.total > 2.0 * 15
     assert ratio.total == pytest.approx(ratio.per_object.sum())
@@ -95,8 +91,8 @@ def row_llr(count: int, spacing_m: float, *, row_heading_rad: float, heading_rad
     """Evidence of a row of equal objects, placed with that heading, wrongly: shifted by one object along the row."""
     row = np.zeros((count, 3))
     row[:, 0] = spacing_m * np.arange(count)
-    row = apply(transform_from_xyz_yaw(np.zeros(3), row_heading_rad), row)
-    T_right = transform_from_xyz_yaw(np.zeros(3), heading_rad)
+    row = apply(pose_at(yaw=row_heading_rad), row)
+    T_right = pose_at(yaw=heading_rad)
     T_wrong = T_right.copy()
     T_wrong[:3, 3] = row[1]
     pairs = np.column_stack([np.arange(count - 1), np.arange(1, count)])
@@ -145,8 +141,8 @@ def test_an_object_is_expected_only_within_reach_of_what_the_other_pass_saw():
     np.testing.assert_array_equal(ratio.expected, [True, False])
 
 
-def llr_of_a_perfect_match(density: float, sigma_m: float = 0.35) -> float:
-    again = 1.0 / (2.0 * np.pi * 2.0 * sigma_m**2)
+def llr_of_a_perfect_match(density: float) -> float:
+    again = 1.0 / (2.0 * np.pi * 2.0 * SIGMA_M**2)
     return float(np.log(1.0 - DETECTION_PROBABILITY + DETECTION_PROBABILITY * again / density))
 
 

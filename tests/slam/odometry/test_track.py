@@ -9,14 +9,15 @@ import pytest
 
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, transform_from_xyz_yaw
+from slam.common.geometry import invert
 from slam.odometry.track import HISTORY, Correction, OdometryTrack
+from tests.helpers.poses import pose_at
 
 START_NS = 1_700_000_000_000_000_000
 
 
 def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
-    return Odometry(START_NS + round(seconds * 1e9), transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw))
+    return Odometry(START_NS + round(seconds * 1e9), pose_at(x, yaw=yaw))
 
 
 def track(*steps: tuple[float, float]) -> OdometryTrack:
@@ -154,7 +155,7 @@ JUMP_STEP = 103
 
 def message(step: int, T_jump: FloatArray | None = None) -> Odometry:
     """A drive along x at 5 m/s, 10 messages a second, whose poses ``T_jump`` (4, 4) moves from ``JUMP_STEP`` on."""
-    T = transform_from_xyz_yaw(np.array([0.5 * step + 0.01 * np.sin(step), 0.0, 0.0]), 0.0)
+    T = pose_at(0.5 * step + 0.01 * np.sin(step))
     T = T_jump @ T if T_jump is not None and step >= JUMP_STEP else T
     return Odometry(START_NS + step * 10**8, T)
 
@@ -163,10 +164,10 @@ def stamp_ns(step: float) -> int:
     return START_NS + round(step * 1e8)
 
 
-def jump(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
+def jump(y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     """A jump where the body is at ``JUMP_STEP``."""
-    there = transform_from_xyz_yaw(np.array([0.5 * JUMP_STEP, 0.0, 0.0]), 0.0)
-    return np.asarray(there @ transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw) @ invert(there))
+    there = pose_at(0.5 * JUMP_STEP)
+    return np.asarray(there @ pose_at(0.0, y, yaw=yaw) @ invert(there))
 
 
 def jumped(T_jump: FloatArray, *, until: int = 108) -> tuple[OdometryTrack, Counter[str]]:

@@ -21,6 +21,7 @@ from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
+from tests.helpers.poses import pose_at
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 CONFIG = DetectionCalibration()
@@ -35,7 +36,7 @@ def survey(records, detection: DetectionCalibration = CONFIG, **branches) -> Sur
 
 
 def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
-    T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+    T = pose_at(x, yaw=yaw)
     return Odometry(round(seconds * 1e9), T, child_frame_id="base_link")
 
 
@@ -80,7 +81,7 @@ def test_spacing_is_that_of_objects_of_one_class():
 
 
 def test_ranges_are_horizontal_and_from_the_body():
-    T_body_sensor = transform_from_xyz_yaw(np.array([1.0, 0.0, 7.0]), np.pi / 2)
+    T_body_sensor = pose_at(1.0, z=7.0, yaw=np.pi / 2)
     mounted = Transform(0, "base_link", "lidar", T_body_sensor)
     found = survey([mounted, *straight(positions=[[0.0, -4.0, -5.0]], frame="lidar")], CONFIG)
     assert found.max_range_m == pytest.approx(5.0)

@@ -12,9 +12,9 @@ import pytest
 from logs.messages import GroundTruthPose
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig, SimulationConfig
 from tests.helpers.loop_drives import furnished
+from tests.helpers.poses import pose_at
 from tests.helpers.short_drives import Entry, drive, write_log
 from tools.lab.relocalization.kidnappings import RECOVERED_WITHIN_M, benchmark_relocalization, deviation, figures
 
@@ -99,6 +99,6 @@ def test_figures_of_outcomes_by_hand() -> None:
 
 
 def test_deviation_is_in_the_plane_and_the_shorter_way_round() -> None:
-    a = transform_from_xyz_yaw(np.array([1.0, 2.0, 9.0]), np.deg2rad(179.0))
-    b = transform_from_xyz_yaw(np.array([4.0, -2.0, 0.0]), np.deg2rad(-178.0))
+    a = pose_at(1.0, 2.0, z=9.0, yaw=np.deg2rad(179.0))
+    b = pose_at(4.0, -2.0, yaw=np.deg2rad(-178.0))
     assert deviation(a, b) == deviation(b, a) == pytest.approx((5.0, 3.0))

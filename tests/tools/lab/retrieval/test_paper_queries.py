@@ -22,12 +22,12 @@ def street() -> tuple[LabelledMap, FloatArray]:
     return start_of_street(1000.0)
 
 
-def ring(count: int = 40, classes: int = 8, height_m: float = 0.0) -> tuple[LabelledMap, FloatArray]:
+def ring(count: int = 40) -> tuple[LabelledMap, FloatArray]:
     """Objects all around a tour of a millimetre, which sees them all at the same range."""
     angles = 2.0 * np.pi * np.arange(count) / count
-    positions = np.column_stack([RING_M * np.cos(angles), RING_M * np.sin(angles), np.full(count, height_m)])
-    names = tuple(f"class {number}" for number in range(classes))
-    return LabelledMap(positions, np.arange(count) % classes, names), np.array([[0.0, 0.0], [0.001, 0.0]])
+    positions = np.column_stack([RING_M * np.cos(angles), RING_M * np.sin(angles), np.zeros(count)])
+    names = tuple(f"class {number}" for number in range(8))
+    return LabelledMap(positions, np.arange(count) % 8, names), np.array([[0.0, 0.0], [0.001, 0.0]])
 
 
 # What is hidden.
