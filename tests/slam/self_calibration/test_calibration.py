@@ -368,6 +368,7 @@ def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
 )
 def test_tilt_noise_is_what_heights_and_headings_show_for_certain(surveyed, tilt, heading, sigma):
     noisy = with_noise(surveyed, tilt_by_travel=tilt[0], heading_by_travel=heading[0])
+    assert noisy.components is not None
     errors = replace(noisy.components.standard_errors, tilt_by_travel=tilt[1], heading_by_travel=heading[1])
     noisy = replace(noisy, components=replace(noisy.components, standard_errors=errors))
     found = calibrate(Config(), noisy).config.calibration.odometry

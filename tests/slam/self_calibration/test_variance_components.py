@@ -150,16 +150,7 @@ def test_too_few_detections_tell_nothing(count):
 
 @pytest.mark.filterwarnings("error")
 def test_a_log_without_any_noise_has_none() -> None:
-    count, objects = 200, 3
-    track = np.repeat(np.arange(objects), count)
-    scan = np.tile(np.arange(count), objects)
-    points = np.array([[10.0, 5.0], [-20.0, 8.0], [60.0, -4.0]])[track]
-    offsets = points - np.stack([0.3 * scan, np.zeros(len(scan))], axis=1)
-    none = np.zeros(len(track))
-    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none, none + np.inf, none)
-    motion = Motion(np.arange(count) * 0.3, np.zeros(count), np.arange(count) * 0.1, np.zeros(count))
-    found = estimate_components(tracks, motion)
-    assert found is not None
+    found = estimate(SurveyedDrive(0, {}, scans=300, objects=30, turns=False))
     assert np.isfinite(astuple(found.variances)).all()
 
 
