@@ -304,6 +304,15 @@ def test_removal_marginalizes() -> None:
     np.testing.assert_array_equal(local._P, P[np.ix_(kept, kept)])
 
 
+def test_new_landmark_errs_as_the_body_and_its_measurement_do() -> None:
+    local = Drive(2).filtered()
+    P = local._P.copy()
+    local.insert(np.array([9]), np.array([[5.0, 1.0, 0.0]]), R_BODY[None])
+    np.testing.assert_array_equal(local._P[-3:, :-3], P[3:POSE])
+    np.testing.assert_allclose(local._P[-3:, -3:], P[3:POSE, 3:POSE] + R_BODY)
+    assert_is_covariance(local._P)
+
+
 def test_new_start_forgets_landmarks_and_covariance() -> None:
     local = Drive(5).filtered()
     local.start(UPSIDE_DOWN)
