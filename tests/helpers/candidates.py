@@ -19,21 +19,17 @@ def make_candidate(
     *,
     query: int | Keyframe = 50,
     reference: int | Keyframe = 3,
-    travel_m: float = 300.0,
     T_reference_query: FloatArray = HERE,
     T_local_query: FloatArray = HERE,
     sigma: float = 0.1,
     llrs: dict[int, float] | None = None,
     pairs: Sequence[tuple[int, int]] = (),
     odometry_penalty: float = 0.0,
-    unpredicted_penalty: float = 0.0,
 ) -> Candidate:
-    """``travel_m``: of a query that is given by its number; ``llrs``: LLR of each landmark of the query; ``sigma`` is
-    that of angles [rad] and of positions [m].
-    """
+    """``llrs``: LLR of each landmark of the query; ``sigma`` is that of angles [rad] and of positions [m]."""
     llr_of = llrs or {0: 25.0}
     return Candidate(
-        query=query if isinstance(query, Keyframe) else _keyframe(query, travel_m),
+        query=query if isinstance(query, Keyframe) else _keyframe(query, 300.0),
         reference=reference if isinstance(reference, Keyframe) else _keyframe(reference, 0.0),
         place=Place(T_local_query, 0.0, 0, ""),
         T_reference_query=T_reference_query,
@@ -43,7 +39,7 @@ def make_candidate(
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         matched_fraction=1.0,
         odometry_penalty=odometry_penalty,
-        unpredicted_penalty=unpredicted_penalty,
+        unpredicted_penalty=0.0,
     )
 
 

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from logs.errors import LogError
 from logs.importers.imported_log import TOPICS
-from logs.messages import FactorGraphRecord, ObjectDetections, ObjectMapRecord, Odometry, Record, StatusRecord
+from logs.messages import FactorGraphRecord, ObjectMapRecord, Odometry, Record, StatusRecord
 from logs.reader import LogReader
 from logs.selection import select_all
 from logs.topics import RawMessage
 from logs.writer import LogWriter
 from slam.common.config import Config
-from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.result import Evaluation
 from slam.object_map.map_io import METADATA
-from slam.replay import ReplaySummary, replay
+from slam.replay import replay
 from slam.simulation.config import OdometryConfig, SensorConfig, SimulationConfig
 from slam.simulation.simulation import simulate
 from slam.simulation.world import World
 from slam.system import Slam
 
+CLASSES = ("bench", "lamp", "tree", "vehicle")
 Entry = tuple[str, int, Record]
 """Topic, log time, record."""
 
@@ -42,11 +40,10 @@ EXACT_SENSOR = SensorConfig(
 EXACT = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR)
 
 
-def block_world(*, side_m: float = 40.0, classes: tuple[str, ...] = ("bench", "lamp", "tree", "vehicle")) -> World:
+def block_world() -> World:
     """A tour once around a square block, with about an object every 4 m, 4 m to 9 m off it."""
-    rng = np.random.default_rng(7)
+    rng, side_m, count = np.random.default_rng(7), 40.0, 40
     corners = np.array([[0.0, 0.0], [side_m, 0.0], [side_m, side_m], [0.0, side_m], [0.0, 0.0]])
-    count = int(side_m)
     along = (np.arange(count) + rng.uniform(-0.3, 0.3, count)) * 4.0 * side_m / count % (4.0 * side_m)
     side = (along // side_m).astype(np.int64)
     direction = (corners[side + 1] - corners[side]) / side_m
@@ -55,7 +52,7 @@ def block_world(*, side_m: float = 40.0, classes: tuple[str, ...] = ("bench", "l
     xy = corners[side] + direction * (along - side * side_m)[:, None] + normal * offset[:, None]
     positions = np.concatenate([xy, rng.uniform(-0.5, 1.5, (count, 1))], axis=1)
     ids = tuple(f"object-{i}" for i in range(count))
-    return World("block", ids, positions, tuple(rng.choice(classes, count).tolist()), corners)
+    return World("block", ids, positions, tuple(rng.choice(CLASSES, count).tolist()), corners)
 
 
 def drive(config: SimulationConfig = EXACT, *, seed: int = 1, world: World | None = None) -> list[Entry]:
@@ -111,13 +108,6 @@ def raw_messages(path: Path) -> list[RawMessage]:
         return list(reader.messages())
 
 
-def write_raw(path: Path, messages: Iterable[RawMessage]) -> Path:
-    with LogWriter(path) as writer:
-        for message in messages:
-            writer.write_raw(message)
-    return path
-
-
 def records_of(path: Path, topic: str) -> list[Record]:
     with LogReader(path) as reader:
         selection = select_all(info for info in reader.topics() if info.topic == topic)
@@ -136,31 +126,9 @@ def final_status(path: Path) -> StatusRecord:
     return status
 
 
-def replay_or_refuse(source: Path, output: Path) -> ReplaySummary | LogError | SlamError:
-    """The summary, or the error that the command line would print; any other exception is a failure of the test."""
-    try:
-        summary = replay(source, output, Config())
-    except (LogError, SlamError) as error:
-        refusal = error
-    else:
-        assert summary.counters == final_status(output).counters
-        return summary
-    assert not output.exists()
-    assert str(refusal)
-    return refusal
-
-
 def map_in_memory(entries: Iterable[Entry], config: Config | None = None) -> Slam:
     """A system that has processed the records, not yet finished."""
     slam = Slam(config or Config())
     for _, _, record in entries:
         slam.process(record)
     return slam
-
-
-def in_frame(entries: Iterable[Entry], frame: str) -> list[Entry]:
-    def rename(_: int, record: Record) -> Record:
-        assert isinstance(record, ObjectDetections)
-        return replace(record, frame_id=frame)
-
-    return change(entries, ObjectDetections, rename)

@@ -19,44 +19,31 @@ from tests.helpers.short_drives import drive, keep_until
 SECONDS = 4.0
 
 
-def stream_of_a_drive() -> tuple[BytesIO, int]:
-    """A stream, and how many scans it holds."""
+def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
+    published: list[tuple[str, Record, int]] = []
     stream, scans = BytesIO(), 0
     for topic, log_time_ns, record in keep_until(drive(SimulationConfig()), SECONDS):
         if not topic.startswith("/ground_truth"):
             write_stream(stream, topic, record, log_time_ns)
             scans += isinstance(record, ObjectDetections)
     stream.seek(0)
-    return stream, scans
-
-
-def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
-    published: list[tuple[str, Record, int]] = []
-    stream, scans = stream_of_a_drive()
     with LiveDrive(Config(), lambda *each: published.append(each), output=tmp_path / "out.mcap") as live:
         for item in read_stream(stream, Counter()):
             live.process(item)
-        final = live.finish()
-    poses = [record for topic, record, _ in published if topic == "/slam/pose"]
+        latency_s, final = live.latency_s(), live.finish()
+    assert 0.0 < latency_s["p50"] <= latency_s["p99"] <= latency_s["max"]
+    poses = [record.stamp_ns for _, record, _ in published if isinstance(record, SlamPose)]
     written = read_records(tmp_path / "out.mcap")
-    assert [each.stamp_ns for each in written.online_poses] == [
-        each.stamp_ns for each in poses if isinstance(each, SlamPose)
-    ]
+    assert [each.stamp_ns for each in written.online_poses] == poses
     assert written.status is not None
     assert written.status.message == final.status.message
-    found = [record for topic, record, _ in published if topic == "/slam/localization"]
-    assert len({record.stamp_ns for record in found}) == scans
     assert {"/tf", "/slam/map", "/slam/status"} <= {topic for topic, _, _ in published}
+    found = [record for _, record, _ in published if isinstance(record, LocalizationRecord)]
+    assert len({record.stamp_ns for record in found}) == scans
+    assert_tells_how_well_the_pose_is_known(found)
 
 
-def test_each_scan_tells_how_well_the_robot_knows_its_pose() -> None:
-    published: list[LocalizationRecord] = []
-    stream, _ = stream_of_a_drive()
-    with LiveDrive(Config(), lambda _, record, __: published.append(record)) as live:
-        for item in read_stream(stream, Counter()):
-            live.process(item)
-        latency_s = live.latency_s()
-    found = [record for record in published if isinstance(record, LocalizationRecord)]
+def assert_tells_how_well_the_pose_is_known(found: list[LocalizationRecord]) -> None:
     ratios = np.array([record.innovation_ratios for record in found])
     assert found[0].sources == ("odometry", "detections")
     assert np.median(ratios, axis=0).max() < 0.5  # as of filters that are right
@@ -64,4 +51,3 @@ def test_each_scan_tells_how_well_the_robot_knows_its_pose() -> None:
     covariance = found[-1].covariance
     assert covariance is not None
     assert np.linalg.eigvalsh(covariance).min() >= 0.0
-    assert 0.0 < latency_s["p50"] <= latency_s["p99"] <= latency_s["max"]

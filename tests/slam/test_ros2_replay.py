@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +12,11 @@ from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
-from slam.replay import ReplaySummary
-from slam.replay import replay as run_replay
+from slam.replay import replay
 from tests.helpers.ros2_logs import Message, detections3d, header, ros2_messages, tf, write_bag
 from tests.helpers.short_drives import drive, keep_until
 
 SECONDS = 25.0
-UNCALIBRATED = Config.model_validate({"calibrate": False})
 
 
 def T_body_mast(stamp_ns: int) -> np.ndarray:
@@ -28,53 +25,33 @@ def T_body_mast(stamp_ns: int) -> np.ndarray:
     return transform_from_xyz_yaw(np.array([0.3, 0.0, 1.2]), abs(seconds % 2.0 - 1.0))
 
 
-def swinging(*, own_frame: bool = True, told: bool = True) -> list[Message]:
-    """A drive whose sensor swings; ``own_frame``: only the detections themselves name its frame."""
+def swinging() -> list[Message]:
+    """A drive whose sensor swings; only the detections themselves name its frame."""
     entries = keep_until(drive(), SECONDS)
     found: list[Message] = []
     for topic, log_time_ns, record in entries:
         if isinstance(record, ObjectDetections):
             moved = apply(invert(T_body_mast(record.stamp_ns)), record.positions)
             values = detections3d(ObjectDetections(record.stamp_ns, "mast", moved, record.labels, record.scores))
-            if own_frame:
-                for detection in values["detections"]:
-                    detection["header"] = values["header"]
-                values["header"] = header(record.stamp_ns, "")
+            for detection in values["detections"]:
+                detection["header"] = values["header"]
+            values["header"] = header(record.stamp_ns, "")
             found.append(("/detections", "vision_msgs/msg/Detection3DArray", log_time_ns, values))
         elif isinstance(record, (Odometry, GroundTruthPose)):
             found += ros2_messages([(topic, log_time_ns, record)])
     first_ns, last_ns = found[0][2], found[-1][2]
-    times = range(first_ns - first_ns % 10**9, last_ns + 10**9, 2 * 10**8) if told else ()
-    return found + [_tf(time_ns, "base_link", "mast", T_body_mast(time_ns)) for time_ns in times]
+    for time_ns in range(first_ns - first_ns % 10**9, last_ns + 10**9, 2 * 10**8):
+        told = {"transforms": [tf(time_ns, "base_link", "mast", T_body_mast(time_ns))]}
+        found.append(("/tf", "tf2_msgs/msg/TFMessage", time_ns, told))
+    return sorted(found, key=lambda message: message[2])
 
 
-def _tf(time_ns: int, parent: str, child: str, T: np.ndarray) -> Message:
-    return "/tf", "tf2_msgs/msg/TFMessage", time_ns, {"transforms": [tf(time_ns, parent, child, T)]}
-
-
-def replayed(tmp_path: Path, messages: list[Message], **bag: Any) -> tuple[ReplaySummary, float]:
-    messages = sorted(messages, key=lambda message: message[2])
+@pytest.mark.slow
+def test_a_swinging_sensor_is_followed(tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
-    summary = run_replay(write_bag(tmp_path / "bag", messages, **bag), output, UNCALIBRATED)
+    summary = replay(write_bag(tmp_path / "bag", swinging()), output, Config(calibrate=False))
     trajectory = evaluate(read_records(output)).estimate
     assert trajectory is not None
-    return summary, trajectory.ate_m
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("own_frame", [True, False])
-def test_a_swinging_sensor_is_followed(tmp_path: Path, own_frame: bool) -> None:
-    summary, ate_m = replayed(tmp_path, swinging(own_frame=own_frame))
-    assert ate_m < 0.01
+    assert trajectory.ate_m < 0.01
     assert summary.counters["detections_used"] > 200
     assert "detections_without_transform" not in summary.counters
-
-
-@pytest.mark.slow
-def test_detections_without_any_frame_are_told(tmp_path: Path) -> None:
-    messages = ros2_messages(keep_until(drive(), SECONDS))
-    for _, type_name, _, values in messages:
-        if type_name.endswith("Detection3DArray"):
-            values["header"]["frame_id"] = ""
-    summary, _ = replayed(tmp_path, messages)
-    assert summary.counters["detections_without_frame"] == summary.counters["detections_used"] > 200

@@ -9,24 +9,14 @@ ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
 
 
-def attempt(home: Path, *command: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a program of the environment ``home``, in ``folder``."""
-    return subprocess.run(
+def run(home: Path, *command: object) -> str:
+    """What a program of the environment ``home`` prints that ends well."""
+    result = subprocess.run(
         [str(home / "bin" / str(command[0])), *map(str, command[1:])],
-        cwd=folder or home,
-        env={
-            "PYTHONPATH": str(home / "others"),
-            "PATH": "/usr/bin:/bin",
-            "HOME": str(home),
-            "OMP_NUM_THREADS": "1",
-        },
+        cwd=home,
+        env={"PYTHONPATH": str(home / "others"), "PATH": "/usr/bin:/bin", "HOME": str(home), "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
     )
-
-
-def run(home: Path, *command: object, folder: Path | None = None) -> str:
-    """What a program prints that ends well."""
-    result = attempt(home, *command, folder=folder)
     assert result.returncode == 0, f"{command}: {result.stderr[-2000:]}"
     return result.stdout

@@ -16,11 +16,11 @@ def stamps(count: int, rate_hz: float = 10.0) -> IntArray:
     return START_NS + np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
 
 
-def winding_path(count: int = 2001, step_m: float = 1.0) -> FloatArray:
-    """Poses (N, 4, 4) every ``step_m`` along a path that winds in x, y and z."""
-    s = np.arange(count) * step_m
+def winding_path(count: int) -> FloatArray:
+    """Poses (N, 4, 4) every metre along a path that winds in x, y and z."""
+    s = np.arange(float(count))
     yaw = 0.8 * np.sin(s / 60.0)
-    xyz = np.stack([np.cumsum(np.cos(yaw)), np.cumsum(np.sin(yaw)), 2.0 * np.sin(s / 90.0)], axis=1) * step_m
+    xyz = np.stack([np.cumsum(np.cos(yaw)), np.cumsum(np.sin(yaw)), 2.0 * np.sin(s / 90.0)], axis=1)
     return transform_from_xyz_yaw(xyz, yaw)
 
 

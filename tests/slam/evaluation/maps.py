@@ -16,7 +16,6 @@ def object_map(
     labels: tuple[str, ...],
     *,
     states: tuple[str, ...] | None = None,
-    reasons: tuple[str, ...] | None = None,
     first_seen_ns: IntArray | None = None,
 ) -> ObjectMapRecord:
     vocabulary = tuple(sorted(set(labels)))
@@ -27,7 +26,6 @@ def object_map(
     return replace(
         record,
         states=states or record.states,
-        reasons=reasons or record.reasons,
         first_seen_ns=seen_ns,
         last_seen_ns=seen_ns,
     )

@@ -163,3 +163,9 @@ def test_missing_transform_is_an_error_at_the_end() -> None:
     with pytest.raises(InputDataError, match="lidar"):
         drive.finish()
     assert drive.counters["detections_without_transform"] == 5
+
+
+def test_detections_that_name_no_frame_are_those_of_the_body_and_counted() -> None:
+    drive = Drive(frame_id="")
+    drive.drive(5)
+    assert drive.counters["detections_without_frame"] == drive.counters["detections_used"] == 5

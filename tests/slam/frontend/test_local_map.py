@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert, make_transform, relative, skew, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, make_transform, relative, skew
 from slam.frontend.local_map import POSE, LocalMap
+from tests.helpers.poses import pose_at
 
 LANDMARKS = np.array([[8.0, 5.0, 1.0], [12.0, -6.0, -2.0], [20.0, 7.0, 0.5], [28.0, -4.0, 3.0], [3.0, -9.0, 0.0]])
 ALL = np.arange(len(LANDMARKS))
@@ -22,7 +23,7 @@ Q = np.diag(np.repeat([0.004**2, 0.02**2], 3))
 R_BODY = np.diag([0.05, 0.09, 0.03]) ** 2
 PLANAR, SPATIAL = [0.0, 0.0, 0.3], [0.3, 0.2, 0.3]
 UPSIDE_DOWN = make_transform(Rotation.from_euler("xz", [np.pi, 0.4]).as_matrix(), np.array([3.0, -2.0, 5.0]))
-FAR_AWAY = transform_from_xyz_yaw(np.array([8000.0, -3000.0, 100.0]), 0.0)
+FAR_AWAY = pose_at(8000.0, -3000.0, z=100.0)
 
 
 @dataclass
@@ -271,7 +272,7 @@ def test_shift_moves_the_body_and_makes_its_pose_less_certain() -> None:
     T, positions = local.T_local_body, local.positions
     own, before = local._P[POSE:, POSE:].copy(), local.relative_covariance(ALL)
     added = np.diag([0.02, 0.01, 0.3, 0.5, 0.4, 0.1]) ** 2
-    T_shift = transform_from_xyz_yaw(np.array([1.0, -2.0, 0.0]), 0.5)
+    T_shift = pose_at(1.0, -2.0, yaw=0.5)
     local.shift(T_shift, added)
     np.testing.assert_allclose(local.T_local_body, T_shift @ T)
     np.testing.assert_array_equal(local.positions, positions)
@@ -303,28 +304,13 @@ def test_removal_marginalizes() -> None:
     np.testing.assert_array_equal(local._P, P[np.ix_(kept, kept)])
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
-    rng, local, next_id = np.random.default_rng(seed), LocalMap(), 0
-    for _ in range(120):
-        U = make_transform(Rotation.from_rotvec(rng.normal(scale=0.1, size=3)).as_matrix(), rng.normal(size=3))
-        local.advance(U, np.diag(rng.uniform(0.0, 0.01, POSE)))
-        action, count = rng.integers(4), len(local.ids)
-        slots = rng.permutation(count)[:3]
-        offsets = local.positions[slots] - local.T_local_body[:3, 3] + rng.normal(scale=0.2, size=(len(slots), 3))
-        if action == 0 or count < 2:
-            ids, P = np.arange(next_id, next_id + 2), np.tile(0.01 * np.eye(3), (2, 1, 1))
-            local.insert(ids, rng.normal(scale=10.0, size=(2, 3)), P)
-            next_id += 2
-        elif action == 1:
-            local.update(slots, offsets, np.tile(1e-6 * np.eye(3), (len(slots), 1, 1)))
-        elif action == 2:
-            local.update_landmarks(slots, offsets, np.tile(1e-6 * np.eye(3), (len(slots), 1, 1)))
-        else:
-            local.remove(local.ids[slots[:1]])
-        assert local._P.shape == (POSE + 3 * len(local.ids),) * 2
-        assert_is_covariance(local._P)
-        np.testing.assert_allclose(local.T_local_body @ invert(local.T_local_body), np.eye(4), atol=1e-9)
+def test_new_landmark_errs_as_the_body_and_its_measurement_do() -> None:
+    local = Drive(2).filtered()
+    P = local._P.copy()
+    local.insert(np.array([9]), np.array([[5.0, 1.0, 0.0]]), R_BODY[None])
+    np.testing.assert_array_equal(local._P[-3:, :-3], P[3:POSE])
+    np.testing.assert_allclose(local._P[-3:, -3:], P[3:POSE, 3:POSE] + R_BODY)
+    assert_is_covariance(local._P)
 
 
 def test_new_start_forgets_landmarks_and_covariance() -> None:

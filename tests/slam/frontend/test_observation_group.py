@@ -8,11 +8,11 @@ import pytest
 from slam.backend.factors import Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.observation_group import MAX_ADDED_VARIANCE, ObservationGroup
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import pose_at
 from tests.logs.examples import random_covariance
 
 PRECISE = OdometryCalibration(
@@ -20,8 +20,8 @@ PRECISE = OdometryCalibration(
 )
 
 
-def keyframe(number: int, *, turn_rad: float = 0.3, segment: int = 0) -> Keyframe:
-    T = transform_from_xyz_yaw(np.array([2.0 * number, 0.5 * number, 0.0]), turn_rad * number)
+def keyframe(number: int, *, segment: int = 0) -> Keyframe:
+    T = pose_at(2.0 * number, 0.5 * number, yaw=0.3 * number)
     return Keyframe(number, OdometryPose(number * 10**9, T, 2.1 * number, segment, 1.0), np.eye(4))
 
 
@@ -31,7 +31,7 @@ def observation(number: int, landmark: int, rng: np.random.Generator, inflation:
 
 def local_pose(number: int) -> FloatArray:
     """Where the landmarks have a keyframe: elsewhere than the odometry."""
-    return transform_from_xyz_yaw(np.array([1.9 * number, 0.6 * number, 0.0]), 0.28 * number)
+    return pose_at(1.9 * number, 0.6 * number, yaw=0.28 * number)
 
 
 def group_of(observations: list[list[Observation]], config: OdometryCalibration = PRECISE) -> ObservationGroup:

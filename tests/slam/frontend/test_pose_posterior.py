@@ -67,11 +67,11 @@ def about_body(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     return np.asarray(at @ transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw) @ invert(at))
 
 
-def row_of_objects(count: int = 14, jitter_m: float = 0.25) -> FloatArray:
-    """Offsets (count, 3) m of objects about 1 m apart, irregularly, ahead of the body."""
+def row_of_objects() -> FloatArray:
+    """Offsets (14, 3) m of objects about 1 m apart, irregularly, ahead of the body."""
     rng = np.random.default_rng(5)
-    x = np.arange(count) - 4.0 + rng.uniform(-jitter_m, jitter_m, count)
-    return np.column_stack([x, 6.0 + rng.uniform(-jitter_m, jitter_m, count), np.zeros(count)])
+    x = np.arange(14) - 4.0 + rng.uniform(-0.25, 0.25, 14)
+    return np.column_stack([x, 6.0 + rng.uniform(-0.25, 0.25, 14), np.zeros(14)])
 
 
 def scattered(count: int = 30, seed: int = 3) -> FloatArray:

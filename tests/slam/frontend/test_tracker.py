@@ -10,12 +10,13 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, relative, rotation_angle_rad, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, relative, rotation_angle_rad
 from slam.frontend.input.scan import Scan
 from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.03
 RANGE_M = 25.0
@@ -30,7 +31,7 @@ def forest(count: int = 60, seed: int = 0) -> FloatArray:
 
 def T_true(step: int) -> FloatArray:
     """A gentle curve at 5 m/s, ten scans a second."""
-    return transform_from_xyz_yaw(np.array([STEP_M * step, 0.01 * STEP_M * step**1.5, 0.0]), 0.01 * step)
+    return pose_at(STEP_M * step, 0.01 * STEP_M * step**1.5, yaw=0.01 * step)
 
 
 class Drive:
@@ -126,7 +127,7 @@ def test_exact_odometry_is_left_alone() -> None:
 def test_jump_of_the_odometry_is_corrected(x: float, y: float, yaw: float) -> None:
     drive = Drive(forest())
     drive.drive(15)
-    jump = transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw)
+    jump = pose_at(x, y, yaw=yaw)
     found = drive.drive(6, lambda step: jump if step == 0 else np.eye(4))
     assert drive.corrections == 1
     assert known(found[-1]) > 0.95
@@ -151,7 +152,7 @@ def test_error_while_nothing_was_in_view_is_corrected() -> None:
     """The scan after it matches next to nothing; only a search for any place around finds the pose."""
     drive = Drive(forest())
     drive.drive(12)
-    turn = transform_from_xyz_yaw(np.array([0.3, 0.3, 0.0]), 0.2)
+    turn = pose_at(0.3, 0.3, yaw=0.2)
     body = T_true(drive.step + 1)
     drive.T_fault = drive.T_fault @ body @ turn @ invert(body)
     drive.located(np.zeros(0, dtype=np.int64))
@@ -167,7 +168,7 @@ def test_no_wrong_pair_is_used_where_two_poses_explain_the_scan_as_well() -> Non
     drive = Drive(np.array([[0.8 * i - 10.0, 5.0, 0.0] for i in range(80)]), range_m=12.0)
     drive.drive(12)
     body = T_true(drive.step + 1)
-    drive.T_fault = body @ transform_from_xyz_yaw(np.array([0.4, 0.0, 0.0]), 0.0) @ invert(body)
+    drive.T_fault = body @ pose_at(0.4) @ invert(body)
     ahead = np.flatnonzero(np.linalg.norm(drive.objects - body[:3, 3], axis=1) < 7.0)
     assert drive.wrong_pairs(drive.located(ahead), ahead) == 0
 
@@ -201,7 +202,7 @@ def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
     drive = Drive(forest())
     drive.drive(12)
     body = T_true(drive.step + 1)
-    drive.T_fault = body @ transform_from_xyz_yaw(np.zeros(3), 2.5) @ invert(body)
+    drive.T_fault = body @ pose_at(yaw=2.5) @ invert(body)
     assert not drive.rejoined().is_lost
     assert drive.error()[0] < 0.2
     assert drive.error()[1] < 0.02

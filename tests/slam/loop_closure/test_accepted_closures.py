@@ -7,24 +7,18 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge
-from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
 from tests.helpers.candidates import make_candidate
+from tests.slam.loop_closure.doubles import at, make_keyframe
 
 STEP_M = 2.0
 ROUND = 90
 """Keyframes of the first round, of which the second one is the same."""
-
-
-def pose(x_m: float) -> FloatArray:
-    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
 
 
 class Drive:
@@ -37,13 +31,12 @@ class Drive:
         self.graph = graph
         for number in range(ROUND + 30):
             segment = second_segment if number >= ROUND else 0
-            odometry = OdometryPose(10**9 * number, pose(STEP_M * number), STEP_M * number, segment, STEP_M)
-            self.keyframes.append(Keyframe(number, odometry, odometry.T_odom_body))
+            self.keyframes.append(make_keyframe(number, STEP_M * number, segment=segment))
             if number == 0:
-                graph.add_first_keyframe(0, pose(0.0))
+                graph.add_first_keyframe(0, at(0.0))
             else:
                 covariance = np.diag(np.repeat([1e-6, 1e-2], 3))
-                graph.add_next_keyframe(Edge(number - 1, number, pose(STEP_M), covariance, "odometry"))
+                graph.add_next_keyframe(Edge(number - 1, number, at(STEP_M), covariance, "odometry"))
         graph.update()
 
     def accept(self, query: int, *, reference: int | None = None) -> None:
@@ -53,8 +46,8 @@ class Drive:
         return make_candidate(
             query=self.keyframes[query],
             reference=self.keyframes[query - ROUND if reference is None else reference],
-            T_reference_query=pose(STEP_M * ROUND),
-            T_local_query=pose(STEP_M * query),
+            T_reference_query=at(STEP_M * ROUND),
+            T_local_query=at(STEP_M * query),
         )
 
     def declare_lost(self, since: int) -> list[int]:
@@ -115,10 +108,7 @@ def test_who_was_relocalized_lately_was_never_there():
 def test_who_was_relocalized_long_ago_was_carried_off():
     street = Drive(second_segment=1)
     street.accept(ROUND)
-    last = street.keyframes[-1]
-    late = Keyframe(
-        last.id, OdometryPose(1, last.odometry.T_odom_body, STEP_M * ROUND + 61.0, 1, 1.0), last.T_local_body
-    )
+    late = make_keyframe(street.keyframes[-1].id, STEP_M * ROUND + 61.0, segment=1)
     assert street.closures.revoke_since(late, 118) == ([], True)
     assert street.closed == [ROUND]
 

@@ -47,6 +47,7 @@ class Parts(Patterns):
         self.new_rows, self.first_row = 0, 0
         """Landmarks that each query has and the one before it had not."""
         self.retrieved = 0
+        self.queries = list[Query]()
         self.places = [PLACE]
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
@@ -64,6 +65,7 @@ class Parts(Patterns):
         return Place(at(travel_m), travel_m, 0, "prediction", predicted_by=seed.query.id)
 
     def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
+        self.queries.append(query)
         llr = self.llrs.get(query.keyframe.id)
         if llr is None:
             return query.refusal(Stage.REGISTRATION, "nothing fits")
@@ -195,18 +197,11 @@ def test_a_retrieved_closure_predicts_those_after_it(parts):
     assert accepted(drive.close(FIRST + 2)) == {}
 
 
-def test_landmarks_of_an_earlier_traversal_are_no_part_of_a_query(parts, monkeypatch):
-    rows = list[list[int]]()
-
-    def verify(query: Query, place: Place) -> LoopClosureRecord:
-        rows.append(query.submap.rows.tolist())
-        return query.refusal(Stage.REGISTRATION, "nothing fits")
-
-    monkeypatch.setattr(parts, "verify", verify)
+def test_landmarks_of_an_earlier_traversal_are_no_part_of_a_query(parts):
     drive = Drive(parts)
     drive.map.rows["first_seen_travel_m"][[0, 3, 4]] = 10.0
     drive.close(FIRST)
-    assert rows == [[1, 2, 5, 6, 7, 8, 9]]
+    assert [query.submap.rows.tolist() for query in parts.queries] == [[1, 2, 5, 6, 7, 8, 9]]
 
 
 @pytest.mark.parametrize(
@@ -287,21 +282,14 @@ def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
     assert accepted(drive.close(FIRST + 5)) == {FIRST + 5: FIRST + 4}
 
 
-def test_query_of_a_tilted_body_is_upright(parts, monkeypatch):
-    poses = list[FloatArray]()
-
-    def verify(query: Query, place: Place) -> LoopClosureRecord:
-        poses.append(query.T_local_gravity)
-        return query.refusal(Stage.REGISTRATION, "nothing fits")
-
-    monkeypatch.setattr(parts, "verify", verify)
+def test_query_of_a_tilted_body_is_upright(parts):
     drive = Drive(parts)
     T_local_body = at(STEP_M * FIRST)
     T_local_body[:3, :3] = Rotation.from_euler("xyz", [5.0, -10.0, 0.0], degrees=True).as_matrix()
     keyframe = make_keyframe(FIRST, STEP_M * FIRST, segment=0)
     drive.keyframes.append(keyframe)
     drive.closer.close(Keyframe(keyframe.id, keyframe.odometry, T_local_body))
-    np.testing.assert_allclose(poses, [at(STEP_M * FIRST)], atol=1e-9)
+    np.testing.assert_allclose([each.T_local_gravity for each in parts.queries], [at(STEP_M * FIRST)], atol=1e-9)
 
 
 def test_a_query_with_the_landmarks_of_the_last_one_is_not_looked_up_again(parts):

@@ -12,12 +12,12 @@ from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.accepted_closures import Accepted, AcceptedClosures
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from tests.helpers.candidates import make_candidate
+from tests.slam.loop_closure.doubles import at
 
 STATIONS = 5
 SPACING_M = 10.0
@@ -26,12 +26,8 @@ PASSES = 3
 DRIFT_M = 3.0
 
 
-def pose(x_m: float) -> FloatArray:
-    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
-
-
 def edge(a: int, b: int, x_m: float, sigma_m: float) -> Edge:
-    return Edge(a, b, pose(x_m), np.diag(np.repeat([1e-4, sigma_m**2], 3)), "odometry")
+    return Edge(a, b, at(x_m), np.diag(np.repeat([1e-4, sigma_m**2], 3)), "odometry")
 
 
 class Street:
@@ -48,7 +44,7 @@ class Street:
             {"loop_closure": {"min_travel_m": min_travel_m}, "calibration": {"detection": {"sensor_range_m": 3.0}}}
         )
         self.closures = AcceptedClosures(config, self.map, self.graph, self.keyframes)
-        self.graph.add_first_keyframe(0, pose(0.0))
+        self.graph.add_first_keyframe(0, at(0.0))
         for number in range(PASSES * STATIONS):
             self._visit(number)
         self.map.confirm(np.arange(PASSES * STATIONS))
@@ -62,9 +58,7 @@ class Street:
         odom_m = drive * DRIFT_M + station * SPACING_M
         labels = self.map.label_indices(("lamp" if station % 2 else "tree",))
         travel_m = drive * self.pass_m + station * SPACING_M
-        self.keyframes.append(
-            Keyframe(number, OdometryPose(10**9 * number, pose(odom_m), travel_m, 0, 5.0), pose(odom_m))
-        )
+        self.keyframes.append(Keyframe(number, OdometryPose(10**9 * number, at(odom_m), travel_m, 0, 5.0), at(odom_m)))
         self.map.add(
             np.array([[odom_m, 4.0, 0.0]]),
             0.01 * np.eye(3)[None],
@@ -81,7 +75,7 @@ class Street:
         candidate = make_candidate(
             query=self.keyframes[query],
             reference=self.keyframes[reference],
-            T_reference_query=pose(apart_m),
+            T_reference_query=at(apart_m),
             sigma=0.3,
             pairs=pairs,
         )
@@ -246,14 +240,14 @@ def only_in_view(*pairs: tuple[int, int]) -> Street:
 
 
 @pytest.mark.parametrize("pair", [(6, 7), (7, 8)], ids=["dropped", "kept"])
-@pytest.mark.parametrize("at", [0, 1, 2], ids=["before both", "in between", "after both"])
-def test_a_merge_of_the_front_end_outlives_the_closures_around_it(street, pair, at):
+@pytest.mark.parametrize("merged_at", [0, 1, 2], ids=["before both", "in between", "after both"])
+def test_a_merge_of_the_front_end_outlives_the_closures_around_it(street, pair, merged_at):
     closures = [(7, 2, [(7, 2), (9, 4)]), (12, 7, [(12, 7), (14, 9)])]
     for number, closure in enumerate(closures):
-        if number == at:
+        if number == merged_at:
             street.merge_in_view(*pair)
         street.close(*closure)
-    if at == len(closures):
+    if merged_at == len(closures):
         street.merge_in_view(*pair)
     street.revoke(0)
     assert len({street.names()[row] for row in pair}) == 1

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.consistency import (
     AGREE_RAD,
     AGREE_RANGES,
@@ -17,17 +16,18 @@ from slam.loop_closure.consistency import (
 )
 from slam.odometry.noise import SLIP_INFLATION
 from tests.helpers.candidates import make_candidate
+from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.35
 """Of a landmark between two traversals."""
 RANGE_M = 30.0
 DRIFT = (0.8, 0.02)
-T_BASE = transform_from_xyz_yaw(np.array([40.0, -7.0, 1.0]), 2.5)
+T_BASE = pose_at(40.0, -7.0, z=1.0, yaw=2.5)
 
 
 def moved(T: FloatArray, x_m: float = 0.0, y_m: float = 0.0, turn_rad: float = 0.0, z_m: float = 0.0) -> FloatArray:
     """``T`` shifted in its outer frame, and turned on the spot."""
-    turned = T @ transform_from_xyz_yaw(np.zeros(3), turn_rad)
+    turned = T @ pose_at(yaw=turn_rad)
     turned[:3, 3] += [x_m, y_m, z_m]
     return turned
 
@@ -49,7 +49,7 @@ def test_places_agree_up_to_the_limit_in_every_direction(direction_rad):
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_headings_agree_up_to_the_limit_also_across_half_a_turn(sign):
     for yaw_rad in (0.0, 2.5, np.pi - 0.01, -np.pi + 0.01):
-        T = transform_from_xyz_yaw(np.array([3.0, 4.0, 0.0]), yaw_rad)
+        T = pose_at(3.0, 4.0, yaw=yaw_rad)
         assert poses_agree(T, moved(T, turn_rad=0.99 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
         assert not poses_agree(T, moved(T, turn_rad=1.01 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
 
@@ -61,25 +61,15 @@ def test_heights_are_not_compared():
 # Odometry penalty
 
 
-def test_there_is_no_odometry_penalty_at_the_prediction():
-    assert odometry_penalty(T_BASE, T_BASE, DRIFT, SIGMA_M) == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize(
-    ("x_m", "y_m", "turn_rad"), [(1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
+    ("x_m", "y_m", "turn_rad"), [(0.0, 0.0, 0.0), (1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
 )
 def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distance(x_m, y_m, turn_rad):
     place_variance = SLIP_INFLATION**2 * (DRIFT[0] ** 2 + SIGMA_M**2)
     heading_variance = SLIP_INFLATION**2 * (DRIFT[1] ** 2 + CLOSURE_SIGMA_RAD**2)
     expected = 0.5 * ((x_m**2 + y_m**2) / place_variance + turn_rad**2 / heading_variance)
     measured = moved(T_BASE, x_m, y_m, turn_rad)
-    assert odometry_penalty(T_BASE, measured, DRIFT, SIGMA_M) == pytest.approx(expected, rel=1e-6)
-
-
-def test_more_drift_means_less_penalty():
-    measured = moved(T_BASE, 3.0, 1.0, 0.05)
-    penalties = [odometry_penalty(T_BASE, measured, (k * 0.5, k * 0.01), SIGMA_M) for k in (1.0, 2.0, 4.0)]
-    assert np.all(np.diff(penalties) < 0.0)
+    assert odometry_penalty(T_BASE, measured, DRIFT, SIGMA_M) == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
 def test_across_a_break_it_does_not_matter_what_the_odometry_predicts():

@@ -5,8 +5,6 @@ Each expectation has a twin in which one part is made useless, and in which it m
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 import pytest
 from scipy.special import logit
@@ -23,7 +21,6 @@ from tests.helpers.loop_drives import (
     rows_of_lamps,
     two_blocks,
     winding_street,
-    with_objects,
 )
 from tests.helpers.short_drives import final_status
 
@@ -116,16 +113,10 @@ def test_a_drive_without_revisits_accepts_nothing(straying):
     assert straying.closures["accepted_count"] == 0
 
 
-def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
-    outcome = replay_drive(tmp_path, rows_of_lamps(8.0))
-    assert outcome.closures["revisit_count"] == 0
-    assert outcome.closures["candidate_count"] > 100
-    assert outcome.closures["accepted_count"] == 0
-
-
-def test_two_streets_of_lamps_in_sparse_rows_are_not_taken_for_one(tmp_path):
-    """Only the odometry can tell them apart."""
-    outcome = replay_drive(tmp_path, rows_of_lamps(20.0))
+@pytest.mark.parametrize("spacing_m", [8.0, 20.0], ids=["dense", "sparse"])
+def test_two_streets_of_lamps_in_rows_are_not_taken_for_one(tmp_path, spacing_m):
+    """Where they are sparse, only the odometry can tell them apart."""
+    outcome = replay_drive(tmp_path, rows_of_lamps(spacing_m))
     assert outcome.closures["revisit_count"] == outcome.accepted_count == 0
     assert "closure" not in outcome.graph.edge_kinds
 
@@ -172,14 +163,6 @@ def test_closing_no_loops_writes_no_candidates(open_ended):
     assert open_ended.records == []
     assert "closure" not in open_ended.graph.edge_kinds
     assert open_ended.closures["recall"] == 0.0
-
-
-def test_a_world_of_three_objects_is_mapped_and_the_ledger_says_why_no_loop_is_closed(tmp_path):
-    outcome = replay_drive(tmp_path, with_objects(two_blocks(), [0, 40, 70]))
-    assert final_status(outcome.path).counters["landmarks_confirmed"] >= 3
-    assert outcome.closures["accepted_count"] == 0
-    assert Counter(record.stage for record in outcome.records).keys() == {"retrieval"}
-    assert all("min_inliers is" in record.reason for record in outcome.records)
 
 
 # Breaks of the odometry

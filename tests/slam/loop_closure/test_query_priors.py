@@ -28,9 +28,9 @@ LATEST_M = STEP_M * (COUNT - 1)
 PLACE = Place(at(7.0), 0.0, 0, "descriptor")
 
 
-def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: float = 0.0) -> Verifier:
+def make_priors(keyframes: list[Keyframe], *, bent_m: float = 0.0) -> Verifier:
     """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
-    track = KeyframeTrack(config.calibration.odometry)
+    track = KeyframeTrack(CONFIG.calibration.odometry)
     for keyframe in keyframes:
         track.add(keyframe)
 
@@ -38,7 +38,7 @@ def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: f
         return at(keyframes[id].odometry.travel_m + (bent_m if 2 * id > COUNT else 0.0))
 
     graph = cast(FactorGraph, SimpleNamespace(pose=pose))
-    return Verifier(config, SimpleNamespace(), track, graph, keyframes)
+    return Verifier(CONFIG, SimpleNamespace(), track, graph, keyframes)
 
 
 @pytest.fixture

@@ -11,13 +11,14 @@ from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.odometry.calibrated_odometry import CalibratedOdometry
+from tests.helpers.poses import pose_at
 
 COUNT = 400
 
 
 def chained(step_m: float, turns_rad: FloatArray) -> FloatArray:
     """Poses (K, 4, 4) after steps that go along the chord of their turns, from a pose of its own."""
-    poses = [transform_from_xyz_yaw(np.array([3.0, -2.0, 0.5]), 0.7)]
+    poses = [pose_at(3.0, -2.0, z=0.5, yaw=0.7)]
     for turn_rad in turns_rad:
         chord = transform_from_xyz_yaw(step_m * np.array([np.cos(turn_rad / 2), np.sin(turn_rad / 2), 0.0]), turn_rad)
         poses.append(poses[-1] @ chord)
@@ -31,8 +32,8 @@ def corrected(
     return np.array([scaled.correct(Odometry(k, T, "o", "b")).T_odom_body for k, T in enumerate(poses)])
 
 
-def turns(seed: int = 0) -> FloatArray:
-    return np.random.default_rng(seed).uniform(-0.2, 0.25, COUNT)
+def turns() -> FloatArray:
+    return np.random.default_rng(0).uniform(-0.2, 0.25, COUNT)
 
 
 @pytest.mark.parametrize(("length", "turn"), [(1.25, 1.0), (0.8, 0.9), (1.0, 1.2)])
@@ -63,7 +64,7 @@ def test_roll_and_pitch_stay():
 def test_a_message_that_is_far_off_moves_the_path_little():
     poses = chained(0.5, turns())
     wild = poses.copy()
-    wild[200] = wild[200] @ transform_from_xyz_yaw(np.array([900.0, 40.0, 0.0]), 1.0)
+    wild[200] = wild[200] @ pose_at(900.0, 40.0, yaw=1.0)
     before, after = (corrected(each, length_scale=1.1, turn_scale=1.1) for each in (poses, wild))
     np.testing.assert_allclose(after[201:, :2, 3], before[201:, :2, 3], atol=0.5)
 
@@ -79,7 +80,7 @@ def test_a_repeated_pose_is_repeated_to_the_last_digit():
 
 def test_stamps_and_lengths_are_corrected() -> None:
     calibrated = CalibratedOdometry(OdometryCalibration(length_scale=1.5, time_offset_s=0.25))
-    poses = [transform_from_xyz_yaw(np.array([float(row), 0.0, 0.0]), 0.0) for row in range(3)]
+    poses = [pose_at(float(row)) for row in range(3)]
     found = [calibrated.correct(Odometry(row, T)) for row, T in enumerate(poses)]
     assert [(each.stamp_ns, each.T_odom_body[0, 3]) for each in found] == [
         (250_000_000, 0.0),

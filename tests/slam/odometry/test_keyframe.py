@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import pose_at
 
 
 @pytest.mark.parametrize(
@@ -24,8 +24,8 @@ from slam.odometry.pose import OdometryPose
     ],
 )
 def test_a_keyframe_is_due_after_a_way_a_turn_or_a_time_in_motion(seconds, moved_m, turn_deg, is_due):
-    T_first = transform_from_xyz_yaw(np.array([3.0, 1.0, 0.0]), 0.7)
+    T_first = pose_at(3.0, 1.0, yaw=0.7)
     odometry = OdometryPose(0, np.eye(4), 0.0, 0, 1.0)
-    T = T_first @ transform_from_xyz_yaw(np.array([0.0, moved_m, 0.0]), np.deg2rad(turn_deg))
+    T = T_first @ pose_at(0.0, moved_m, yaw=np.deg2rad(turn_deg))
     last = Keyframe(0, odometry, T_first)
     assert is_keyframe_due(last, round(seconds * 1e9), T, 2.0, sensor_range_m=30.0) is is_due

@@ -302,14 +302,11 @@ def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
 
 def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
     """As of a camera, which knows directions better than distances."""
-    assert surveyed.components is not None
     square_m = surveyed.median_range_m**2
-    found = replace(
-        surveyed.components.variances,
+    camera = with_noise(
+        surveyed,
         radial=0.5, radial_by_range=1.5 / square_m, tangential=0.05, tangential_by_range=0.03 / square_m,
     )  # fmt: skip
-    none = replace(surveyed.components.standard_errors, **dict.fromkeys(found.__dataclass_fields__, 0.0))
-    camera = replace(surveyed, components=replace(surveyed.components, variances=found, standard_errors=none))
     detection = calibrate(Config(), camera).config.calibration.detection
     assert detection.base_sigma_m == pytest.approx(0.05**0.5)
     assert detection.sigma_per_m == pytest.approx(0.03**0.5 / surveyed.median_range_m)
@@ -370,8 +367,9 @@ def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
     ],
 )
 def test_tilt_noise_is_what_heights_and_headings_show_for_certain(surveyed, tilt, heading, sigma):
-    variances = replace(surveyed.components.variances, tilt_by_travel=tilt[0], heading_by_travel=heading[0])
-    errors = replace(surveyed.components.standard_errors, tilt_by_travel=tilt[1], heading_by_travel=heading[1])
-    components = replace(surveyed.components, variances=variances, standard_errors=errors)
-    found = calibrate(Config(), replace(surveyed, components=components)).config.calibration.odometry
+    noisy = with_noise(surveyed, tilt_by_travel=tilt[0], heading_by_travel=heading[0])
+    assert noisy.components is not None
+    errors = replace(noisy.components.standard_errors, tilt_by_travel=tilt[1], heading_by_travel=heading[1])
+    noisy = replace(noisy, components=replace(noisy.components, standard_errors=errors))
+    found = calibrate(Config(), noisy).config.calibration.odometry
     assert found.tilt_sigma == pytest.approx(sigma)

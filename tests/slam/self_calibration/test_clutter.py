@@ -9,12 +9,12 @@ from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.object_tracks import SurveyScan
 
 
-def scans_of(each: float, *, half_angle: float = np.pi, range_m: float = 25.0, height_m: float = 0.0) -> list:
+def scans_of(each: float, *, half_angle: float = np.pi, height_m: float = 0.0) -> list:
     """Scans with so many detections, evenly over a view of 25 m and a layer of that height."""
     rng = np.random.default_rng(0)
     scans = []
     for number, count in enumerate(rng.poisson(each, 300).tolist()):
-        r, angle = range_m * np.sqrt(rng.random(count)), half_angle * rng.uniform(-1.0, 1.0, count)
+        r, angle = 25.0 * np.sqrt(rng.random(count)), half_angle * rng.uniform(-1.0, 1.0, count)
         z = height_m * rng.random(count)
         positions, labels = np.column_stack([r * np.cos(angle), r * np.sin(angle), z]), np.zeros(count, dtype=np.int64)
         scans.append(SurveyScan(number, np.eye(4), positions, labels, np.full(count, np.nan)))

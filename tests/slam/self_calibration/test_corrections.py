@@ -28,12 +28,12 @@ def weaving() -> BodyMotion:
     return BodyMotion(positions, headings, velocities, np.gradient(headings, PERIOD_S))
 
 
-def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02, seen: int = SEEN) -> ObjectTracks:
+def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02) -> ObjectTracks:
     """Objects that come and go on either side; what is seen is of a time later by ``delay_s`` than its stamp."""
     rng = np.random.default_rng(3)
-    scans = np.concatenate([np.arange(first, first + seen) for first in range(0, SCANS - seen, 10)])
-    track = np.repeat(np.arange(len(scans) // seen), seen)
-    middles = motion.positions[np.unique(track) * 10 + seen // 2, :2] + rng.uniform(-12.0, 12.0, (track.max() + 1, 2))
+    scans = np.concatenate([np.arange(first, first + SEEN) for first in range(0, SCANS - SEEN, 10)])
+    track = np.repeat(np.arange(len(scans) // SEEN), SEEN)
+    middles = motion.positions[np.unique(track) * 10 + SEEN // 2, :2] + rng.uniform(-12.0, 12.0, (track.max() + 1, 2))
     offsets = middles[track] - motion.positions[scans, :2] + rng.normal(0.0, noise_m, (len(scans), 2))
     moved = motion.velocities[scans] + motion.turn_rates[scans][:, None] * (offsets @ J.T)
     offsets = offsets - delay_s * moved

@@ -45,10 +45,6 @@ def surveyed(scans: list[SurveyScan], frame: str, detection: DetectionCalibratio
     return found
 
 
-def angles_deg(found: Survey) -> list[float]:
-    return [found.corrected.get(f"detection.{name}_deg", 0.0) for name in ("roll", "pitch", "yaw")]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("is_fixed", [False, True])
 @pytest.mark.parametrize("frame", ["odom", "base_link"])
@@ -66,14 +62,6 @@ def test_a_frame_that_was_set_by_hand_is_kept(drive):
     found = surveyed(fixed(drive.scans), "base_link", by_hand)
     assert "detection.assume_odometry_frame" not in found.corrected
     assert found.max_range_m > 1.1 * drive.range_m  # in the right frame it is less
-
-
-@pytest.mark.slow
-def test_a_sensor_that_looks_backwards_is_on_the_body(drive):
-    backwards = np.diag([-1.0, -1.0, 1.0])
-    found = surveyed([replace(each, positions=each.positions @ backwards) for each in drive.scans], "base_link")
-    assert "detection.assume_body_frame" not in found.corrected
-    assert np.abs(angles_deg(found)) == pytest.approx([0.0, 0.0, 180.0], abs=1.0)
 
 
 def test_odometry_that_trembles_while_the_robot_stands_tells_no_frame(drive):

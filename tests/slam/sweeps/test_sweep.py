@@ -14,11 +14,6 @@ from logs.messages import GroundTruthPose
 from slam.common.config import Config
 from slam.common.config_tree import load_tree
 from slam.common.errors import ConfigurationError, EvaluationError
-from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.records import read_records
-from slam.replay import replay
-from slam.simulation.faults.faulty_log import write_faulty
-from slam.simulation.faults.registry import parse_faults
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
 from slam.sweeps.result_folder import ResultFolder
 from slam.sweeps.sweep import DEFAULT_DEGRADATIONS, EVERY_FAULT, Sweep, plan_sweep, run_sweep
@@ -65,16 +60,6 @@ def test_each_degradation_is_planned_once_and_random_ones_for_every_seed(log):
     assert {"heading_jump=30:0.5", "labels_random", "messages_twice"} < set(named(log, EVERY_FAULT))
     with pytest.raises(ConfigurationError, match="did you mean dropout"):
         named(log, "drop=0.3")
-
-
-@pytest.mark.slow
-def test_a_drive_of_a_sweep_is_what_the_three_commands_make(log, tmp_path):
-    tasks = plan_sweep(log, ["dropout=0.3"], {"": Config()}, seeds=2)[1:]
-    (result,) = run_sweep(tasks, tmp_path / "sweep", jobs=1).results.values()
-    write_faulty(log, tmp_path / "degraded.mcap", parse_faults(["dropout=0.3"]), seed=1)
-    replay(tmp_path / "degraded.mcap", tmp_path / "map.mcap", Config())
-    expected = evaluate(read_records(tmp_path / "map.mcap")).to_json_dict()
-    assert json.loads(json.dumps(result.evaluation)) == json.loads(json.dumps(expected))
 
 
 def test_finished_drives_are_not_mapped_again(log, tmp_path):

@@ -44,11 +44,6 @@ def test_best_of_two_better_trajectories_is_named() -> None:
     assert check(T, odometry=drifting(T, 2.0), online=T, final=with_wrong_associations(T)).better == "online"
 
 
-def test_equal_trajectories_are_not_better() -> None:
-    T = circle()
-    assert check(T, odometry=T, online=T, final=T).better is None
-
-
 def test_slightly_better_trajectory_is_not_told() -> None:
     T = circle()
     assert check(T, odometry=T, online=T, final=drifting(T, 0.02)).better is None

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply, make_transform, transform_from_xyz_yaw
 from slam.evaluation.metrics.alignment import align_path, align_yaw_translation
+from tests.helpers.poses import pose_at
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -46,11 +47,9 @@ def test_alignment_of_mirrored_points_is_a_rotation() -> None:
 
 def test_align_path_falls_back_on_straight_line() -> None:
     line = np.outer(np.linspace(0.0, 100.0, 50), [0.6, 0.8, 0.0])
-    alignment = align_path(line, apply(transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), 0.4), line))
+    alignment = align_path(line, apply(pose_at(1.0, 2.0, z=3.0, yaw=0.4), line))
     assert alignment.kind == "yaw_translation"
-    np.testing.assert_allclose(
-        alignment.T_world_map, transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), 0.4), atol=1e-12
-    )
+    np.testing.assert_allclose(alignment.T_world_map, pose_at(1.0, 2.0, z=3.0, yaw=0.4), atol=1e-12)
 
 
 @pytest.mark.parametrize("points", [np.zeros((1, 3)), np.zeros((9, 3)), np.outer(np.arange(9.0), [0.0, 0.0, 1.0])])

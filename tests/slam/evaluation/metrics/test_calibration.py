@@ -12,10 +12,11 @@ import pytest
 
 from logs.messages import GroundTruthPose, LoopClosureRecord, Record
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import collect_records
 from slam.evaluation.metrics.calibration import NEEDS, measure_consistency, pose_errors
+from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.maps import frames, object_map
 from tests.slam.evaluation.results import graph
@@ -23,7 +24,7 @@ from tests.slam.evaluation.results import graph
 Log = list[tuple[str, Record]]
 Change = Callable[[Log], Log]
 COUNT = 3000
-T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 2.4)
+T_WORLD_MAP = pose_at(20.0, 30.0, z=1.0, yaw=2.4)
 ANISOTROPIC = np.diag([0.002, 0.003, 0.01, 0.5, 0.05, 0.1]) ** 2
 """Sure of the left and the right, unsure of the way ahead."""
 
@@ -68,18 +69,16 @@ def test_pose_errors_are_right_perturbations(size: float) -> None:
     np.testing.assert_allclose(pose_errors(T_est, T_est @ exponential(xi)), xi, rtol=1e-7, atol=1e-9)
 
 
-def log_of_a_drive(
-    *, scale: float = 1.0, perturb_left: bool = False, seed: int = 0, poses: int = 400, landmarks: int = 400
-) -> Log:
-    """Poses, landmarks and closures whose errors have ``scale`` times the covariances that the log tells.
+def log_of_a_drive(*, perturb_left: bool = False, poses: int = 400, landmarks: int = 400) -> Log:
+    """Poses, landmarks and closures whose errors have the covariances that the log tells.
 
     The drive heads to all sides, in a map turned by 2.4 rad against the world.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     at, T_gt = stamps(poses), winding_path(poses)
     T_map_gt = invert(T_WORLD_MAP) @ T_gt
     covariances = np.tile(ANISOTROPIC, (poses, 1, 1))
-    error = exponential(np.sqrt(scale) * draw(rng, covariances))
+    error = exponential(draw(rng, covariances))
     error[0] = np.eye(4)
     T_map_body = error @ T_map_gt if perturb_left else T_map_gt @ invert(error)
     log: Log = [("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(at.tolist(), T_gt, strict=True)]
@@ -88,7 +87,7 @@ def log_of_a_drive(
     true_ids = tuple(f"o{index}" for index in range(landmarks))
     positions = rng.uniform(-100.0, 100.0, (landmarks, 3))
     spread = random_covariances(rng, landmarks, 3)
-    in_map = apply(invert(T_WORLD_MAP), positions) + np.sqrt(scale) * draw(rng, spread)
+    in_map = apply(invert(T_WORLD_MAP), positions) + draw(rng, spread)
     labels = ("tree",) * landmarks
     log.append(("/ground_truth/objects", object_map(true_ids, positions, labels)))
     log.append(("/slam/map", replace(object_map(ids, in_map, labels), covariances=spread)))
@@ -97,7 +96,7 @@ def log_of_a_drive(
     log += [("/slam/associations", record) for record in associations]
     log += [("/ground_truth/detections", record) for record in truths]
     of_closures = 0.01 * random_covariances(rng, poses // 2, 6)  # small, so that all of them count as true
-    off = exponential(np.sqrt(scale) * draw(rng, of_closures))
+    off = exponential(draw(rng, of_closures))
     for row in range(poses // 2):
         T_reference_query = invert(T_gt[row]) @ T_gt[-1 - row] @ invert(off[row])
         log.append(("/slam/closures", closure(poses - 1 - row, row, at, T_reference_query, of_closures[row])))
@@ -135,7 +134,7 @@ def test_calibration_detects_covariances_about_map_axes() -> None:
 
 
 def test_landmarks_are_tied_at_first_keyframe() -> None:
-    turn = transform_from_xyz_yaw(np.zeros(3), 0.1)
+    turn = pose_at(yaw=0.1)
     shifted = [
         (topic, replace(record, T_map_body=turn @ record.T_map_body) if topic == "/slam/graph" else record)
         for topic, record in log_of_a_drive()

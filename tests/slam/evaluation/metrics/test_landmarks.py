@@ -5,7 +5,7 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import apply, transform_from_xyz_yaw
+from slam.common.geometry import apply
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import (
     compute_windowed_errors_m,
@@ -13,6 +13,7 @@ from slam.evaluation.metrics.landmarks import (
     match_by_detections,
     match_by_position,
 )
+from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import straight_path
 from tests.slam.evaluation.maps import object_map
 
@@ -34,7 +35,7 @@ def windowed_errors_m(
 def test_windowed_errors_ignore_drift_and_measure_noise() -> None:
     rng = np.random.default_rng(0)
     positions, along = street(400, rng)
-    bent = apply(transform_from_xyz_yaw(np.array([30.0, -4.0, 2.0]), 1.0), positions)
+    bent = apply(pose_at(30.0, -4.0, z=2.0, yaw=1.0), positions)
     np.testing.assert_allclose(windowed_errors_m(bent, positions, along, 200.0), 0.0, atol=1e-9)
 
     drifting = positions.copy()
@@ -70,7 +71,7 @@ def test_quality_by_hand() -> None:
     true_ids = tuple(f"o{i}" for i in range(6))
     positions = rng.uniform(-20, 20, (6, 3))
     map_gt = object_map(true_ids, positions, ("tree", "tree", "pole", "pole", "sign", "sign"))
-    T_map_world = transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), 0.5)
+    T_map_world = pose_at(1.0, 2.0, z=3.0, yaw=0.5)
     # 0..3 show o0..o3 (3 with the wrong class), 4 is a false positive, 5 shows what the true map lacks, 6 is tentative.
     at = np.concatenate([apply(T_map_world, positions[:4]), np.zeros((3, 3))])
     map_est = object_map(

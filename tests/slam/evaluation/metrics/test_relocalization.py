@@ -10,7 +10,6 @@ import pytest
 
 from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
 from slam.common.arrays import FloatArray
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
@@ -19,6 +18,7 @@ from slam.evaluation.metrics.relocalization import (
     Method,
     evaluate_relocalization,
 )
+from tests.helpers.poses import pose_at
 from tests.slam.evaluation.loops import at_ns, closure, series_of, there_and_back
 
 TRUTH = there_and_back()
@@ -30,15 +30,12 @@ def statuses(*events: tuple[int, str]) -> tuple[StatusRecord, ...]:
     return tuple(StatusRecord(at_ns(index), state, "info", "") for index, state in events)
 
 
-def made(
-    *events: tuple[int, str], closures: tuple[LoopClosureRecord, ...] = (), T_world_map: FloatArray | None = None
-) -> EvaluationRecords:
-    """Poses that are right in a map that lies at ``T_world_map``, and a last status at the end of the drive."""
-    T_map_world = np.eye(4) if T_world_map is None else np.linalg.inv(T_world_map)
+def made(*events: tuple[int, str], closures: tuple[LoopClosureRecord, ...] = ()) -> EvaluationRecords:
+    """Poses that are right, and a last status at the end of the drive."""
     poses = zip(TRUTH.stamps_ns, TRUTH.T_world_body, strict=True)
     return EvaluationRecords(
         statuses=statuses(*events, (240, events[-1][1])),
-        online_poses=tuple(SlamPose(int(stamp), T_map_world @ T) for stamp, T in poses),
+        online_poses=tuple(SlamPose(int(stamp), T) for stamp, T in poses),
         closures=closures,
     )
 
@@ -95,7 +92,7 @@ def test_drives_without_loss_or_fix() -> None:
 
 @pytest.mark.parametrize(("shift_m", "is_right"), [(3.9, True), (4.1, False)])
 def test_a_fix_is_right_within_the_thresholds_of_closures(shift_m: float, is_right: bool) -> None:
-    off = transform_from_xyz_yaw(np.array([0.0, shift_m, 0.0]), 0.0)
+    off = pose_at(0.0, shift_m)
     found = measure(made((0, "LOST"), (0, "RELOCALIZED"), (0, "TRACKING")), T_world_map=off)
     assert found["losses"][0]["is_right"] is is_right
     assert (found["right_count"], found["wrong_count"]) == (int(is_right), int(not is_right))
@@ -104,7 +101,7 @@ def test_a_fix_is_right_within_the_thresholds_of_closures(shift_m: float, is_rig
 
 def test_the_pose_right_after_the_fix_counts() -> None:
     records = made((0, "LOST"), (50, "RELOCALIZED"), (50, "TRACKING"))
-    off = transform_from_xyz_yaw(np.array([9.0, 0.0, 0.0]), 0.0)
+    off = pose_at(9.0)
     poses = [p if k == 50 else replace(p, T_map_body=off @ p.T_map_body) for k, p in enumerate(records.online_poses)]
     assert measure(replace(records, online_poses=tuple(poses)))["success_rate"] == 1.0
     assert measure(replace(records, online_poses=tuple(poses[:50] + poses[51:])))["success_rate"] == 0.0

@@ -16,10 +16,11 @@ from logs.messages import (
     Transform,
 )
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.simulation.faults.faulty_log import apply_faults
 from slam.simulation.faults.recording import Message, Recording, make_recording
 from slam.simulation.faults.registry import parse_faults
+from tests.helpers.poses import pose_at
 
 COUNT = 101
 PERIOD_NS = 100_000_000
@@ -30,15 +31,15 @@ IDS = ("a", "b", "c", "d")
 LABELS = ("tree", "tree", "lamp", "bench")
 OBJECTS = np.array([[10.0, 5.0, 1.0], [20.0, -4.0, 0.5], [30.0, 6.0, 0.0], [5.0, -8.0, 2.0]])
 COVARIANCE = np.diag([0.01, 0.04, 0.09])
-T_BODY_SENSOR = transform_from_xyz_yaw(np.array([1.0, 0.5, 2.0]), np.deg2rad(90.0))
+T_BODY_SENSOR = pose_at(1.0, 0.5, z=2.0, yaw=np.deg2rad(90.0))
 
 _Kind = TypeVar("_Kind")
 
 
 def path(turn_rad: float = 0.02, step_m: float = 0.5) -> FloatArray:
     """Poses (COUNT, 4, 4) on an arc."""
-    step = transform_from_xyz_yaw(np.array([step_m, 0.0, 0.0]), turn_rad)
-    poses = [transform_from_xyz_yaw(np.array([3.0, 2.0, 0.0]), 0.3)]
+    step = pose_at(step_m, yaw=turn_rad)
+    poses = [pose_at(3.0, 2.0, yaw=0.3)]
     for _ in range(COUNT - 1):
         poses.append(poses[-1] @ step)
     return np.array(poses)

@@ -51,11 +51,6 @@ def test_what_was_done_stands_in_the_log(log: Path, tmp_path: Path) -> None:
     assert (told["faults_2"]["faults"], told["faults_2"]["seed"]) == ("labels_unique", "5")
 
 
-def test_seeds_are_not_negative(log: Path, tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match="negative"):
-        write_faulty(log, tmp_path / "out.mcap", parse_faults(["labels_unique"]), seed=-1)
-
-
 def test_a_topic_that_plays_two_parts_is_refused(log: Path, tmp_path: Path) -> None:
     frames = tmp_path / "frames.mcap"
     with LogWriter(frames) as writer:

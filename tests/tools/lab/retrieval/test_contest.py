@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from descriptors.errors import DescriptorError
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.config import Config
 from slam.common.errors import SimulationError
@@ -55,9 +54,6 @@ def test_maps_side_by_side_do_not_meet() -> None:
     assert np.diff(x).max() > 2.0 * Config().sensor_range_m
 
 
-def test_degrees_and_unknown_descriptors_are_refused() -> None:
-    contest = Contest(("random",), sizes=(10,), queries=1)
+def test_maps_in_degrees_are_refused() -> None:
     with pytest.raises(SimulationError, match="metres"):
         side_by_side([town(50, 1.0, is_geodetic=True)])
-    with pytest.raises(DescriptorError, match="rings"):
-        run_contest(town(50, 100.0), replace(contest, proposers=("rings",)))

@@ -2,41 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig, SimulationConfig
-from slam.simulation.world import World
+from tests.helpers.loop_drives import furnished
 from tests.helpers.short_drives import drive, write_log
 from tools.lab.retrieval.labelled_map import is_right
 from tools.lab.retrieval.revisits import measure_revisits
 
-BLOCK_M = 60.0
-
-
-def town(laps: int) -> World:
-    rng = np.random.default_rng(11)
-    corners = np.array([[0.0, 0.0], [BLOCK_M, 0.0], [BLOCK_M, BLOCK_M], [0.0, BLOCK_M]])
-    positions = np.column_stack([rng.uniform(-10.0, BLOCK_M + 10.0, (110, 2)), np.ones(110)])
-    labels = ("tree",) * 110  # with classes random vectors find places in so small a map, too
-    return World("town", tuple(f"o{i}" for i in range(110)), positions, labels, np.vstack([corners] * laps))
-
-
-def log(folder: Path, laps: int) -> Path:
-    simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
-    return write_log(folder / "town.mcap", drive(simulation, seed=4, world=town(laps)))
-
 
 @pytest.mark.slow
 def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> None:
-    done: list[float] = []
-    good, random = measure_revisits(
-        log(tmp_path, 3), ["descriptellation_lr", "random"], Config(), on_progress=done.append
-    )
+    """Of one class: with several, random vectors find places in so small a map, too."""
+    block = furnished([(0, 0), (60, 0), (60, 60), (0, 60)] * 3, seed=11)
+    world = replace(block, labels=("tree",) * len(block.labels))
+    simulation, done = SimulationConfig(drive=DriveConfig(rate_hz=5.0)), list[float]()
+    log = write_log(tmp_path / "town.mcap", drive(simulation, seed=4, world=world))
+    good, random = measure_revisits(log, ["descriptellation_lr", "random"], Config(), on_progress=done.append)
     assert (good["drive"], good["descriptor"], random["descriptor"]) == ("town", "descriptellation_lr", "random")
     assert good["queries"] == random["queries"] >= 3
     assert good["places_at_1"] > random["places_at_1"] + 0.2
@@ -47,19 +36,10 @@ def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> N
 
 
 def test_a_pose_is_right_within_4_m_and_10_deg_of_any_true_one() -> None:
-    truth = np.stack(
-        [
-            transform_from_xyz_yaw(np.array([0.0, 0.0, 0.0]), 0.0),
-            transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 3.0),
-        ]
-    )
-    poses = np.stack(
-        [
-            transform_from_xyz_yaw(np.array([3.9, 0.0, 0.0]), 0.1),
-            transform_from_xyz_yaw(np.array([4.1, 0.0, 0.0]), 0.0),
-            transform_from_xyz_yaw(np.array([0.0, 0.0, 0.0]), 0.2),
-            transform_from_xyz_yaw(np.array([50.0, 2.0, 0.0]), 3.1),
-        ]
-    )
+    def poses_at(*places: tuple[float, float, float]) -> FloatArray:
+        return np.array([transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw) for x, y, yaw in places])
+
+    truth = poses_at((0.0, 0.0, 0.0), (50.0, 0.0, 3.0))
+    poses = poses_at((3.9, 0.0, 0.1), (4.1, 0.0, 0.0), (0.0, 0.0, 0.2), (50.0, 2.0, 3.1))
     assert is_right(poses, truth).tolist() == [True, False, False, True]
     assert is_right(np.zeros((0, 4, 4)), truth).tolist() == []
