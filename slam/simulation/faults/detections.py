@@ -80,7 +80,7 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
     They are evenly spread over the range and the bearings of the log's detections, and have heights, labels, scores,
     and covariances of detections drawn from the log.
     """
-    places = np.concatenate([from_sensor for _, from_sensor in _from_sensor(log)])
+    places = np.concatenate([np.zeros((0, 3)), *(from_sensor for _, from_sensor in _from_sensor(log))])
     if not len(places):
         raise SimulationError("no detection is in view, so false positives cannot be modelled; widen the field of view")
     donors = joined([scan.seen for scan in log.scans])
