@@ -117,10 +117,10 @@ def find_anchors(
 ) -> dict[int, int]:
     """The keyframes that can be attached to one of an earlier traversal, with that anchor.
 
-    A keyframe returns to a place where an earlier one has enough of its landmarks: three determine the relative pose,
-    and half of its own. It is attached to the one that has most of those that had returned
-    themselves; if there is none, it may be an anchor. Settled keyframes that observed nothing are attached like the
-    next one that did.
+    A keyframe is of a place that was passed before if an earlier one observed three of its landmarks, which determine
+    the relative pose, and half of all. It is attached to the one with most of them that was of such a place itself, and
+    may be an anchor where there is none. Settled keyframes that observed nothing are attached like the next one that
+    did.
 
     Args:
         observations: keyframe and landmark of each, by the variables of landmarks.

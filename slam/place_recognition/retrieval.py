@@ -1,7 +1,7 @@
 """Retrieval: candidate places of a query submap among the landmarks that the robot has left behind.
 
-Inactive landmarks are indexed by what is around them (:mod:`slam.place_recognition.retrieval`). A map that is
-imported has an index of its own, which is made once.
+Inactive landmarks are indexed by what is around them. A map that is imported has an index of its own, which is made
+once.
 """
 
 from __future__ import annotations
