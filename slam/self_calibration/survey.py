@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
+from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.corrections import Correction, estimate_corrections
-from slam.self_calibration.frames import agree, better_frame, find_orientation, roll_pitch_yaw_deg
+from slam.self_calibration.frames import better_frame, facing_ahead, find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (
     Detectability,
@@ -28,27 +29,18 @@ from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_o
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95
-MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 0.5
-"""A sensor that is turned by more, and turns of the odometry that are wrong by such a share, are corrected: less may be
-the road's, more is no matter of calibration.
-"""
-MIN_REST = 0.005
-"""... and what is then left of turns, as long as it is more than that. So is a climb of the odometry, which explains
-little of how objects seem to move but adds up along the way.
+MIN_SHARE, MAX_SHARE, MIN_REST = 0.03, 0.5, 0.005
+"""Lengths and turns of the odometry that are wrong by more than the first and less than the second share are corrected,
+and then what is left of them, as long as it is more than the third: less is no matter, more is none of calibration.
 """
 FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
-ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"}
+ANGLES_DEG = "roll_deg", "pitch_deg", "yaw_deg"
 SHIFTS = "x_m", "y_m"
 """Terms and settings of where the sensor sits on the body."""
 SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
-SETTINGS = (
-    SCALES
-    | {"climb_share": "odometry.climb"}
-    | {name: f"detection.{name}" for name in SHIFTS}
-    | {term: f"detection.{name}" for term, name in ANGLES.items()}
-)
-"""Settings of the terms."""
+SETTINGS = SCALES | {name: f"detection.{name}" for name in SHIFTS}
+"""Settings of the terms that are found from tracks."""
 SAME_HEADING_RAD = 1e-6
 """Headings of an odometry without orientations differ by rounding only."""
 ROUNDS = 10
@@ -70,7 +62,7 @@ class Survey:
     ``corrected``: values of the calibration, by their keys, that corrected the scans; ``suspected``: values that would
     predict what is held out better, but are too small or have another explanation; ``delay_s``: by how much
     detections are of a later time than their stamps say, against the odometry; ``lacks_heading``: whether the heading
-    of the odometry never changes, and objects do not stand still by it; ``detour``: the length of the odometry's path
+    of the odometry never changes, and that of its path is better; ``detour``: the length of the odometry's path
     by that of its every second message.
     """
 
@@ -110,9 +102,11 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     labels = _label_noise(logs, known.with_values(corrected))
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
-    if f"detection.{FRAMES[1]}" not in corrected and not given.detection.assume_odometry_frame:
-        corrected |= _orientation(logs, known.with_values(corrected), given)
-    delay_s = 0.0
+    aligned, unaligned = find_alignment(
+        logs, known.with_values(corrected), _unknown(known.with_values(corrected), given)
+    )
+    delay_s = aligned.pop("delay_s", 0.0)
+    corrected |= _of_sensor(aligned, known.with_values(corrected))
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
@@ -125,22 +119,32 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         corrected |= change
     if not any(np.any(scan.positions) for scan in scans):
         return None
+    now = known.with_values(corrected)
     return replace(
         summarize(scans, tracks),
         labels=labels,
         corrected=corrected,
-        suspected=_suspected(found, known.with_values(corrected)),
+        suspected=_suspected(found, now) | {k: v for k, v in _of_sensor(unaligned, now).items() if abs(v) > MIN_REST},
         delay_s=delay_s,
-        lacks_heading=bool(np.ptp(motion.headings) < SAME_HEADING_RAD) and not agree(scans),
+        lacks_heading=_lacks_heading(scans, motion.headings),
         detour=detour,
     )
 
 
-def _is_large(correction: Correction) -> bool:
-    """Whether it is an angle, or a share of lengths or turns, that matters."""
-    if correction.term in ANGLES:
-        return abs(correction.value) > MIN_ANGLE_RAD
-    return correction.term in ("length_share", "turn_share") and abs(correction.value) > MIN_SHARE
+def _unknown(now: Calibration, given: Calibration) -> list[str]:
+    """Terms of the alignment that were not given by hand."""
+    if now.detection.assume_odometry_frame:  # objects stand still whatever the sensor is
+        return []
+    angles = () if _is_turned_by_hand(given) else ANGLES
+    return ["delay_s", *angles, *(() if given.is_given("odometry.climb") else ("climb_share",))]
+
+
+def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]:
+    """What the angles and the climb of an alignment change their settings to."""
+    rotation = Rotation.from_rotvec([found.get(angle, 0.0) for angle in ANGLES]).as_matrix()
+    changed = _angles(rotation @ _turned(now.detection)) if not found.keys().isdisjoint(ANGLES) else {}
+    climb = {"odometry.climb": now.odometry.climb + found["climb_share"]} if "climb_share" in found else {}
+    return changed | climb
 
 
 def _first_change(
@@ -159,12 +163,8 @@ def _first_change(
         key = SETTINGS.get(each.term, "")
         # What is left of a correction is small, and needs to be sure only.
         is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
-        is_wanted = is_rest or (each.is_earned and _is_large(each))
         if each.is_earned and each.term == "delay_s":
             return {"delay_s": each.value}
-        if each.term in ANGLES and is_wanted and not _is_turned_by_hand(given):
-            axis = np.eye(3)[list(ANGLES).index(each.term)]
-            return _angles(Rotation.from_rotvec(each.value * axis).as_matrix() @ _turned(now.detection))
         if each.is_earned and each.term in SHIFTS and not given.is_given(key):
             # Where a camera looks ahead only, a bias of its ranges looks like a shift.
             bias_m = sum(abs(other.value) for other in found if other.term == "near_m")
@@ -173,10 +173,7 @@ def _first_change(
                 # No body is so large by what its sensor sees.
                 is_possible = abs(shift_m) < MAX_SHARE * np.quantile(_ranges_m(scans), RANGE_QUANTILE)
                 return {key: shift_m} if is_possible else {}
-        is_climb = each.term == "climb_share" and each.is_sure and each.is_significant
-        if is_climb and abs(each.value) > MIN_REST and not given.is_given(key):
-            climb = _value(each, now)
-            return {key: climb} if abs(climb) < MAX_SHARE else {}
+        is_wanted = is_rest or (each.is_earned and abs(each.value) > MIN_SHARE)
         if each.term in SCALES and is_wanted and not given.is_given(key):
             scale = _value(each, now)
             # Objects that seem to move with the body are in another frame than is believed.
@@ -193,50 +190,51 @@ def _value(each: Correction, now: Calibration) -> float:
     """What the correction changes its setting to."""
     branch, name = SETTINGS[each.term].split(".")
     value = float(getattr(getattr(now, branch), name))
-    if each.term in SCALES:
-        return value * (1.0 + each.value)
-    return value + (float(np.rad2deg(each.value)) if each.term in ANGLES else each.value)
+    return value * (1.0 + each.value) if each.term in SCALES else value + each.value
 
 
 def _is_turned_by_hand(given: Calibration) -> bool:
-    return any(given.is_given(f"detection.{name}") for name in ANGLES.values())
+    return any(given.is_given(f"detection.{name}") for name in ANGLES_DEG)
 
 
 def _turned(detection: DetectionCalibration) -> FloatArray:
-    angles_deg = [getattr(detection, name) for name in ANGLES.values()]
+    angles_deg = [getattr(detection, name) for name in ANGLES_DEG]
     return np.asarray(Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix())
 
 
 def _angles(R: FloatArray) -> dict[str, float]:
-    return {
-        f"detection.{name}": angle for name, angle in zip(ANGLES.values(), roll_pitch_yaw_deg(R).tolist(), strict=True)
-    }
+    return {f"detection.{name}": angle for name, angle in zip(ANGLES_DEG, roll_pitch_yaw_deg(R).tolist(), strict=True)}
 
 
 def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) -> dict[str, float]:
-    """The frame in which scans agree far better than in those that messages name, however turned; empty where they
-    agree well or a frame was given by hand.
+    """The frame and the axes in which objects stand still, as far as they are not those that messages name; what was
+    given by hand is kept.
     """
+    orientation = _orientation(logs, known, given)
+    as_they_are, _ = scans_of(logs, known.with_values(orientation))
     if any(given.is_given(f"detection.{name}") for name in FRAMES):
-        return {}
-    as_they_are, _ = scans_of(logs, known)
-    if agree(as_they_are):
-        return {}
+        return orientation
     others = {name: scans_of(logs, known.with_values({f"detection.{name}": True}))[0] for name in FRAMES}
-    turned, _ = scans_of(logs, known.with_values(_orientation(logs, known, given)))
-    name = better_frame(turned, others)
-    return {} if name is None else {f"detection.{name}": True}
+    name = better_frame(as_they_are, others)
+    if name is None:
+        return orientation
+    frame: dict[str, float] = {f"detection.{name}": True}
+    # Objects stand still in the odometry frame whatever the axes of the body are.
+    return frame if name == FRAMES[1] else frame | _orientation(logs, known.with_values(frame), given)
 
 
 def _orientation(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) -> dict[str, float]:
-    """Angles by which detections must be turned for scans to agree; empty where angles were given by hand."""
-    if _is_turned_by_hand(given):
+    """Angles by which detections must be turned for objects to stand still; empty where angles were given by hand."""
+    if _is_turned_by_hand(given) or known.detection.assume_odometry_frame:
         return {}
-    scans, motion = scans_of(logs, known)
-    if len(scans) < 2:
-        return {}
-    R = find_orientation(scans, motion.headings)
+    scans, _ = scans_of(logs, known)
+    R = find_orientation(scans)
     return {} if np.array_equal(R, np.eye(3)) else _angles(R)
+
+
+def _lacks_heading(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> bool:
+    is_constant = len(scans) > 1 and float(np.ptp(headings_rad)) < SAME_HEADING_RAD
+    return is_constant and better_frame(scans, {"ahead": facing_ahead(scans)}) is not None
 
 
 def _label_noise(logs: Sequence[SurveyedLog], known: Calibration) -> LabelNoise:

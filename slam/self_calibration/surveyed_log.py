@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import Calibration
+from slam.common.calibration import Calibration, OdometryCalibration
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
@@ -35,6 +35,7 @@ class SurveyedLog:
         self._detections: list[ObjectDetections] = []
         self._frames = frames or SensorFrames()
         self._count = 0
+        self._latest_track: tuple[OdometryCalibration, IntArray, FloatArray] | None = None
 
     @classmethod
     def of(
@@ -51,6 +52,7 @@ class SurveyedLog:
         """Add a record; returns the number of detections so far."""
         if isinstance(record, Odometry):
             self._odometry.append(record)
+            self._latest_track = None
         elif isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, ObjectDetections):
@@ -90,8 +92,18 @@ class SurveyedLog:
         scans = _without_far_off(scans)
         return scans, _motion(scans, stamps, poses, delay_ns)
 
+    def poses_at(self, stamps_ns: IntArray, calibration: Calibration, delay_s: float) -> FloatArray:
+        """Poses (K, 4, 4) of the body at the stamps (K,) of scans, if they are so much later than the calibration says;
+        the first or last pose beyond the ends of the odometry.
+        """
+        stamps, poses = self._track(calibration)
+        late_ns = round((calibration.detection.time_offset_s + delay_s) * 1e9)
+        return interpolate(stamps, poses, np.clip(stamps_ns + late_ns, stamps[0], stamps[-1]))
+
     def _track(self, calibration: Calibration) -> tuple[IntArray, FloatArray]:
         """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry, corrected by the calibration."""
+        if self._latest_track is not None and self._latest_track[0] == calibration.odometry:
+            return self._latest_track[1:]
         calibrated = CalibratedOdometry(calibration.odometry)
         odometry = [calibrated.correct(each) for each in self._odometry]
         stamps = np.array([each.stamp_ns for each in odometry], dtype=np.int64)
@@ -99,7 +111,9 @@ class SurveyedLog:
             return stamps, np.zeros((0, 4, 4))
         latest_before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps)[:-1]])
         used = stamps > latest_before
-        return stamps[used], np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])
+        poses = np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])
+        self._latest_track = calibration.odometry, stamps[used], poses
+        return stamps[used], poses
 
 
 def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[list[SurveyScan], BodyMotion]:

@@ -265,12 +265,12 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
 @pytest.mark.parametrize(
     ("corrections", "corrected"),
     [
-        pytest.param([("climb_share", 0.6, False)], {}, id="no odometry climbs so much"),
+        pytest.param([("turn_share", 0.6, True)], {}, id="no odometry turns so much too little"),
         pytest.param([("y_m", -38.0, True)], {}, id="no sensor is so far from the body"),
         pytest.param(
-            [("pitch_rad", 0.2, True), ("pitch_rad", 0.04, False)], {"detection.pitch_deg": 13.7}, id="rest of a pitch"
+            [("turn_share", 0.2, True), ("turn_share", 0.01, False)], {"odometry.turn_scale": 1.212}, id="rest of turns"
         ),
-        pytest.param([("pitch_rad", 0.04, True)], {}, id="a small pitch alone is the road's"),
+        pytest.param([("turn_share", 0.02, True)], {}, id="a small share is no matter"),
     ],
 )
 def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, corrections, corrected):
@@ -278,7 +278,7 @@ def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, correcti
     found = iter([Correction(term, value, 0.001, 0.2 if much else 0.0, True) for term, value, much in corrections])
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: tuple(islice(found, 1)))
     surveyed = survey(short_records(), ON_BODY)
-    assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.1)
+    assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.001)
 
 
 @pytest.mark.slow

@@ -1,0 +1,149 @@
+"""Pairs of scans between which the body moved, and how near its motion brings their detections to one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
+
+MOVED_SPACINGS = 0.25
+"""Between the scans of a pair, the body moves past its objects, by travel or turn, by that share of their spacing."""
+RESOLVED_SPACINGS = 0.05
+"""Distances are told apart down to about that share of the spacing."""
+MIN_PAIRS, FEW, MAX_DETECTIONS = 40, 300, 10_000
+"""A quarter of the turns is the fastest, all if there are few; so many detections of turns are compared at most, and as
+many pairs by travel as by turn.
+"""
+SAMPLED_SCANS = 600
+MIN_STANDARD_ERRORS, ROUNDING = 4.0, 1e-9
+
+_Pairs = list[tuple[int, int]]
+
+
+class ScanPairs:
+    """Pairs of ``scans`` (K): ``rows`` (P, 2); ``spacing_m``: of the objects; ``motions`` (P, 4, 4): of the body from
+    the first scan to the second.
+    """
+
+    def __init__(self, scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -> None:
+        self.rows, self.spacing_m = rows, spacing_m
+        self.motions = self.motions_by(np.stack([scan.T_odom_body for scan in scans]))
+        reference, self._detections = (_detections(scans, rows[:, side], spacing_m) for side in (0, 1))
+        self._pair = np.repeat(np.arange(len(rows)), [len(scans[row].labels) for row in rows[:, 1]])
+        self._tree = cKDTree(reference)
+
+    @classmethod
+    def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> ScanPairs:
+        """Pairs between which the body travels, and pairs between which it turns, ``fastest``: most for the time."""
+        poses = _upright(np.stack([scan.T_odom_body for scan in scans]))
+        moved_m = MOVED_SPACINGS * spacing_m
+        travel_m = _path(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))
+        # An odometry that trembles while the body stands goes nowhere.
+        travels = [
+            (first, second)
+            for first, second in _reached(travel_m, moved_m)
+            if 2.0 * np.linalg.norm(poses[second, :2, 3] - poses[first, :2, 3]) > moved_m
+        ]
+        turned_rad = _path(np.abs(np.diff(np.unwrap(yaw_rad(poses)))))
+        turns = _reached(turned_rad, moved_m / max(median_range(scans), 1e-9))
+        if fastest:
+            rates = np.array([(turned_rad[second] - turned_rad[first]) / (second - first) for first, second in turns])
+            chosen = np.argsort(-rates, kind="stable")[: max(len(turns) // 4, FEW)]
+            turns = [turns[index] for index in np.sort(chosen)]
+        turns = _evenly(turns, round(MAX_DETECTIONS * len(scans) / sum(len(scan.labels) for scan in scans)))
+        rows = _evenly(travels, max(len(turns), FEW)) + turns
+        return cls(scans, np.array(rows, dtype=np.int64).reshape(-1, 2), spacing_m)
+
+    def motions_by(self, T_odom_body: FloatArray) -> FloatArray:
+        """Motions (P, 4, 4) of the body by poses (K, 4, 4), without roll and pitch."""
+        poses = _upright(T_odom_body)
+        return invert(poses[self.rows[:, 0]]) @ poses[self.rows[:, 1]]
+
+    def log_distances(self, motions: FloatArray) -> FloatArray:
+        """Mean log distances (P, 2) of the detections of the second scan from the nearest of their class in the first
+        one, at most the spacing, by the motions (P, 4, 4) and by their inverse.
+        """
+        found = np.zeros(self.rows.shape)
+        counts = np.maximum(np.bincount(self._pair, minlength=len(found)), 1)
+        for column, T in enumerate((motions, invert(motions))):
+            moved = self._detections.copy()
+            moved[:, :3] = np.einsum("nij,nj->ni", T[self._pair, :3, :3], moved[:, :3]) + T[self._pair, :3, 3]
+            distances, _ = self._tree.query(moved, distance_upper_bound=self.spacing_m)
+            squares = np.minimum(distances, self.spacing_m) ** 2 + (RESOLVED_SPACINGS * self.spacing_m) ** 2
+            found[:, column] = 0.5 * np.bincount(self._pair, np.log(squares), minlength=len(found)) / counts
+        return found
+
+
+def turned(motions: FloatArray, R: FloatArray) -> FloatArray:
+    """Motions (P, 4, 4) of a body in the axes of a sensor that R (3, 3) turns into those of the body."""
+    T_body_sensor = np.eye(4)
+    T_body_sensor[:3, :3] = R
+    return np.asarray(T_body_sensor.T @ motions @ T_body_sensor)
+
+
+def evidence(distances: FloatArray) -> FloatArray:
+    """How much nearer the motion brings the scans of pairs than its inverse, (P,), by their log distances (P, 2)."""
+    return np.asarray(distances[:, 1] - distances[:, 0])
+
+
+def is_better(distances: FloatArray, now: FloatArray, factor: float = 1.0) -> bool:
+    """Whether there is more evidence, by the ``factor``, and scans are nearer to one another, by log distances (P, 2),
+    in each half of the pairs.
+    """
+    gains = evidence(distances) - factor * evidence(now), now[:, 0] - distances[:, 0]
+    return all(_is_positive(gain[part::2]) for gain in gains for part in (0, 1))
+
+
+def _is_positive(values: FloatArray) -> bool:
+    """Whether the mean of values (P,) is larger than 0 by more than chance and rounding."""
+    if 2 * len(values) < MIN_PAIRS:
+        return False
+    error = np.std(values) / np.sqrt(len(values))
+    return bool(np.mean(values) > MIN_STANDARD_ERRORS * error + ROUNDING)
+
+
+def spacing_of(scans: Sequence[SurveyScan]) -> float:
+    """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most its range."""
+    some = scans[:: max(len(scans) // SAMPLED_SCANS, 1)]
+    nearest = [nearest_of_class_m(scan.positions, scan.labels) for scan in some]
+    return min(float(np.median(np.concatenate(nearest))), median_range(scans))
+
+
+def median_range(scans: Sequence[SurveyScan]) -> float:
+    """Median distance [m] of detections from the body."""
+    return float(np.median(np.concatenate([np.linalg.norm(scan.positions, axis=1) for scan in scans])))
+
+
+def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -> FloatArray:
+    """Positions (N, 3) of the detections of scans, and a layer of each pair and class, farther apart than they see."""
+    if len(rows) == 0:
+        return np.zeros((0, 4))
+    classes = 1 + max(int(scan.labels.max()) for scan in scans)
+    layers = [pair * classes + scans[row].labels for pair, row in enumerate(rows)]
+    return np.column_stack(
+        [np.concatenate([scans[row].positions for row in rows]), 10.0 * spacing_m * np.concatenate(layers)]
+    )
+
+
+def _upright(T_odom_body: FloatArray) -> FloatArray:
+    return transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))
+
+
+def _path(steps: FloatArray) -> FloatArray:
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _reached(way: FloatArray, least: float) -> _Pairs:
+    """Pairs (i, j) with j the first scan after i to which the way from i is ``least``."""
+    second = np.searchsorted(way, way + least)
+    return [(first, int(after)) for first, after in enumerate(second) if first < after < len(way)]
+
+
+def _evenly(pairs: _Pairs, count: int) -> _Pairs:
+    chosen = np.linspace(0, max(len(pairs) - 1, 0), min(count, len(pairs))).astype(np.int64)
+    return [pairs[index] for index in np.unique(chosen)]

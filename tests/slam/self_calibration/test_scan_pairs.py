@@ -1,0 +1,143 @@
+"""Pairs of scans: which there are, and how near the motion of the body brings their detections to one another."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slam.common.geometry import apply, invert
+from slam.self_calibration.scan_pairs import (
+    RESOLVED_SPACINGS,
+    ScanPairs,
+    _reached,
+    evidence,
+    is_better,
+    spacing_of,
+    turned,
+)
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+
+
+@pytest.fixture(scope="module")
+def drive() -> SurveyedDrive:
+    return SurveyedDrive(0, NOISE, scans=600, objects=80)
+
+
+def test_distances_are_those_of_the_nearest_of_the_class_by_the_motion_and_by_its_inverse(drive):
+    rng = np.random.default_rng(0)
+    scans = [replace(scan, labels=rng.integers(0, 3, len(scan.labels))) for scan in drive.scans[:40]]
+    rows, spacing_m = np.array([[0, 7], [3, 30], [7, 3]]), 2.5
+    expected = np.zeros((3, 2))
+    poses = [scan.T_odom_body for scan in scans]  # upright
+    for row, (i, j) in enumerate(rows):
+        motion = invert(poses[i]) @ poses[j]
+        for column, T in enumerate((motion, invert(motion))):
+            apart = np.linalg.norm(apply(T, scans[j].positions)[:, None] - scans[i].positions, axis=2)
+            apart[scans[j].labels[:, None] != scans[i].labels] = np.inf
+            nearest = np.minimum(apart.min(axis=1), spacing_m)
+            expected[row, column] = np.mean(np.log(np.hypot(nearest, RESOLVED_SPACINGS * spacing_m)))
+    pairs = ScanPairs(scans, rows, spacing_m)
+    np.testing.assert_allclose(pairs.log_distances(pairs.motions), expected, atol=1e-9)
+
+
+def test_turning_the_detections_is_turning_the_scans(drive):
+    R = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    pairs = ScanPairs.of(drive.scans, spacing_of(drive.scans))
+    other = [replace(scan, positions=scan.positions @ R.T) for scan in drive.scans]
+    expected = ScanPairs(other, pairs.rows, pairs.spacing_m).log_distances(pairs.motions)
+    np.testing.assert_allclose(pairs.log_distances(turned(pairs.motions, R)), expected, atol=1e-9)
+
+
+def test_motions_have_no_roll_and_pitch(drive):
+    pairs = ScanPairs.of(drive.scans, spacing_of(drive.scans))
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_euler("xy", [0.2, -0.1]).as_matrix()
+    tilted = np.stack([scan.T_odom_body @ tilt for scan in drive.scans])
+    np.testing.assert_allclose(pairs.motions_by(tilted)[:, 2], [[0.0, 0.0, 1.0, 0.0]] * len(pairs.rows), atol=1e-9)
+
+
+def test_a_body_that_stands_still_gives_no_evidence(drive):
+    pairs = ScanPairs.of(drive.scans, spacing_of(drive.scans))
+    standing = pairs.motions_by(np.repeat(np.eye(4)[None], len(drive.scans), axis=0))
+    np.testing.assert_allclose(evidence(pairs.log_distances(standing)), 0.0, atol=1e-9)
+
+
+def test_the_body_travels_or_turns_between_the_scans_of_a_pair(drive):
+    spacing_m = spacing_of(drive.scans)
+    for motion in ScanPairs.of(drive.scans, spacing_m).motions:
+        turned_m = drive.range_m * abs(np.arctan2(motion[1, 0], motion[0, 0]))
+        assert np.linalg.norm(motion[:2, 3]) + turned_m > 0.1 * spacing_m
+
+
+@pytest.mark.parametrize(("gain", "spread", "expected"), [(0.5, 1.0, True), (0.1, 1.0, False), (0.0, 0.0, False)])
+def test_more_evidence_must_be_more_than_chance(gain, spread, expected):
+    distances = np.random.default_rng(0).normal(size=(400, 2)) * [spread, 0.0]
+    assert is_better(distances - [gain, 0.0], np.zeros((400, 2))) is expected
+
+
+def test_both_halves_must_gain():
+    distances = np.zeros((400, 2))
+    distances[::2, 0] = -1.0
+    assert not is_better(distances, np.zeros((400, 2)))
+
+
+def test_more_evidence_alone_is_no_better_if_scans_are_no_nearer():
+    """A frame in which the inverse motion is worse only is none."""
+    assert is_better(np.tile([-1.0, 0.0], (400, 1)), np.zeros((400, 2)))
+    assert not is_better(np.tile([0.0, 1.0], (400, 1)), np.zeros((400, 2)))
+
+
+def test_a_factor_asks_for_more_evidence():
+    now, better = np.tile([-1.0, 0.0], (400, 1)), np.tile([-1.2, 0.0], (400, 1))
+    assert is_better(better, now)
+    assert not is_better(better, now, 1.25)
+
+
+def test_the_fastest_turns_are_those_of_a_body_that_turns_on_the_spot():
+    drive = SurveyedDrive(0, NOISE, scans=2400, objects=80)
+    spacing_m = spacing_of(drive.scans)
+
+    def turned_alone(pairs: ScanPairs) -> float:
+        turns = pairs.motions[len(pairs.rows) // 2 :]
+        return float(np.mean(np.linalg.norm(turns[:, :2, 3], axis=1) < 0.3))
+
+    fastest = turned_alone(ScanPairs.of(drive.scans, spacing_m))
+    assert fastest > turned_alone(ScanPairs.of(drive.scans, spacing_m, fastest=False))
+
+
+def test_few_pairs_tell_nothing():
+    assert not is_better(np.tile([-1.0, 0.0], (39, 1)), np.zeros((39, 2)))
+
+
+def test_no_scan_is_paired_with_itself():
+    """All objects in one place ask for no way at all between two scans."""
+    assert _reached(np.zeros(5), 0.0) == []
+    assert _reached(np.arange(4.0), 0.0) == []
+    assert _reached(np.arange(4.0), 2.0) == [(0, 2), (1, 3)]
+
+
+def test_the_spacing_is_the_distance_of_the_nearest_of_its_class(drive):
+    scan = drive.scans[0]
+    apart = np.linalg.norm(scan.positions[:, None] - scan.positions, axis=2)
+    apart[(scan.labels[:, None] != scan.labels) | np.eye(len(apart), dtype=bool)] = np.inf
+    assert spacing_of([scan]) == pytest.approx(np.median(apart.min(axis=1)))
+    alone = replace(scan, labels=np.arange(len(scan.labels)))
+    assert spacing_of([alone]) == pytest.approx(np.median(np.linalg.norm(scan.positions, axis=1)))
+
+
+def test_the_spacing_of_many_objects_takes_no_memory_of_all_their_pairs():
+    positions = np.random.default_rng(0).uniform(-50.0, 50.0, (5000, 3))
+    scan = replace(SurveyedDrive(0, NOISE, scans=2, objects=80).scans[0], positions=positions,
+                   labels=np.zeros(5000, dtype=np.int64))  # fmt: skip
+    tracemalloc.start()
+    try:
+        spacing_of([scan])
+        assert tracemalloc.get_traced_memory()[1] < 60e6
+    finally:
+        tracemalloc.stop()
