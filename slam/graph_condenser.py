@@ -77,7 +77,6 @@ class GraphCondenser:
         self._counters["landmarks_fused"] += fused
 
     def _condense(self) -> None:
-        self._graph.settle()
         self.fuse_landmarks()
         self._graph.optimize(roughly=True)
         anchors = self._anchors()

@@ -24,8 +24,8 @@ from logs.messages import (
     Transform,
 )
 from slam.assessment import assess, diagnose_uncorrected
-from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver import Optimization
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
 from slam.common.calibration import Calibration
@@ -166,7 +166,6 @@ class Slam:
     def _optimize(self) -> Optimization:
         """Optimise the whole graph."""
         self._mapper.close_keyframe()
-        self._graph.settle()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing.rows())
         if self._extends:

@@ -10,7 +10,6 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from slam.backend.attached_keyframes import AttachedKeyframes
-from slam.backend.batch_solver import BatchSolver
 from slam.backend.factors import (
     Edge,
     EdgeKind,
@@ -21,11 +20,10 @@ from slam.backend.factors import (
     between_factor,
     checked_pose,
     landmark_prior_factor,
-    map_frame_factor,
     observation_factors,
     prior_factor,
 )
-from slam.backend.incremental_solver import IncrementalSolver
+from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 
@@ -40,13 +38,12 @@ class EditableGraph:
         self.prior_sigma_m = 1e-3 / 30.0 * sensor_range_m
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
-        self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()
+        self._solver = Solver(sensor_range_m=sensor_range_m)
         self._factors: dict[int, Factor] = {}
         self._next_factor = 0
         self._keyframes: list[int] = []
         self._attached = AttachedKeyframes()
-        self._fixed_poses: dict[int, FloatArray] = {}
-        self._map_frame: int | None = None
+        self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
         self._observations: dict[int, list[int]] = {}  # numbers of the factors, by the landmark
         self._aliases: dict[int, int] = {}
         self._known: dict[int, LandmarkPrior] = {}  # landmarks of a prior map
@@ -81,19 +78,18 @@ class EditableGraph:
         self.add_keyframe(keyframe, T_map_body)
         self._add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
 
-    def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray, *, is_map_frame: bool = False) -> None:
-        """Add a keyframe that never moves; ``is_map_frame``: it is the frame of a map without keyframes."""
-        self.add_first_keyframe(keyframe, T_map_body)
+    def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
+        """Add a keyframe that never moves: a constant. Edges lead from it to others."""
+        checked_pose(T_map_body, f"keyframe {keyframe}")
+        self._keyframes.append(keyframe)
         self._fixed_poses[keyframe] = T_map_body
-        if is_map_frame:
-            self._map_frame = keyframe
 
     def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge.
 
         ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
-        factor = between_factor(edge)
+        factor = self._solver_factor(edge)
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
         self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
         self._add(edge, factor)
@@ -187,7 +183,7 @@ class EditableGraph:
                 )
 
     def _holds_keyframe(self, keyframe: int) -> bool:
-        return keyframe in self._attached.anchors or self._solver.holds(X(keyframe))
+        return keyframe in self._attached.anchors or keyframe in self._fixed_poses or self._solver.holds(X(keyframe))
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
@@ -260,13 +256,10 @@ class EditableGraph:
         """What the solver is given for a record."""
         match record:
             case Edge():
-                return map_frame_factor(record) if record.from_keyframe == self._map_frame else between_factor(record)
+                return between_factor(record, T_map_from=self._fixed_poses.get(record.from_keyframe))
             case Observation():
                 return self._observation_factors([record])[0]
             case PosePrior():
                 return prior_factor(record)
             case LandmarkPrior():
                 return landmark_prior_factor(record)
-
-    def _incremental_solver(self) -> IncrementalSolver:
-        return IncrementalSolver(sensor_range_m=self._sensor_range_m)

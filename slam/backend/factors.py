@@ -88,27 +88,20 @@ def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
     return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
 
 
-def between_factor(edge: Edge) -> gtsam.NoiseModelFactor:
-    """The GTSAM factor of an edge; closures are robust, the others are not."""
-    pose, noise = _measurement(edge)
-    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
+def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of an edge; closures are robust, the others are not.
 
-
-def map_frame_factor(edge: Edge) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge from the map frame, which is not a variable: a rotation below the resolution of a
-    solver would move a keyframe that is far from its origin.
+    ``T_map_from`` (4, 4): of a keyframe that is a constant.
     """
-    pose, noise = _measurement(edge)
-    return gtsam.PriorFactorPose3(X(edge.to_keyframe), pose, noise)
-
-
-def _measurement(edge: Edge) -> tuple[gtsam.Pose3, gtsam.noiseModel.Base]:
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     covariances = _checked_covariances(edge.covariance[None], lambda _: what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariances[0])
     if edge.kind == EdgeKind.LOOP_CLOSURE:
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
-    return checked_pose(edge.T_from_to, what), noise
+    pose = checked_pose(edge.T_from_to, what)
+    if T_map_from is not None:
+        return gtsam.PriorFactorPose3(X(edge.to_keyframe), gtsam.Pose3(T_map_from).compose(pose), noise)
+    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
 
 
 def observation_factors(

@@ -69,7 +69,7 @@ def restore_map_frame(graph: FactorGraph) -> Keyframe:
 
     It stands where the map has its origin, and never moves.
     """
-    graph.add_fixed_keyframe(0, np.eye(4), is_map_frame=True)
+    graph.add_fixed_keyframe(0, np.eye(4))
     graph.update()
     return Keyframe(0, _prior_pose(np.eye(4)), np.eye(4), is_prior=True, is_map_frame=True)
 

@@ -135,7 +135,7 @@ def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     known = {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])}
     graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
     for row in (0, 1):
-        graph.add_fixed_keyframe(row, np.eye(4))
+        graph.add_first_keyframe(row, np.eye(4))
         graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
     graph.update()
     assert find_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == []
