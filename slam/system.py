@@ -40,7 +40,7 @@ from slam.frontend.mapper import Mapper
 from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior
 from slam.localization.pose_output import PoseOutput
-from slam.localization.prior_map import PriorMap, relocalizations, restore_prior_map, with_heights_of
+from slam.localization.prior_map import PriorMap, restore_prior_map, with_heights_of
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
@@ -238,15 +238,15 @@ class Slam:
             keyframe = self._mapper.keyframes[-1]
         self._output.place(pose, self._graph.pose(keyframe.id))
         changes = self._change_state(keyframe, began)
-        found = relocalizations(closures, self._graph, self._first_keyframe)
-        self.counters["keyframes_recognised"] += len(found)
-        updates: list[Record] = [*closures, *changes, *found]
+        updates: list[Record] = [*closures, *changes]
         if self.state != State.LOST:
             updates.append(self._output.map_to_odom(pose))
         if self._extends:
             self._condenser.update()
         self.counters["keyframes"] += 1
         accepted = [closure for closure in closures if closure.accepted]
+        in_prior_map = [closure for closure in accepted if closure.reference_keyframe_id < self._first_keyframe]
+        self.counters["keyframes_recognised"] += len(in_prior_map)
         self.counters["closures_accepted"] += len(accepted)
         self.counters["closures_retrieved"] += sum(closure.seed_query_keyframe_id is None for closure in accepted)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
