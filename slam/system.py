@@ -28,6 +28,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
+from slam.common.arrays import IntArray
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -44,6 +45,7 @@ from slam.localization.prior_map import PriorMap, restore_prior_map, with_height
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.passed_landmarks import find_passed
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
@@ -166,14 +168,20 @@ class Slam:
     def _optimize(self) -> Optimization:
         """Optimise the whole graph."""
         self._mapper.close_keyframe()
-        if self._first_keyframe and self._extends:
-            self._mapper.retire_gone(self._closer.missing.rows())
         if self._extends:
             self._condenser.fuse_landmarks()
+        if self._extends and self._first_keyframe:
+            self._mapper.retire_gone(self._passed_landmarks())
         hold_tilt(self._graph)
         optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return optimization
+
+    def _passed_landmarks(self) -> IntArray:
+        """Those of the prior map that this drive passed."""
+        near = [keyframe for keyframe in self._closer.closures.keyframes_nearby() if keyframe >= self._first_keyframe]
+        places = self._graph.poses(np.array(near, dtype=np.int64))[:, :3, 3]
+        return find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m)
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]

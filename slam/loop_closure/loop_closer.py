@@ -26,7 +26,6 @@ from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.missing_landmarks import MissingLandmarks
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -83,7 +82,6 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self.missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
@@ -290,8 +288,6 @@ class LoopCloser:
     def _accept(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure, which predicts the next ones."""
         self._seed = candidate
-        if candidate.reference.is_prior:
-            self.missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
         return self.closures.add(candidate)
 
 
