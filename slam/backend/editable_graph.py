@@ -89,10 +89,10 @@ class EditableGraph:
 
         ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
-        factor = self._solver_factor(edge)
+        between_factor(edge)  # refuses an edge before its keyframe is there
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
         self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
-        self._add(edge, factor)
+        self._add(edge)
 
     def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
         """Announce landmarks of a prior map; each enters the graph when something is merged into it.
@@ -198,12 +198,12 @@ class EditableGraph:
         self._factors[self._next_factor - 1] = record
         return self._next_factor - 1
 
-    def _add(self, record: Factor, factor: gtsam.NonlinearFactor | None = None) -> int:
+    def _add(self, record: Factor) -> int:
         """Add a factor between variables that are there; returns its number."""
-        if isinstance(record, Edge) and self._attached.moves(record):
-            record, factor = self._attached.edge(record), None
-        number = self._number(record)
-        self._solver.add(number, factor if factor is not None else self._solver_factor(record))
+        if isinstance(record, Edge):
+            record = self._attached.edge(record)
+        factor, number = self._solver_factor(record), self._number(record)
+        self._solver.add(number, factor)
         return number
 
     def _insert(self, numbers: Sequence[int], factors: Sequence[gtsam.NonlinearFactor], positions: FloatArray) -> None:

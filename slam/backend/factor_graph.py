@@ -11,7 +11,6 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
-from slam.backend.attached_keyframes import relative_covariances
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
@@ -58,6 +57,11 @@ class FactorGraph(EditableGraph):
         """Ids (V,) of those that are variables, neither constant nor attached to another one."""
         others = self._attached.anchors.keys() | self._fixed_poses.keys()
         return np.array([keyframe for keyframe in self._keyframes if keyframe not in others], dtype=np.int64)
+
+    @property
+    def anchors(self) -> set[int]:
+        """Those that others are attached to."""
+        return set(self._attached.anchors.values())
 
     def observers(self) -> dict[int, set[int]]:
         """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
@@ -117,7 +121,10 @@ class FactorGraph(EditableGraph):
         return relaxed
 
     def _pose_in(self, values: gtsam.Values, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe that is a variable or a constant."""
+        """``T_map_body`` (4, 4) of a keyframe by the values of the variables."""
+        anchor = self._attached.anchors.get(keyframe)
+        if anchor is not None:
+            return self._attached.pose(keyframe, self._pose_in(values, anchor))
         fixed = self._fixed_poses.get(keyframe)
         return np.asarray(values.atPose3(X(keyframe)).matrix()) if fixed is None else fixed
 
@@ -173,7 +180,11 @@ class FactorGraph(EditableGraph):
         An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it, summed up. Of its edges those to keyframes that stay remain, but for closures that found it:
         the anchor represents these.
+
+        Raises:
+            FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
+        covariances = dict(zip(self._keyframes, self.pose_covariances(), strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self._factors.items():
@@ -182,8 +193,7 @@ class FactorGraph(EditableGraph):
                     observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
                 case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
                     edges[number] = factor
-        covariances = relative_covariances(observations.values(), anchors, sensor_range_m=self._sensor_range_m)
-        self._attached.attach(anchors, covariances, self.pose)
+        self._attached.attach(anchors, {keyframe: covariances[keyframe] for keyframe in anchors}, self.pose)
         for edge in edges.values():
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
@@ -203,7 +213,7 @@ class FactorGraph(EditableGraph):
         self.update()
         values = self._solver.values()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
-        return self._attached.poses(wanted, lambda keyframe: self._pose_in(values, keyframe))
+        return np.array([self._pose_in(values, keyframe) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
@@ -240,10 +250,10 @@ class FactorGraph(EditableGraph):
         Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
         """
         self.update()
-        marginals, constant = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
-        anchors = [self._attached.anchors.get(keyframe, keyframe) for keyframe in self._keyframes]
-        of_anchors = [marginals[X(a)] if a not in self._fixed_poses else np.diag(constant**2) for a in anchors]
-        return self._attached.covariances(self._keyframes, np.array(of_anchors).reshape(-1, 6, 6))
+        marginals, sigmas = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
+        known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
+        covariances = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
+        return np.array(covariances).reshape(-1, 6, 6)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log."""

@@ -19,7 +19,6 @@ logger = logging.getLogger(__name__)
 
 RELINEARIZE_RAD = 0.05
 """Rotation that relinearises a pose."""
-MAX_ITERATIONS = 50
 
 Value = gtsam.Pose3 | FloatArray
 """The pose of a keyframe, or the position (3,) m of a landmark."""
@@ -147,7 +146,7 @@ class Solver:
         if self._isam is not None:
             self.update()
         parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(MAX_ITERATIONS)
+        parameters.setMaxIterations(50)
         parameters.setAbsoluteErrorTol(min_decrease)
         graph = self._graph()
         with gtsam_errors("the batch optimisation"):
@@ -156,7 +155,7 @@ class Solver:
             self._begin(None, optimizer.optimize())
         self._added, self._removed = {}, []
         iterations = optimizer.iterations()
-        return Optimization(iterations < MAX_ITERATIONS, iterations, optimizer.error())
+        return Optimization(iterations < parameters.getMaxIterations(), iterations, optimizer.error())
 
     def log_determinant(self) -> float:
         """Of the information of all variables together."""

@@ -19,11 +19,6 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.segments import SegmentConnectivity
 
-INSERT_RANGES = 2.0 / 3.0
-"""Least travel between two closures that become factors of the graph, in sensor ranges."""
-TRUSTED_AFTER_RANGES = 60.0 / 30.0
-"""A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Accepted:
@@ -52,15 +47,16 @@ class AcceptedClosures:
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
     ) -> None:
         self._propagation_distance_m = config.propagation_distance_m
-        self._insert_travel_m = INSERT_RANGES * config.sensor_range_m
-        self._trusted_after_m = TRUSTED_AFTER_RANGES * config.sensor_range_m
+        # Least travel between two closures that become factors.
+        self._insert_travel_m = 2.0 / 3.0 * config.sensor_range_m
+        # A relocalization that stayed consistent over that travel is taken to be true.
+        self._trusted_after_m = 2.0 * config.sensor_range_m
         self._min_travel_m = config.closure_travel_m
         self._map, self._graph, self._keyframes = object_map, graph, keyframes
         self._segments = SegmentConnectivity(keyframes)
         self._closed: dict[int, int] = {}
         self._tracked: dict[int, int] = {}
         self._accepted: list[Accepted] = []
-        self._lasting: list[Candidate] = []  # condensed closures across breaks
 
     @property
     def keyframes(self) -> IntArray:
@@ -93,7 +89,7 @@ class AcceptedClosures:
         return {row for row in near if self.is_localized(self._keyframes[row])}
 
     def add(self, candidate: Candidate) -> LoopClosureRecord:
-        """Accept a closure; it becomes a factor unless one within ``INSERT_RANGES`` represents it."""
+        """Accept a closure; it becomes a factor unless one nearby represents it."""
         nearest = min(self._factors, key=lambda each: abs(each.candidate.travel_m - candidate.travel_m), default=None)
         if nearest is None or abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m:
             accepted = Accepted(candidate, candidate.query.id, self._insert(candidate))
@@ -113,7 +109,7 @@ class AcceptedClosures:
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
 
-        If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
+        If the segment was connected to the map only lately, that relocalization was false
         and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
         revoked closures, and whether the robot was kidnapped.
         """
@@ -136,11 +132,15 @@ class AcceptedClosures:
         return -np.inf if any(each.travel_m > trusted_m for each in self._across_breaks) else trusted_m
 
     def forget_condensed(self) -> None:
-        """Forget the closures whose factors were condensed, and those that they represent: they are part of the map."""
-        held = [each for each in self._factors if each.factor in self._graph.factors]
-        self._lasting += [each.candidate for each in self._factors if each not in held and each.candidate.crosses_break]
-        representing = {each.represented_by for each in held}
-        self._accepted = [each for each in self._accepted if each.represented_by in representing]
+        """Forget the closures whose factors were condensed, and those that they represent: they are part of the map.
+        Those across breaks still tell which segments are connected.
+        """
+        held = {each.represented_by for each in self._factors if each.factor in self._graph.factors}
+        self._accepted = [
+            each
+            for each in self._accepted
+            if each.represented_by in held or (each.factor is not None and each.candidate.crosses_break)
+        ]
 
     @property
     def _factors(self) -> list[Accepted]:
@@ -149,7 +149,7 @@ class AcceptedClosures:
 
     @property
     def _across_breaks(self) -> list[Candidate]:
-        """The factors across breaks of the odometry that may still be revoked."""
+        """Those across breaks of the odometry."""
         return [each.candidate for each in self._factors if each.candidate.crosses_break]
 
     def _insert(self, candidate: Candidate) -> int:
@@ -177,8 +177,8 @@ class AcceptedClosures:
             self._graph.remove_factor(factor)
         self._merge_again(gone)
         self._segments.reset()
-        for candidate in [*self._lasting, *(each.candidate for each in self._factors)]:
-            self._segments.connect(candidate.reference.id, candidate.query.id)
+        for each in self._factors:
+            self._segments.connect(each.candidate.reference.id, each.candidate.query.id)
 
     def _merge_again(self, gone: set[int]) -> None:
         """Undo all merges of landmarks, and make them again but for those by closures with the factors ``gone``.
