@@ -13,7 +13,7 @@ from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.acceptance import MapPair, judge_pairs
 from slam.fleet.changes import Change, find_changes, write_changes
-from slam.fleet.condensed_map import stretch_length_m
+from slam.fleet.condensed_map import cell_length_m
 from slam.fleet.joins import Join, PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
@@ -133,7 +133,7 @@ def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:
     for end, kept in blocks[done:]:
         if not are_saved(kept):
             joined = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
-            save_parts(kept, [fold_part(part, stretch_m=stretch_length_m(joined.config)) for part in joined.parts])
+            save_parts(kept, [fold_part(part, cell_m=cell_length_m(joined.config)) for part in joined.parts])
         known = {f"{kept.name}/{rank}": part for rank, part in enumerate(load_parts(kept))}
     return _join(known, _loaded(paths, range(count, len(paths))), folder)
 

@@ -19,7 +19,7 @@ from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
-from slam.fleet.condensed_map import condense_area
+from slam.fleet.condensed_map import condense_map
 from slam.object_map.map_io import SavedMap, are_of_kind, load_map, write_map
 
 LEDGER_NAME = "visits.json"
@@ -65,9 +65,9 @@ def session_part(number: int, saved: SavedMap) -> Part:
     return Part(saved, {number: Visit(graph.T_map_body[steps, :3, 3], np.arange(len(saved.objects.ids)))})
 
 
-def fold_part(part: Part, *, stretch_m: float) -> Part:
-    """The part with one place for each cell of ``stretch_m``."""
-    return replace(part, saved=condense_area(part.saved, stretch_m=stretch_m))
+def fold_part(part: Part, *, cell_m: float) -> Part:
+    """The part with one place for each cell of ``cell_m``."""
+    return replace(part, saved=condense_map(part.saved, cell_m=cell_m))
 
 
 def save_parts(folder: Path, parts: Sequence[Part]) -> None:
