@@ -35,8 +35,6 @@ MIN_LENGTH = 0.1
 """Shortest pair, in spacings; a shorter one has no heading."""
 MIN_SIGMA = 0.005
 """Least noise, in spacings, that makes a difference."""
-LENGTH_SIGMAS = 2.0
-"""Lengths of the same pair differ by no more standard deviations, in 95 of 100 pairs."""
 GOLDEN_TURN = 2.0 * np.pi * 0.6180339887498949
 """Angle by which each class is turned against the one before: patterns of different classes then fall into different
 cells, with as many bits as one class needs."""
@@ -223,5 +221,7 @@ def query_features(pairs: Pairs, sigmas: FloatArray) -> Float32Array:
 
 
 def length_tolerances(sigmas: FloatArray) -> FloatArray:
-    """By how much (P,) the lengths of two pairs that are the same may differ; a length has two noisy ends."""
-    return np.asarray(LENGTH_SIGMAS * np.sqrt(2.0) * sigmas)
+    """By how much (P,) the lengths of two pairs that are the same differ at most, in 95 of 100 pairs; a length has two
+    noisy ends.
+    """
+    return np.asarray(2.0 * np.sqrt(2.0) * sigmas)

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import BoolArray, IntArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Candidate, Stage
@@ -158,8 +159,9 @@ class AcceptedClosures:
         If its keyframes are in segments that were not connected before, the later segment is first moved rigidly to
         where the closure puts it.
         """
-        moved = self._segments.connect(candidate.reference.id, candidate.query.id)
-        edge = candidate.edge()
+        ends = candidate.reference.id, candidate.query.id
+        moved = self._segments.connect(*ends)
+        edge = Edge(*ends, candidate.T_reference_query, candidate.covariance, EdgeKind.LOOP_CLOSURE)
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
         self._merge_landmarks(candidate, factor)
         self._graph.alias_landmarks(self._map.aliases)

@@ -37,9 +37,6 @@ from slam.registration.registration import MIN_INLIERS
 
 logger = logging.getLogger(__name__)
 
-CHANGED_SHARE = 0.2
-"""A query is looked up if that share of its landmarks and those of the last one looked up are in one of them only."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
@@ -197,7 +194,7 @@ class LoopCloser:
         if predicted is None or not isinstance(predicted.verified, Candidate):
             return None
         candidate = predicted.verified
-        agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
+        agrees = candidate.agrees(predicted.place.T_local_query, self._sensor_range_m)
         return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
@@ -223,13 +220,15 @@ class LoopCloser:
         return apart_m > self._verifier.reach_m
 
     def _looked_up_alike(self, query: Query) -> Query | None:
-        """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
+        """The last query that was looked up, if the answer is the same, as four fifths of the landmarks are; a closure
+        soon after predicts this one, too.
+        """
         last = self._looked_up
         if last is None or len(query.submap) < MIN_INLIERS or not self.closures.is_localized(query.keyframe):
             return None
         common = len(np.intersect1d(query.submap.rows, last.submap.rows, assume_unique=True))
         all_of_both = len(query.submap) + len(last.submap) - common
-        is_alike = common > (1.0 - CHANGED_SHARE) * all_of_both
+        is_alike = common > 0.8 * all_of_both
         is_near = query.travel_m - last.travel_m < self._config.propagation_distance_m
         return last if is_alike and is_near else None
 

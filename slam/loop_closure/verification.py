@@ -10,11 +10,11 @@ import numpy as np
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
-from slam.common.geometry import covariance_in_axes, invert
+from slam.common.geometry import covariance_in_axes, invert, yaw_rad
 from slam.localization.pose_prior import MapArea, PosePrior, failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD, odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
@@ -26,6 +26,10 @@ from slam.registration.registration import Registration, RegistrationConfig, ref
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""
+TILT_SIGMA_RAD = np.deg2rad(1.0)
+"""Error of gravity between two traversals."""
+CLOSURE_SIGMA_RAD = np.deg2rad(0.8)
+"""Heading error of a closure that its inliers share: what the centroids of a row of objects turn by."""
 
 
 class Verifier:
@@ -92,15 +96,12 @@ class Verifier:
         first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         start, end = first.reference.id, second.reference.id
-        T_predicted = invert(self._graph.pose(start)) @ self._graph.pose(end)
-        sigmas = self._track.drift_sigmas(start, end)
-        sigma_m = self._config.calibration.objects.landmark_sigma_m
-        penalty = odometry_penalty(T_predicted, T_implied, sigmas, sigma_m)
-        return penalty < 0.5 * self._registration.gate_sigma**2
-
-    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
-        """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
-        return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
+        T_error = invert(self._graph.pose(end)) @ self._graph.pose(start) @ T_implied
+        drift_m, drift_rad = self._track.drift_sigmas(start, end)
+        sigma_m = SLIP_INFLATION * np.hypot(drift_m, self._config.calibration.objects.landmark_sigma_m)
+        sigma_rad = SLIP_INFLATION * np.hypot(drift_rad, CLOSURE_SIGMA_RAD)
+        squares = (np.hypot(*T_error[:2, 3]) / sigma_m) ** 2 + (yaw_rad(T_error) / sigma_rad) ** 2
+        return bool(squares < self._registration.gate_sigma**2)
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
@@ -113,7 +114,7 @@ class Verifier:
         return [
             each
             for each in found
-            if isinstance(each, Candidate) and not self.agree(each.T_local_query, candidate.T_local_query)
+            if isinstance(each, Candidate) and not each.agrees(candidate.T_local_query, self._sensor_range_m)
         ]
 
     def _candidate(
@@ -152,12 +153,12 @@ class Verifier:
             since = reference.id
             T_predicted = invert(self._graph.pose(since)) @ self._graph.pose(query.keyframe.id)
             T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(query.T_gravity_body))
-        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        drift_m, drift_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
         travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
             T_local_query,
-            float(np.hypot(SLIP_INFLATION * sigma_m, self._config.calibration.objects.landmark_sigma_m)),
-            float(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD)),
+            float(np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m)),
+            float(np.hypot(SLIP_INFLATION * drift_rad, CLOSURE_SIGMA_RAD)),
             failure_probability(self._config.localization.failures_per_km, travel_m),
             self._area.area_m2,
         )
@@ -201,3 +202,9 @@ def register(
         query_sigmas=query.sigmas,
         reference_sigmas=reference.sigmas,
     )
+
+
+def shared_covariance(objects: ObjectCalibration) -> FloatArray:
+    """Covariance (6, 6), rotation first, of the errors that all inliers of a registration share."""
+    shift, height = objects.landmark_sigma_m, np.hypot(objects.landmark_sigma_m, objects.landmark_height_sigma_m)
+    return np.diag(np.array([TILT_SIGMA_RAD, TILT_SIGMA_RAD, CLOSURE_SIGMA_RAD, shift, shift, height]) ** 2)

@@ -15,9 +15,6 @@ from descriptors.registry import make_index
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 
-DESCRIPTOR_RANGE_M = 30.0
-"""Sensor range for which vectors of constellations are made: their rings and radii are lengths of their own."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
@@ -70,7 +67,8 @@ class VectorPairs:
 
     def __init__(self, config: Config, index: VectorIndex) -> None:
         self._top_k, self._index = config.loop_closure.top_k, index
-        self._scale = DESCRIPTOR_RANGE_M / config.sensor_range_m
+        # Descriptors are made for a sensor that sees 30 m.
+        self._scale = 30.0 / config.sensor_range_m
         self._plane, self._segments = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
         self._vocabulary: tuple[str, ...] = ()
 
