@@ -41,6 +41,7 @@ class PlaceRetriever:
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
         self._map = object_map
+        self._likelihood = shipped_likelihood()
         self._index = LandmarkIndex(config)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._left_out = np.zeros(0, dtype=np.int64)
@@ -134,7 +135,7 @@ class PlaceRetriever:
 
         Besides it there are as many as candidates of a query in the map.
         """
-        pairs = PairIndex(shipped_likelihood())
+        pairs = PairIndex(self._likelihood)
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
