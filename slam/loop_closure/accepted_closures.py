@@ -163,7 +163,9 @@ class AcceptedClosures:
         moved = self._segments.connect(*ends)
         edge = Edge(*ends, candidate.T_reference_query, candidate.covariance, EdgeKind.LOOP_CLOSURE)
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
-        self._merge_landmarks(candidate, factor)
+        for query, reference in candidate.pairs.tolist():
+            if self._may_merge(query, reference):
+                self._map.merge(reference, query, closure=factor)
         self._graph.alias_landmarks(self._map.aliases)
         return factor
 
@@ -177,31 +179,11 @@ class AcceptedClosures:
             return
         for factor in gone:
             self._graph.remove_factor(factor)
-        self._merge_again(gone)
+        self._map.undo_merges(gone)
+        self._graph.alias_landmarks(self._map.aliases)
         self._segments.reset()
         for each in self._factors:
             self._segments.connect(each.candidate.reference.id, each.candidate.query.id)
-
-    def _merge_again(self, gone: set[int]) -> None:
-        """Undo all merges of landmarks, and make them again but for those by closures with the factors ``gone``.
-
-        What a closure may merge depends on the merges before it, so each merges its landmarks anew.
-        """
-        waiting = {each.factor: each.candidate for each in self._factors}
-        anew = set(waiting)
-        for merge in self._map.undo_merges():
-            if merge.closure in waiting:
-                self._merge_landmarks(waiting.pop(merge.closure), merge.closure)
-            elif merge.closure not in gone | anew:  # by the front end, or by a closure that was condensed
-                self._map.merge(merge.kept, merge.dropped, closure=merge.closure)
-        for factor, candidate in waiting.items():
-            self._merge_landmarks(candidate, factor)
-        self._graph.alias_landmarks(self._map.aliases)
-
-    def _merge_landmarks(self, candidate: Candidate, factor: int | None) -> None:
-        for query, reference in candidate.pairs.tolist():
-            if self._may_merge(query, reference):
-                self._map.merge(reference, query, closure=factor)
 
     def _may_merge(self, query: int, reference: int) -> bool:
         """Whether the query landmark is not merged, and neither landmark is of both traversals."""
