@@ -51,7 +51,6 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
-from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
 from slam.trajectory_check.drive_check import DriveCheck
@@ -92,9 +91,8 @@ class Slam:
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
-        self._gnss: GnssPrior | None = None
-        if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and initial_pose is None:
-            self._gnss = GnssPrior(prior_map.georeference)
+        georeference = None if prior_map is None or initial_pose is not None else prior_map.georeference
+        self._gnss = None if georeference is None else GnssPrior(georeference)
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
