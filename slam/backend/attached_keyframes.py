@@ -16,15 +16,11 @@ class AttachedKeyframes:
     """Anchors of keyframes and ``T_anchor_keyframe``; rewrites factors of attached keyframes as factors of anchors."""
 
     def __init__(self) -> None:
-        self._anchors: dict[int, int] = {}
+        self.anchors: dict[int, int] = {}
+        """The anchor of each attached keyframe."""
         self._transforms: dict[int, FloatArray] = {}
         self.covariances: dict[int, FloatArray] = {}
         """Of the pose (6, 6) of each attached keyframe, as it was when it was attached."""
-
-    @property
-    def anchors(self) -> Mapping[int, int]:
-        """The anchor of each attached keyframe."""
-        return self._anchors
 
     def attach(
         self, anchors: Mapping[int, int], covariances: Mapping[int, FloatArray], pose: Callable[[int], FloatArray]
@@ -34,7 +30,7 @@ class AttachedKeyframes:
         """
         self.covariances |= covariances
         self._transforms |= {each: invert(pose(anchor)) @ pose(each) for each, anchor in anchors.items()}
-        self._anchors |= anchors
+        self.anchors |= anchors
 
     def pose(self, keyframe: int, T_map_anchor: FloatArray) -> FloatArray:
         """``T_map_body`` (4, 4) of an attached keyframe."""
@@ -44,22 +40,22 @@ class AttachedKeyframes:
         """The same constraint between anchors; covariances are about the axes of the keyframe that it leads to."""
         T_from_to, covariance = edge.T_from_to, edge.covariance
         start, end = edge.from_keyframe, edge.to_keyframe
-        if start in self._anchors:
+        if start in self.anchors:
             T_from_to = self._transforms[start] @ T_from_to
-        if end in self._anchors:
+        if end in self.anchors:
             Ad = adjoint(self._transforms[end])
             covariance = Ad @ covariance @ Ad.T
             T_from_to = T_from_to @ invert(self._transforms[end])
-        return Edge(self._anchors.get(start, start), self._anchors.get(end, end), T_from_to, covariance, edge.kind)
+        return Edge(self.anchors.get(start, start), self.anchors.get(end, end), T_from_to, covariance, edge.kind)
 
     def observation(self, observation: Observation) -> Observation:
         """The same observation from the anchor."""
-        if observation.keyframe not in self._anchors:
+        if observation.keyframe not in self.anchors:
             return observation
         T = self._transforms[observation.keyframe]
         return replace(
             observation,
-            keyframe=self._anchors[observation.keyframe],
+            keyframe=self.anchors[observation.keyframe],
             position=T[:3, :3] @ observation.position + T[:3, 3],
             covariance=T[:3, :3] @ observation.covariance @ T[:3, :3].T,
         )
@@ -69,5 +65,5 @@ class AttachedKeyframes:
         covariance = np.diag(np.repeat([PRIOR_SIGMA_RAD, sigma_m], 3) ** 2)
         return [
             Edge(anchor, keyframe, self._transforms[keyframe], covariance, EdgeKind.CONDENSED)
-            for keyframe, anchor in self._anchors.items()
+            for keyframe, anchor in self.anchors.items()
         ]

@@ -132,13 +132,6 @@ class Query:
         """The tilt (4, 4) of the keyframe, by the odometry."""
         return np.asarray(invert(self.T_local_gravity) @ self.keyframe.T_local_body)
 
-    def refusal_of_tracked(self, reference: Keyframe) -> LoopClosureRecord:
-        """The record of a place that landmarks of the traversal of ``reference`` tell, which are still associated."""
-        reason = "its landmarks are still associated: there is no loop to close"
-        T_reference_query = invert(reference.T_local_body) @ self.keyframe.T_local_body
-        refusal = self.refusal(Stage.ASSOCIATION, reason, reference)
-        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
-
     def refusal(
         self, stage: Stage, reason: str, reference: Keyframe | None = None, *, place: Place | None = None
     ) -> LoopClosureRecord:

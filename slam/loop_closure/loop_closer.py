@@ -115,9 +115,8 @@ class LoopCloser:
             return Outcome([self._accept(propagated)])
         # 2. Where landmarks of an earlier traversal are still associated there is no loop to close, ...
         records = list[LoopClosureRecord]()
-        if (tracked := self._tracked_reference(query)) is not None:
-            self.closures.add_tracked(keyframe, tracked)
-            records.append(query.refusal_of_tracked(tracked))
+        if (tracked := self._tracked_place(query)) is not None:
+            records.append(tracked)
             if len(query.submap) < MIN_INLIERS:
                 return Outcome(records)
         # 3. ... unless there are enough others. Retrieval proposes places.
@@ -125,11 +124,8 @@ class LoopCloser:
             refusal = query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")
             return Outcome([*records, refusal])
         self._looked_up = query
-        query, verified = self._look_up(query, initial_pose)
-        if not verified:
-            return Outcome([*records, query.refusal(Stage.RETRIEVAL, _why_nothing(query))])
         # 4. The candidate with the highest score is accepted or rejected.
-        decision = self._acceptance.decide(query, verified)
+        decision = self._acceptance.decide(*self._look_up(query, initial_pose))
         records += decision.rejected
         best = decision.accepted
         if best is None:
@@ -170,17 +166,26 @@ class LoopCloser:
             self._recent.popleft()
         return query
 
-    def _tracked_reference(self, query: Query) -> Keyframe | None:
-        """The nearest keyframe of the earlier traversal that most landmarks around are from, still associated.
+    def _tracked_place(self, query: Query) -> LoopClosureRecord | None:
+        """The record of the nearest keyframe of the earlier traversal that most landmarks around are from, still
+        associated.
 
         None if they are too few for a pose, or the robot is lost, so that they do not tell where it is.
         """
+        keyframe = query.keyframe
         is_known = query.tracked >= max(MIN_INLIERS, len(query.submap) + 1)
-        if not is_known or not self.closures.is_localized(query.keyframe):
+        if not is_known or not self.closures.is_localized(keyframe):
             return None
-        place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment
+        place, segment = query.T_local_gravity[:3, 3], keyframe.odometry.segment
         found = self._track.nearest(place, segment=segment, from_m=-np.inf, to_m=query.before_m)
-        return None if found is None else self._keyframes[found[0]]
+        if found is None:
+            return None
+        reference = self._keyframes[found[0]]
+        self.closures.add_tracked(keyframe, reference)
+        reason = "its landmarks are still associated: there is no loop to close"
+        T_reference_query = invert(reference.T_local_body) @ keyframe.T_local_body
+        refusal = query.refusal(Stage.ASSOCIATION, reason, reference)
+        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
 
     def _predict(self, seed: Candidate | None, query: Query) -> Predicted | None:
         """What a closure predicts for a query; None without one that is near enough."""
@@ -241,13 +246,16 @@ class LoopCloser:
         """
         verified = self._retrieve(query, initial_pose)
         is_found = any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified)
-        if is_found or self.closures.is_localized(query.keyframe):
-            return query, verified
-        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
-        with_unconfirmed = replace(query, submap=submap)
-        if len(submap) > len(query.submap):
-            verified += self._retrieve(with_unconfirmed, initial_pose)
-        return with_unconfirmed, verified
+        if not is_found and not self.closures.is_localized(query.keyframe):
+            submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
+            query, has_more = replace(query, submap=submap), len(submap) > len(query.submap)
+            verified += self._retrieve(query, initial_pose) if has_more else []
+        if not verified:
+            reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
+            if len(query.submap) >= MIN_INLIERS:
+                reason = "no matches that agree on a place"
+            verified = [query.refusal(Stage.RETRIEVAL, reason)]
+        return query, verified
 
     def _retrieve(self, query: Query, initial_pose: InitialPose | None) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
@@ -288,9 +296,3 @@ class LoopCloser:
         """Accept a closure, which predicts the next ones."""
         self._seed = candidate
         return self.closures.add(candidate)
-
-
-def _why_nothing(query: Query) -> str:
-    if len(query.submap) >= MIN_INLIERS:
-        return "no matches that agree on a place"
-    return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"

@@ -10,7 +10,6 @@ import numpy as np
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, yaw_rad
 from slam.localization.pose_prior import MapArea, PosePrior, failure_probability
@@ -45,8 +44,12 @@ class Verifier:
         mapped: FloatArray | None = None,
     ) -> None:
         """``mapped`` (N, 2) m: objects of a map without keyframes, among which the robot may be anywhere."""
-        self._config = config
+        self._config, objects = config, config.calibration.objects
         self._registration = registration_config(config)
+        # Of the errors that all inliers of a registration share, rotation first.
+        shift, height = objects.landmark_sigma_m, np.hypot(objects.landmark_sigma_m, objects.landmark_height_sigma_m)
+        sigmas = np.array([TILT_SIGMA_RAD, TILT_SIGMA_RAD, CLOSURE_SIGMA_RAD, shift, shift, height])
+        self._shared_covariance = np.diag(sigmas**2)
         self._sensor_range_m = config.sensor_range_m
         self._retriever = retriever
         self._track = track
@@ -66,22 +69,38 @@ class Verifier:
         pose = seed.reference.odometry
         T_local_query = np.asarray(seed.T_local_query @ T_seed_query)
         place = Place(T_local_query, pose.travel_m, pose.segment, "prediction", predicted_by=seed.query.id)
-        reference = self._nearest(place, query, within_m=self._sensor_range_m)
+        reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
     def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
         registration = register(query.submap, submap, place.T_local_query, self._registration)
-        if registration.T_reference_query is None:
-            reference = self._nearest(place, query, within_m=self._sensor_range_m)
-            return query.refusal(Stage.REGISTRATION, registration.reason, reference, place=place)
-        registered = replace(place, T_local_query=registration.T_reference_query)
-        reference = self._nearest(registered, query, within_m=self._sensor_range_m)
+        T_local_query, covariance = registration.T_reference_query, registration.covariance
+        if T_local_query is None or covariance is None:
+            return query.refusal(Stage.REGISTRATION, registration.reason, self._nearest(place, query), place=place)
+        reference = self._nearest(replace(place, T_local_query=T_local_query), query)
         if reference is None:
             reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, place=place)
-        return self._candidate(query, place, submap, registration, reference)
+        ratio = self._ratio(query, submap, T_local_query, registration.pairs)
+        prior = self._prior(query, place, reference)
+        seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
+        exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
+        return Candidate(
+            query=query.keyframe,
+            reference=reference,
+            place=place,
+            # The query's tilt is the odometry's; the registration is upright.
+            T_reference_query=invert(reference.T_local_body) @ T_local_query @ query.T_gravity_body,
+            T_local_query=T_local_query,
+            covariance=covariance_in_axes(covariance + self._shared_covariance, query.T_gravity_body[:3, :3]),
+            log_likelihood_ratios=ratio.per_object,
+            pairs=np.column_stack([seen, met])[exists],
+            matched_fraction=ratio.matched_fraction,
+            odometry_penalty=-prior.log_mass(T_local_query, covariance),
+            unpredicted_penalty=-prior.log_uniform(covariance),
+        )
 
     def unmatched(self, query: Query, place: Place) -> FloatArray:
         """LLR (N,) of each object of the query at a place where it cannot be registered: none has a match."""
@@ -117,34 +136,6 @@ class Verifier:
             if isinstance(each, Candidate) and not each.agrees(candidate.T_local_query, self._sensor_range_m)
         ]
 
-    def _candidate(
-        self, query: Query, place: Place, submap: Submap, registration: Registration, reference: Keyframe
-    ) -> Candidate:
-        T_local_gravity, covariance = registration.T_reference_query, registration.covariance
-        assert T_local_gravity is not None
-        assert covariance is not None
-        ratio = self._ratio(query, submap, T_local_gravity, registration.pairs)
-        prior = self._prior(query, place, reference)
-        seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
-        exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
-        # The query's tilt is the odometry's; the registration is upright.
-        T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ query.T_gravity_body
-        return Candidate(
-            query=query.keyframe,
-            reference=reference,
-            place=place,
-            T_reference_query=T_reference_query,
-            T_local_query=T_local_gravity,
-            covariance=covariance_in_axes(
-                covariance + shared_covariance(self._config.calibration.objects), query.T_gravity_body[:3, :3]
-            ),
-            log_likelihood_ratios=ratio.per_object,
-            pairs=np.column_stack([seen, met])[exists],
-            matched_fraction=ratio.matched_fraction,
-            odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
-            unpredicted_penalty=-prior.log_uniform(covariance),
-        )
-
     def _prior(self, query: Query, place: Place, reference: Keyframe) -> PosePrior:
         """The prior of the query's pose: by the odometry since the closure that predicts it, or since the reference."""
         self._area.cover(self._keyframes)
@@ -167,10 +158,10 @@ class Verifier:
         shares = self._retriever.class_shares()
         return compute_log_likelihood_ratio(query.submap, submap, T_local_query, pairs, self._sensor_range_m, shares)
 
-    def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
-        """The nearest keyframe of the reference traversal, if it is so near.
+    def _nearest(self, place: Place, query: Query) -> Keyframe | None:
+        """The nearest keyframe of the reference traversal within the sensor range.
 
-        Farther away than the sensor sees, the map of that traversal has less than half of what is in view.
+        Farther away, the map of that traversal has less than half of what is in view.
         """
         extent_m = TRAVERSAL_EXTENT * self._config.closure_travel_m
         found = self._track.nearest(
@@ -182,7 +173,7 @@ class Verifier:
         if found is None:
             return None
         reference = self._keyframes[found[0]]
-        return reference if reference.is_map_frame or found[1] <= within_m else None
+        return reference if reference.is_map_frame or found[1] <= self._sensor_range_m else None
 
 
 def register(
@@ -202,9 +193,3 @@ def register(
         query_sigmas=query.sigmas,
         reference_sigmas=reference.sigmas,
     )
-
-
-def shared_covariance(objects: ObjectCalibration) -> FloatArray:
-    """Covariance (6, 6), rotation first, of the errors that all inliers of a registration share."""
-    shift, height = objects.landmark_sigma_m, np.hypot(objects.landmark_sigma_m, objects.landmark_height_sigma_m)
-    return np.diag(np.array([TILT_SIGMA_RAD, TILT_SIGMA_RAD, CLOSURE_SIGMA_RAD, shift, shift, height]) ** 2)
