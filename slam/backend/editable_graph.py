@@ -48,7 +48,6 @@ class EditableGraph:
         self._aliases: dict[int, int] = {}
         self._known: dict[int, LandmarkPrior] = {}  # landmarks of a prior map
         self._fixed_landmarks: set[int] = set()
-        self._priors: dict[int, int] = {}  # numbers of those that are in force, by the landmark
 
     @property
     def factors(self) -> Mapping[int, Factor]:
@@ -161,7 +160,6 @@ class EditableGraph:
         for landmark in {each.landmark: None for each in observations}:
             del self._observations[landmark]
         self._insert(moved, factors, positions)
-        self._remove_unused_priors()
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
@@ -213,12 +211,10 @@ class EditableGraph:
             assert isinstance(observation, Observation)
             self._observations.setdefault(observation.landmark, []).append(number)
             variable = self._variable_of(observation.landmark)
-            if variable in self._known and variable not in self._priors:
-                prior = self._known[variable]
-                self._solver.insert(L(variable), prior.position)
-                self._priors[variable] = self._add(prior)
             if not self._solver.holds(L(variable)):
-                self._solver.insert(L(variable), position)
+                known = self._known.get(variable)
+                prior = None if known is None else landmark_prior_factor(known)
+                self._solver.insert(L(variable), position if known is None else known.position, prior)
             self._solver.add(number, factor)
 
     def _remove(self, numbers: Iterable[int]) -> None:
@@ -230,15 +226,6 @@ class EditableGraph:
                 remaining.remove(number)
                 if not remaining:
                     del self._observations[factor.landmark]
-        self._remove_unused_priors()
-
-    def _remove_unused_priors(self) -> None:
-        """Remove the priors of landmarks of a prior map that nothing observes."""
-        used = self._variables() if self._priors else set()
-        for variable in [each for each in self._priors if each not in used]:
-            number = self._priors.pop(variable)
-            self._solver.remove(number)
-            del self._factors[number]
 
     def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Positions (N, 3) m, map frame, of the landmarks by their observations (N,)."""
@@ -261,5 +248,3 @@ class EditableGraph:
                 return self._observation_factors([record])[0]
             case PosePrior():
                 return prior_factor(record)
-            case LandmarkPrior():
-                return landmark_prior_factor(record)

@@ -69,7 +69,7 @@ class Observation:
     covariance_inflation: float = 1.0
 
 
-Factor = Edge | Observation | PosePrior | LandmarkPrior
+Factor = Edge | Observation | PosePrior
 
 
 def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:

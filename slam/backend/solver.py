@@ -34,7 +34,7 @@ class Optimization:
 
 
 class Solver:
-    """Factors of GTSAM by the caller's numbers, and the values of the variables that they tie together.
+    """Factors of GTSAM by the caller's numbers, not negative, and the values of the variables that they tie together.
 
     Updates are those of iSAM2 (Kaess et al. 2012); after a batch optimisation the next one begins again from its
     result. Variables are named by GTSAM's keys. A landmark leaves with its last factor.
@@ -67,9 +67,14 @@ class Solver:
         """Whether a variable is there."""
         return key in self._held
 
-    def insert(self, key: int, value: Value) -> None:
-        """Add a variable with its initial value; one that was about to leave stays where it was."""
+    def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
+        """Add a variable with its initial value; one that was about to leave stays where it was.
+
+        ``prior``: a factor on a landmark that leaves with it.
+        """
         self._held.add(key)
+        if prior is not None:
+            self.add(-key, prior)
         if key in self._leaving:
             self._leaving.remove(key)
         else:
@@ -87,7 +92,9 @@ class Solver:
             self._removed.append(number)
         for key in factor.keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
-            if not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
+            if self._uses[key] == 1 and -key in self._factors:
+                self.remove(-key)
+            elif not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
                 self._held.remove(key)
                 if self._new_values.exists(key):
                     self._new_values.erase(key)
