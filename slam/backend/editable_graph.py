@@ -14,7 +14,6 @@ from slam.backend.factors import (
     Edge,
     EdgeKind,
     Factor,
-    LandmarkPrior,
     Observation,
     PosePrior,
     between_factor,
@@ -46,7 +45,7 @@ class EditableGraph:
         self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
         self._observations: dict[int, list[int]] = {}  # numbers of the factors, by the landmark
         self._aliases: dict[int, int] = {}
-        self._known: dict[int, LandmarkPrior] = {}  # landmarks of a prior map
+        self._known: dict[int, gtsam.PriorFactorPoint3] = {}  # of landmarks of a prior map
         self._fixed_landmarks: set[int] = set()
 
     @property
@@ -102,7 +101,7 @@ class EditableGraph:
             is_fixed: they are constants, and not estimated.
         """
         for landmark, position in landmarks.items():
-            self._known[landmark] = LandmarkPrior(landmark, position, sigmas_m)
+            self._known[landmark] = landmark_prior_factor(landmark, position, sigmas_m)
         if is_fixed:
             self._fixed_landmarks.update(landmarks)
 
@@ -212,9 +211,8 @@ class EditableGraph:
             self._observations.setdefault(observation.landmark, []).append(number)
             variable = self._variable_of(observation.landmark)
             if not self._solver.holds(L(variable)):
-                known = self._known.get(variable)
-                prior = None if known is None else landmark_prior_factor(known)
-                self._solver.insert(L(variable), position if known is None else known.position, prior)
+                prior = self._known.get(variable)
+                self._solver.insert(L(variable), position if prior is None else prior.prior(), prior)
             self._solver.add(number, factor)
 
     def _remove(self, numbers: Iterable[int]) -> None:

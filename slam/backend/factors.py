@@ -33,15 +33,6 @@ class PosePrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LandmarkPrior:
-    """Prior on the ``position`` (3,) m of a landmark of a prior map, with ``sigmas_m`` (3,) of its coordinates."""
-
-    landmark: int
-    position: FloatArray
-    sigmas_m: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Edge:
     """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
 
@@ -80,12 +71,11 @@ def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:
     )
 
 
-def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of a landmark prior."""
-    if not np.all(np.isfinite(prior.position)):
-        raise FactorGraphError(f"landmark {prior.landmark}: the position {prior.position} is not finite")
-    noise = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas_m)
-    return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
+def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:
+    """The GTSAM factor of the position (3,) m of a landmark of a prior map; ``sigmas_m`` (3,) of its coordinates."""
+    if not np.all(np.isfinite(position)):
+        raise FactorGraphError(f"landmark {landmark}: the position {position} is not finite")
+    return gtsam.PriorFactorPoint3(L(landmark), position, gtsam.noiseModel.Diagonal.Sigmas(sigmas_m))
 
 
 def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.NonlinearFactor:
