@@ -45,15 +45,11 @@ class LearnedPairs:
         unit_m = spacing_m(
             batch.positions if is_first else np.concatenate([each.positions[each.centres] for each in self._batches])
         )
+        new = [batch]
         if self._index.unit_m is None or abs(np.log(unit_m / self._index.unit_m)) > np.log(1.25):
-            self._index = self._index.emptied(unit_m)
-            for each in self._batches:
-                self._enter(each)
-        else:
-            self._enter(batch)
-
-    def _enter(self, batch: Batch) -> None:
-        self._index.add(batch.positions, batch.labels, numbers=batch.entries, centres=batch.centres)
+            self._index, new = self._index.emptied(unit_m), self._batches
+        for each in new:
+            self._index.add(each.positions, each.labels, numbers=each.entries, centres=each.centres)
 
     def search(
         self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
