@@ -13,11 +13,6 @@ from slam.common.calibration import Calibration
 from slam.trajectory_check.judgement import TrajectoryCheck
 from slam.trajectory_check.reasons import explain
 
-MIN_LANDMARKS = 2
-"""Landmarks that fix the position and the heading of a keyframe in the plane."""
-UNOBSERVED_SHARE = 0.1
-MOVING_SHARE = 0.25
-
 
 def assess(
     graph: FactorGraphRecord,
@@ -63,10 +58,11 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
         return []  # see diagnose_uncorrected
     travel_m = _travel_m(graph)
     keyframes = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
-    observed = np.bincount(keyframes, minlength=len(travel_m)) >= MIN_LANDMARKS
+    # Two landmarks fix the position and the heading of a keyframe in the plane.
+    observed = np.bincount(keyframes, minlength=len(travel_m)) >= 2
     ways_m = np.diff(np.concatenate([[0.0], travel_m[observed], travel_m[-1:]]))
     share = float(ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9))
-    if share < UNOBSERVED_SHARE:
+    if share < 0.1:
         return []
     return [
         f"fewer than two landmarks in view over {100.0 * share:.0f} % of the way: only the odometry constrains it there"
@@ -91,6 +87,6 @@ def moving_share(object_map: ObjectMapRecord) -> float:
 
 def _moving(object_map: ObjectMapRecord) -> list[str]:
     share = moving_share(object_map)
-    if share < MOVING_SHARE:
+    if share < 0.25:
         return []
     return [f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"]

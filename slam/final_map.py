@@ -15,8 +15,8 @@ from logs.messages import (
     StatusRecord,
     TrajectoryRecord,
 )
-from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert

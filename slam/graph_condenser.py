@@ -19,6 +19,7 @@ from slam.backend.factors import Observation
 from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
+from slam.common.errors import FactorGraphError
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
@@ -61,7 +62,9 @@ class GraphCondenser:
         if self._variable_count < self._due_at or self._keyframes[0].is_map_frame:
             return
         if len(self._anchors()) >= 0.25 * self._variable_count:
-            self._condense()
+            self.fuse_landmarks()
+            self._graph.optimize(roughly=True)
+            self._condense(self._anchors())
         self._due_at = max(MIN_KEYFRAMES, 2 * self._variable_count)
 
     @property
@@ -76,12 +79,12 @@ class GraphCondenser:
         fused = fuse_duplicate_landmarks(self._map, self._graph, nearby, radius_m=self._radius_m)
         self._counters["landmarks_fused"] += fused
 
-    def _condense(self) -> None:
-        self._graph.settle()
-        self.fuse_landmarks()
-        self._graph.optimize(roughly=True)
-        anchors = self._anchors()
-        self._graph.condense(anchors)
+    def _condense(self, anchors: dict[int, int]) -> None:
+        try:
+            self._graph.condense(anchors)
+        except FactorGraphError as error:
+            logger.info("the graph stays as it is: %s", error)
+            return
         self._closures.forget_condensed()
         self._counters["keyframes_condensed"] += len(anchors)
         logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variable_count)
@@ -90,6 +93,7 @@ class GraphCondenser:
         variables = self._graph.keyframe_variables
         of = [self._keyframes[keyframe] for keyframe in variables.tolist()]
         travel_m = np.array([each.odometry.travel_m for each in of])
+        in_use = self._graph.anchors
         now_m = self._keyframes[-1].odometry.travel_m
         settled_m = min(self._closures.settled_before_m(now_m), now_m - self._min_travel_m)
         return find_anchors(
@@ -100,7 +104,7 @@ class GraphCondenser:
             ],
             variables,
             travel_m,
-            is_settled=(travel_m < settled_m) & np.array([not each.is_prior for each in of]),
+            is_settled=(travel_m < settled_m) & np.array([not (each.is_prior or each.id in in_use) for each in of]),
             may_anchor=variables % GROUP_KEYFRAMES == 0,
             min_travel_m=self._min_travel_m,
         )

@@ -18,8 +18,8 @@ from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.result import Evaluation
 from slam.localization.prior_map import PriorMap, load_prior_map
-from slam.object_map.map_io import IMPORTED, METADATA, OBJECTS_TOPIC, confirmed, write_map
-from slam.place_recognition.imported_map import ImportedMap, load_imported_map, save_imported_map
+from slam.object_map.map_io import METADATA, OBJECTS_TOPIC, confirmed, write_map
+from slam.place_recognition.imported_map import ImportedMap, save_imported_map
 from slam.prepared_log import calibrate_logs
 
 _FINAL_MAP, _FINAL_TRAJECTORY = "/slam/map", "/slam/trajectory_stamped"
@@ -36,8 +36,10 @@ def read_map(path: str | os.PathLike[str]) -> ObjectMapRecord:
     found = _last_record(path, Selection.of(dict.fromkeys((_FINAL_MAP, OBJECTS_TOPIC), RecordKind.OBJECT_MAP)))
     if isinstance(found, ObjectMapRecord):
         return confirmed(found)
-    if _is_imported(path):
-        return load_imported_map(path).objects
+    with LogReader(path) as reader:
+        is_map = METADATA in reader.metadata()
+    if is_map:
+        return load_prior_map(path).objects
     raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that 'dslam replay' wrote")
 
 
@@ -113,11 +115,6 @@ def evaluate_log(
         EvaluationError: there is nothing to compare.
     """
     return evaluate(read_records(path, reference=reference, topics=topics))
-
-
-def _is_imported(path: str | os.PathLike[str]) -> bool:
-    with LogReader(path) as reader:
-        return reader.metadata().get(METADATA, {}).get("kind") == IMPORTED
 
 
 def _last_record(path: str | os.PathLike[str], selection: Selection) -> Record | None:

@@ -24,8 +24,6 @@ from slam.localization.prior_map import PriorMap
 from slam.log_mapper import LogMapper
 from slam.output_log import OutputLog
 
-PERCENTILES = {"p50": 50.0, "p99": 99.0, "max": 100.0}
-
 
 class LiveDrive:
     """Maps messages one by one; a context manager that writes ``output``, if one is given, and finishes it.
@@ -75,5 +73,5 @@ class LiveDrive:
         """How long messages took on this machine: the median, the 99th percentile and the longest, in seconds."""
         if not self._mapper.seconds:
             return {}
-        values = np.percentile(self._mapper.seconds, list(PERCENTILES.values()))
-        return dict(zip(PERCENTILES, values.tolist(), strict=True))
+        median, most, longest = np.percentile(self._mapper.seconds, [50.0, 99.0, 100.0]).tolist()
+        return {"p50": median, "p99": most, "max": longest}

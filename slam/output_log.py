@@ -10,7 +10,6 @@ from logs.messages import (
     LocalizationRecord,
     LoopClosureRecord,
     Record,
-    RelocalizationRecord,
     SlamPose,
     StatusRecord,
 )
@@ -30,7 +29,6 @@ _TOPICS: Mapping[type[Record], str] = {
     StatusRecord: "/slam/status",
     LocalizationRecord: "/slam/localization",
     LoopClosureRecord: "/slam/closures",
-    RelocalizationRecord: "/slam/relocalizations",
 }
 
 

@@ -28,7 +28,6 @@ from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
 from slam.log_mapper import LogMapper
 from slam.object_map.map_io import METADATA
 from slam.output_log import OutputLog
-from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.initial_pose import InitialPose
 from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import provenance_of
@@ -111,7 +110,7 @@ def replay(
         )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
-            georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
+            georeference = None if prior_map is None else prior_map.georeference
             mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, DriveDisplay(), None, georeference))
             final = _map(mapper, prepared, reader, writer, progress)
             calibration = slam.calibration if online else prepared.calibration

@@ -32,9 +32,6 @@ from slam.place_recognition.retrieval import PlaceRetriever
 Verified = Candidate | LoopClosureRecord
 """A candidate, or the record with the reason why there is none at a place."""
 
-SCAN = 1
-"""The scan as a keyframe; the one before it is the frame of the map."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanLocalization:
@@ -75,9 +72,10 @@ class ScanLocalizer:
         object_map.restore(objects, travel_m=TRAVEL_M)
         self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
         graph = FactorGraph(sensor_range_m=self._sensor_range_m)
-        self._scan = Keyframe(SCAN, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
+        # The scan is a keyframe, and the one before it the frame of the map.
+        self._scan = Keyframe(1, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
         keyframes = [restore_map_frame(graph), self._scan]
-        graph.add_fixed_keyframe(SCAN, np.eye(4))
+        graph.add_fixed_keyframe(self._scan.id, np.eye(4))
         graph.update()
         track = KeyframeTrack(config.calibration.odometry)
         for keyframe in keyframes:

@@ -24,10 +24,11 @@ from logs.messages import (
     Transform,
 )
 from slam.assessment import assess, diagnose_uncorrected
-from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver import Optimization
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
+from slam.common.arrays import IntArray
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -40,16 +41,16 @@ from slam.frontend.mapper import Mapper
 from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior
 from slam.localization.pose_output import PoseOutput
-from slam.localization.prior_map import PriorMap, relocalizations, restore_prior_map, with_heights_of
+from slam.localization.prior_map import PriorMap, restore_prior_map, with_heights_of
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.passed_landmarks import find_passed
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
-from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
 from slam.trajectory_check.drive_check import DriveCheck
@@ -90,9 +91,8 @@ class Slam:
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
-        self._gnss: GnssPrior | None = None
-        if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and initial_pose is None:
-            self._gnss = GnssPrior(prior_map.georeference)
+        georeference = None if prior_map is None or initial_pose is not None else prior_map.georeference
+        self._gnss = None if georeference is None else GnssPrior(georeference)
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
@@ -166,15 +166,20 @@ class Slam:
     def _optimize(self) -> Optimization:
         """Optimise the whole graph."""
         self._mapper.close_keyframe()
-        self._graph.settle()
-        if self._first_keyframe and self._extends:
-            self._mapper.retire_gone(self._closer.missing.rows())
         if self._extends:
             self._condenser.fuse_landmarks()
+        if self._extends and self._first_keyframe:
+            self._mapper.retire_gone(self._passed_landmarks())
         hold_tilt(self._graph)
         optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return optimization
+
+    def _passed_landmarks(self) -> IntArray:
+        """Those of the prior map that this drive passed."""
+        near = [keyframe for keyframe in self._closer.closures.keyframes_nearby() if keyframe >= self._first_keyframe]
+        places = self._graph.poses(np.array(near, dtype=np.int64))[:, :3, 3]
+        return find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m)
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
@@ -239,15 +244,15 @@ class Slam:
             keyframe = self._mapper.keyframes[-1]
         self._output.place(pose, self._graph.pose(keyframe.id))
         changes = self._change_state(keyframe, began)
-        found = relocalizations(closures, self._graph, self._first_keyframe)
-        self.counters["keyframes_recognised"] += len(found)
-        updates: list[Record] = [*closures, *changes, *found]
+        updates: list[Record] = [*closures, *changes]
         if self.state != State.LOST:
             updates.append(self._output.map_to_odom(pose))
         if self._extends:
             self._condenser.update()
         self.counters["keyframes"] += 1
         accepted = [closure for closure in closures if closure.accepted]
+        in_prior_map = [closure for closure in accepted if closure.reference_keyframe_id < self._first_keyframe]
+        self.counters["keyframes_recognised"] += len(in_prior_map)
         self.counters["closures_accepted"] += len(accepted)
         self.counters["closures_retrieved"] += sum(closure.seed_query_keyframe_id is None for closure in accepted)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)

@@ -54,7 +54,7 @@ def relocalize(
     52 deg.
 
     Poses are on /slam/pose from the first fix on, recognised keyframes with their covariances on
-    /slam/relocalizations, and changes of the state on /slam/status. Exits with 1 if the robot was never localized.
+    /slam/closures, and changes of the state on /slam/status. Exits with 1 if the robot was never localized.
 
     Example: dslam relocalize tuesday.mcap --map monday_map.mcap -o tuesday_found.mcap --near 120,-35,90,10
     """

@@ -14,7 +14,6 @@ from descriptors.class_vectors import class_vectors
 from descriptors.constellation import Constellations
 
 BINS = 61
-BIN_M = 1.0
 CLASS_LENGTH = 64
 
 
@@ -28,7 +27,7 @@ class GosmatchVertex:
         """Vectors (B, 61 * 64): the sums of the class vectors, from the shortest edges on."""
         classes = len(constellations.vocabulary)
         lengths_m = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])
-        bins = np.minimum((lengths_m / BIN_M).astype(np.int64), BINS - 1)
+        bins = np.minimum(lengths_m.astype(np.int64), BINS - 1)
         cells = (constellations.owners * BINS + bins) * classes + constellations.labels
         counts = np.bincount(cells, minlength=len(constellations) * BINS * classes)
         histogram = counts.reshape(len(constellations), BINS, classes).astype(np.float32)

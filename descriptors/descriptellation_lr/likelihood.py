@@ -28,8 +28,6 @@ RADIUS_STEPS = 1024
 """Resolution of the table of kernels in distance: a tenth of the width of a kernel."""
 SIGMA_STEPS, TURN_STEPS = 64, 16
 """Resolution of the table of kernels: widths across the direction of a neighbour, and directions within a sector."""
-MAX_SIZE = 512
-"""Largest number of rings, sectors or partners in a file of weights."""
 
 
 class LearnedLikelihood:
@@ -114,6 +112,6 @@ def _load(path: Path) -> tuple[dict[str, NDArray[Any]], DescriptellationLRArchit
     if not all(np.isfinite(tensor).all() for tensor in weights.tensors.values()):
         raise WeightsError(f"{path}: a tensor is not finite; download it again")
     sizes = (architecture.rings, architecture.sectors, architecture.partners)
-    if not (0.0 < architecture.inner < architecture.outer < np.inf and 0 < min(sizes) <= max(sizes) <= MAX_SIZE):
+    if not (0.0 < architecture.inner < architecture.outer < np.inf and 0 < min(sizes) <= max(sizes) <= 512):
         raise WeightsError(f"{path}: its sizes are invalid: {architecture}")
     return dict(weights.tensors), architecture

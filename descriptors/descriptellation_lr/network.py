@@ -18,11 +18,6 @@ from descriptors.descriptellation_lr.pairs import (
     cells_of,
 )
 
-WIDTHS = (0.05, 0.06, 0.07)
-"""Of a kernel before training, in spacings: along, across, and of the heading times the length of a pair."""
-SOFTNESS = 0.5
-"""Nats over which a bit changes, for its gradient."""
-
 
 class DescriptellationLR(nn.Module):
     """Two towers whose inner product is a log-likelihood ratio.
@@ -37,7 +32,8 @@ class DescriptellationLR(nn.Module):
     def __init__(self, architecture: DescriptellationLRArchitecture | None = None) -> None:
         super().__init__()
         self.architecture = sizes = architecture or DescriptellationLRArchitecture()
-        self.log_widths = nn.Parameter(torch.log(torch.tensor(WIDTHS)))
+        # Widths of a kernel in spacings: along, across, and of the heading times the length of a pair.
+        self.log_widths = nn.Parameter(torch.log(torch.tensor([0.05, 0.06, 0.07])))
         self.gate = _perceptron(FEATURES, sizes.hidden, 1)
         self.threshold = nn.Parameter(torch.full((sizes.rings,), 0.8))
         self.worth = _perceptron(QUERY_FEATURES, sizes.hidden, 2)
@@ -58,8 +54,8 @@ class DescriptellationLR(nn.Module):
         return torch.log1p(mass / (DENSITY * area[:, None])) - self.threshold[:, None]
 
     def bits(self, logits: Tensor) -> Tensor:
-        """Bits (P, R, S) with the gradient of a sigmoid."""
-        soft = (logits / SOFTNESS).sigmoid()
+        """Bits (P, R, S) with the gradient of a sigmoid, in which they change over half a nat."""
+        soft = (logits / 0.5).sigmoid()
         return soft + ((logits > 0.0).float() - soft).detach()
 
     def worths(self, features: Float32Array, device: torch.device) -> tuple[Tensor, Tensor]:

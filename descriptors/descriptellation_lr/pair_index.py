@@ -8,6 +8,7 @@ those that have its classes and its length.
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -34,8 +35,6 @@ MAX_ASKED = 240
 """Pairs of a query that are looked up, those that can tell most. The shortest are often of one object mapped twice."""
 MATCHES_PER_PAIR = 60
 """Likeliest pairs of the map for each pair of the query."""
-MAX_MATCHES = 3000
-"""Likeliest of all matches of a query."""
 STEP_NATS = 1.25
 """Of a counter: most observed objects are worth one to three steps."""
 MAX_STEPS = 7
@@ -47,7 +46,6 @@ WORDS_AT_ONCE = 8192
 WORD = 64
 FILLER = np.uint32(0xFFFFFFFF)
 """Classes of what fills the last word."""
-PAGE_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +107,7 @@ class PairIndex:
     def read_ahead(self) -> None:
         """Read each page of an index that lies in a file once, so that no query waits for them."""
         for array in (self.words, self.ends, self.lengths, self.classes):
-            array.ravel()[:: PAGE_BYTES // array.itemsize].sum()
+            array.ravel()[:: mmap.PAGESIZE // array.itemsize].sum()
 
     @property
     def nbytes(self) -> int:
@@ -189,7 +187,7 @@ class PairIndex:
                 ends = self.ends[place + firsts[row] * WORD].astype(np.int64)
                 found.append(PairMatches(pairs.ends[rows[row]], ends, STEP_NATS * counts - asked.misses[rows[row]]))
         nats = np.concatenate([each.nats for each in found])
-        best = np.argsort(-nats, kind="stable")[:MAX_MATCHES]
+        best = np.argsort(-nats, kind="stable")[:3000]
         queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
         return PairMatches(queries[best], entries[best], nats[best])
 

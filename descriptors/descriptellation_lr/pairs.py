@@ -33,13 +33,6 @@ QUERY_PARTNERS = 5
 """Partners of each object of a query: more than in the map, as clutter stands between some of them."""
 MIN_LENGTH = 0.1
 """Shortest pair, in spacings; a shorter one has no heading."""
-MIN_SIGMA = 0.005
-"""Least noise, in spacings, that makes a difference."""
-LENGTH_SIGMAS = 2.0
-"""Lengths of the same pair differ by no more standard deviations, in 95 of 100 pairs."""
-GOLDEN_TURN = 2.0 * np.pi * 0.6180339887498949
-"""Angle by which each class is turned against the one before: patterns of different classes then fall into different
-cells, with as many bits as one class needs."""
 
 
 @validated(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
@@ -163,12 +156,15 @@ def gather_pairs(
     rows = np.asarray(near)[owners, ranks]
     local = (plane[rows] - middles[owners]) * ((second - first) / lengths)[owners].conj()
     counts = np.bincount(owners, minlength=len(ends))
+    # Each class is turned against the one before by the golden section: patterns of different classes then fall into
+    # different cells, with as many bits as one class needs.
+    turns = 2.0 * np.pi * 0.6180339887498949 * labels[rows]
     return Pairs(
         ends,
         lengths,
         np.concatenate([[0], np.cumsum(counts)]),
         np.abs(local),
-        np.angle(local * np.exp(1j * GOLDEN_TURN * labels[rows])),
+        np.angle(local * np.exp(1j * turns)),
         _features(local, lengths[owners], owners, counts[owners], labels[rows]),
     )
 
@@ -218,10 +214,12 @@ def query_features(pairs: Pairs, sigmas: FloatArray) -> Float32Array:
     counts = np.diff(pairs.offsets)
     return np.column_stack(
         [np.log(np.maximum(pairs.radii, MIN_RADIUS)), np.log(pairs.lengths)[owners],
-         np.log(np.maximum(sigmas, MIN_SIGMA))[owners] + 2.5, np.log(np.maximum(counts, 1))[owners] - 2.0]
+         np.log(np.maximum(sigmas, 0.005))[owners] + 2.5, np.log(np.maximum(counts, 1))[owners] - 2.0]
     ).astype(np.float32)  # fmt: skip
 
 
 def length_tolerances(sigmas: FloatArray) -> FloatArray:
-    """By how much (P,) the lengths of two pairs that are the same may differ; a length has two noisy ends."""
-    return np.asarray(LENGTH_SIGMAS * np.sqrt(2.0) * sigmas)
+    """By how much (P,) the lengths of two pairs that are the same differ at most, in 95 of 100 pairs; a length has two
+    noisy ends.
+    """
+    return np.asarray(2.0 * np.sqrt(2.0) * sigmas)

@@ -10,22 +10,19 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from slam.backend.attached_keyframes import AttachedKeyframes
-from slam.backend.batch_solver import BatchSolver
 from slam.backend.factors import (
     Edge,
     EdgeKind,
     Factor,
-    LandmarkPrior,
     Observation,
     PosePrior,
     between_factor,
     checked_pose,
     landmark_prior_factor,
-    map_frame_factor,
     observation_factors,
     prior_factor,
 )
-from slam.backend.incremental_solver import IncrementalSolver
+from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 
@@ -40,18 +37,16 @@ class EditableGraph:
         self.prior_sigma_m = 1e-3 / 30.0 * sensor_range_m
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
-        self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()
+        self._solver = Solver(sensor_range_m=sensor_range_m)
         self._factors: dict[int, Factor] = {}
         self._next_factor = 0
         self._keyframes: list[int] = []
         self._attached = AttachedKeyframes()
-        self._fixed_poses: dict[int, FloatArray] = {}
-        self._map_frame: int | None = None
+        self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
         self._observations: dict[int, list[int]] = {}  # numbers of the factors, by the landmark
         self._aliases: dict[int, int] = {}
-        self._known: dict[int, LandmarkPrior] = {}  # landmarks of a prior map
+        self._known: dict[int, gtsam.PriorFactorPoint3] = {}  # of landmarks of a prior map
         self._fixed_landmarks: set[int] = set()
-        self._priors: dict[int, int] = {}  # numbers of those that are in force, by the landmark
 
     @property
     def factors(self) -> Mapping[int, Factor]:
@@ -81,22 +76,21 @@ class EditableGraph:
         self.add_keyframe(keyframe, T_map_body)
         self._add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
 
-    def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray, *, is_map_frame: bool = False) -> None:
-        """Add a keyframe that never moves; ``is_map_frame``: it is the frame of a map without keyframes."""
-        self.add_first_keyframe(keyframe, T_map_body)
+    def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
+        """Add a keyframe that never moves: a constant. Edges lead from it to others."""
+        checked_pose(T_map_body, f"keyframe {keyframe}")
+        self._keyframes.append(keyframe)
         self._fixed_poses[keyframe] = T_map_body
-        if is_map_frame:
-            self._map_frame = keyframe
 
     def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge.
 
         ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
-        factor = between_factor(edge)
+        between_factor(edge)  # refuses an edge before its keyframe is there
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
         self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
-        self._add(edge, factor)
+        self._add(edge)
 
     def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
         """Announce landmarks of a prior map; each enters the graph when something is merged into it.
@@ -107,7 +101,7 @@ class EditableGraph:
             is_fixed: they are constants, and not estimated.
         """
         for landmark, position in landmarks.items():
-            self._known[landmark] = LandmarkPrior(landmark, position, sigmas_m)
+            self._known[landmark] = landmark_prior_factor(landmark, position, sigmas_m)
         if is_fixed:
             self._fixed_landmarks.update(landmarks)
 
@@ -165,7 +159,6 @@ class EditableGraph:
         for landmark in {each.landmark: None for each in observations}:
             del self._observations[landmark]
         self._insert(moved, factors, positions)
-        self._remove_unused_priors()
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
@@ -187,7 +180,7 @@ class EditableGraph:
                 )
 
     def _holds_keyframe(self, keyframe: int) -> bool:
-        return keyframe in self._attached.anchors or self._solver.holds(X(keyframe))
+        return keyframe in self._attached.anchors or keyframe in self._fixed_poses or self._solver.holds(X(keyframe))
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
@@ -202,12 +195,12 @@ class EditableGraph:
         self._factors[self._next_factor - 1] = record
         return self._next_factor - 1
 
-    def _add(self, record: Factor, factor: gtsam.NonlinearFactor | None = None) -> int:
+    def _add(self, record: Factor) -> int:
         """Add a factor between variables that are there; returns its number."""
-        if isinstance(record, Edge) and self._attached.moves(record):
-            record, factor = self._attached.edge(record), None
-        number = self._number(record)
-        self._solver.add(number, factor if factor is not None else self._solver_factor(record))
+        if isinstance(record, Edge):
+            record = self._attached.edge(record)
+        factor, number = self._solver_factor(record), self._number(record)
+        self._solver.add(number, factor)
         return number
 
     def _insert(self, numbers: Sequence[int], factors: Sequence[gtsam.NonlinearFactor], positions: FloatArray) -> None:
@@ -217,12 +210,9 @@ class EditableGraph:
             assert isinstance(observation, Observation)
             self._observations.setdefault(observation.landmark, []).append(number)
             variable = self._variable_of(observation.landmark)
-            if variable in self._known and variable not in self._priors:
-                prior = self._known[variable]
-                self._solver.insert(L(variable), prior.position)
-                self._priors[variable] = self._add(prior)
             if not self._solver.holds(L(variable)):
-                self._solver.insert(L(variable), position)
+                prior = self._known.get(variable)
+                self._solver.insert(L(variable), position if prior is None else prior.prior(), prior)
             self._solver.add(number, factor)
 
     def _remove(self, numbers: Iterable[int]) -> None:
@@ -234,15 +224,6 @@ class EditableGraph:
                 remaining.remove(number)
                 if not remaining:
                     del self._observations[factor.landmark]
-        self._remove_unused_priors()
-
-    def _remove_unused_priors(self) -> None:
-        """Remove the priors of landmarks of a prior map that nothing observes."""
-        used = self._variables() if self._priors else set()
-        for variable in [each for each in self._priors if each not in used]:
-            number = self._priors.pop(variable)
-            self._solver.remove(number)
-            del self._factors[number]
 
     def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Positions (N, 3) m, map frame, of the landmarks by their observations (N,)."""
@@ -260,13 +241,8 @@ class EditableGraph:
         """What the solver is given for a record."""
         match record:
             case Edge():
-                return map_frame_factor(record) if record.from_keyframe == self._map_frame else between_factor(record)
+                return between_factor(record, T_map_from=self._fixed_poses.get(record.from_keyframe))
             case Observation():
                 return self._observation_factors([record])[0]
             case PosePrior():
                 return prior_factor(record)
-            case LandmarkPrior():
-                return landmark_prior_factor(record)
-
-    def _incremental_solver(self) -> IncrementalSolver:
-        return IncrementalSolver(sensor_range_m=self._sensor_range_m)

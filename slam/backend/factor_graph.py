@@ -11,16 +11,14 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
-from slam.backend.attached_keyframes import relative_covariances
-from slam.backend.batch_solver import BatchSolver, Optimization
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, EdgeKind, Factor, Observation
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Factor, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.gtsam_calls import gtsam_errors
-from slam.backend.incremental_solver import IncrementalSolver
 from slam.backend.observation_sums import summed
+from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
@@ -56,9 +54,14 @@ class FactorGraph(EditableGraph):
 
     @property
     def keyframe_variables(self) -> IntArray:
-        """Ids (V,) of those that are variables: all but those attached to another one."""
-        attached = self._attached.anchors
-        return np.array([keyframe for keyframe in self._keyframes if keyframe not in attached], dtype=np.int64)
+        """Ids (V,) of those that are variables, neither constant nor attached to another one."""
+        others = self._attached.anchors.keys() | self._fixed_poses.keys()
+        return np.array([keyframe for keyframe in self._keyframes if keyframe not in others], dtype=np.int64)
+
+    @property
+    def anchors(self) -> set[int]:
+        """Those that others are attached to."""
+        return set(self._attached.anchors.values())
 
     def observers(self) -> dict[int, set[int]]:
         """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
@@ -85,6 +88,7 @@ class FactorGraph(EditableGraph):
             self._factors |= breaks
             changed = {each: self._solver_factor(self._factors[each]) for each in (*breaks, number)}
             self._solver.restart(values, {**self._solver.factors, **changed})
+        self.update()
         return number
 
     def _moved_estimate(self, edge: Edge, away: set[int]) -> gtsam.Values:
@@ -112,9 +116,17 @@ class FactorGraph(EditableGraph):
             if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
                 start, end = factor.from_keyframe, factor.to_keyframe
                 if (start in away) != (end in away):
-                    T_from_to = values.atPose3(X(start)).between(values.atPose3(X(end))).matrix()
+                    T_from_to = invert(self._pose_in(values, start)) @ self._pose_in(values, end)
                     relaxed[number] = replace(factor, T_from_to=T_from_to)
         return relaxed
+
+    def _pose_in(self, values: gtsam.Values, keyframe: int) -> FloatArray:
+        """``T_map_body`` (4, 4) of a keyframe by the values of the variables."""
+        anchor = self._attached.anchors.get(keyframe)
+        if anchor is not None:
+            return self._attached.pose(keyframe, self._pose_in(values, anchor))
+        fixed = self._fixed_poses.get(keyframe)
+        return np.asarray(values.atPose3(X(keyframe)).matrix()) if fixed is None else fixed
 
     def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
         """Restore an optimised graph in an empty one: keyframes 0 to K - 1 at (K, 4, 4), the first one held.
@@ -130,33 +142,27 @@ class FactorGraph(EditableGraph):
         self.update()
 
     def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
-        """Give the edges of these numbers other covariances (6, 6); all is solved in batch from then on."""
+        """Give the edges of these numbers other covariances (6, 6)."""
         changed: dict[int, Factor] = {
             number: replace(edge, covariance=covariances[number])
             for number, edge in self._factors.items()
             if number in covariances and isinstance(edge, Edge)
         }
-        if changed:
-            solver = self.settle()
-            self._factors |= changed
-            factors = {number: self._solver_factor(edge) for number, edge in changed.items()}
-            solver.restart(solver.values(), {**solver.factors, **factors})
-
-    def settle(self) -> BatchSolver:
-        """End the incremental estimate: from now on updates are steps in batch."""
-        self.update()
-        if isinstance(self._solver, IncrementalSolver):
-            factors = self._solver.factors
-            self._solver = BatchSolver({n: factors[n] for n in sorted(factors)}, self._solver.values())
-        return self._solver
+        self._factors |= changed
+        factors = {number: self._solver_factor(edge) for number, edge in changed.items()}
+        self._solver.restart(self._solver.values_with_new(), {**self._solver.factors, **factors})
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
-        """Solve the whole graph at once, from the incremental estimate; ``roughly``: to a standard deviation."""
-        return self.settle().optimize(roughly=roughly)
+        """Solve the whole graph at once, from the current estimate.
+
+        It ends where the next step would move all variables together by a tenth of a standard deviation, or ``roughly``
+        by one: the steps that follow are short ones, on which no fusion of landmarks depends.
+        """
+        return self._solver.optimize(0.5 if roughly else 0.005)
 
     def match_noise(self) -> Optimization:
-        """Solve the whole graph with the noise of odometry and closures that their residuals show."""
-        solver = self.settle()
+        """Solve the whole graph with the noise of odometry and closures that their residuals show, at the optimum."""
+        solver = self._solver
         try:
             with gtsam_errors("the estimation of the noise"):
                 self.replace_covariances(matched_covariances(self._factors, solver.factors, solver.values()))
@@ -166,16 +172,20 @@ class FactorGraph(EditableGraph):
 
     def log_determinant(self) -> float:
         """Of the information of all variables together, at the current estimate."""
-        return self.settle().log_determinant()
+        return self._solver.log_determinant()
 
     def condense(self, anchors: Mapping[int, int]) -> None:
-        """Attach keyframes to others, as they are at the optimum; the incremental estimate continues from there.
+        """Attach keyframes to others, as they are at the optimum.
 
         An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it, summed up. Of its edges those to keyframes that stay remain, but for closures that found it:
         the anchor represents these.
+
+        Raises:
+            FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
-        solver, concerned = self.settle(), {*anchors, *anchors.values()}
+        covariances = dict(zip(self._keyframes, self.pose_covariances(), strict=True))
+        concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self._factors.items():
             match factor:
@@ -183,14 +193,12 @@ class FactorGraph(EditableGraph):
                     observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
                 case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
                     edges[number] = factor
-        covariances = relative_covariances(observations.values(), anchors, sensor_range_m=self._sensor_range_m)
-        self._attached.attach(anchors, covariances, self.pose)
+        self._attached.attach(anchors, {keyframe: covariances[keyframe] for keyframe in anchors}, self.pose)
         for edge in edges.values():
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
         self._remove([*observations, *edges])
-        self._solver = self._incremental_solver()
-        self._solver.restart(solver.values(), solver.factors)
+        self._solver.restart(self._solver.values_with_new(), self._solver.factors)
 
     def _add_condensed(self, edge: Edge, anchors: Mapping[int, int]) -> None:
         """Add an edge of newly attached keyframes as one of their anchors, if it relates variables that stay."""
@@ -203,34 +211,28 @@ class FactorGraph(EditableGraph):
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
         """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
         self.update()
-        values, fixed = self._solver.values(), self._fixed_poses
-
-        def pose(keyframe: int) -> FloatArray:
-            return fixed.get(keyframe, values.atPose3(X(keyframe)).matrix())
-
+        values = self._solver.values()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
-        return self._attached.poses(wanted, pose)
+        return np.array([self._pose_in(values, keyframe) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
         self._check_landmarks(landmarks)
-        values = self.settle().values()
+        values = self._solver.values()
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def estimates(self) -> Estimates:
         """The current estimates of all variables, without solving."""
-        attached = np.array(list(self._attached.anchors), dtype=np.int64)
-        values = gtsam.Values(self._solver.values())
-        if isinstance(self._solver, IncrementalSolver):
-            values.insert(self._solver.new_values)
+        others = np.array([*self._fixed_poses, *self._attached.anchors], dtype=np.int64)
+        values = self._solver.values_with_new()
         # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
         numbers = np.array([gtsam.symbolIndex(key) for key in values.keys()], dtype=np.int64)  # noqa: SIM118 - no mapping
         landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
         keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
         count = len(landmark_positions)
         return Estimates(
-            np.concatenate([numbers[count:], attached]),
-            np.concatenate([keyframe_positions, self.poses(attached)[:, :3, 3]]),
+            np.concatenate([numbers[count:], others]),
+            np.concatenate([keyframe_positions, self.poses(others)[:, :3, 3]]),
             numbers[:count],
             landmark_positions,
         )
@@ -239,7 +241,8 @@ class FactorGraph(EditableGraph):
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
         self.update()
         self._check_landmarks(landmarks)
-        return self._marginal_covariances([L(landmark) for landmark in landmarks.tolist()], 3)
+        marginals = self._marginal_covariances()
+        return np.array([marginals[L(landmark)] for landmark in landmarks.tolist()]).reshape(-1, 3, 3)
 
     def pose_covariances(self) -> FloatArray:
         """Marginal covariances (K, 6, 6) of all keyframes, in the order of ``keyframes``, at the current estimate.
@@ -247,9 +250,10 @@ class FactorGraph(EditableGraph):
         Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
         """
         self.update()
-        anchors = [X(self._attached.anchors.get(keyframe, keyframe)) for keyframe in self._keyframes]
-        of_anchors = self._marginal_covariances(anchors, 6)
-        return self._attached.covariances(self._keyframes, of_anchors)
+        marginals, sigmas = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
+        known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
+        covariances = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
+        return np.array(covariances).reshape(-1, 6, 6)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log."""
@@ -263,16 +267,13 @@ class FactorGraph(EditableGraph):
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of, covariances
         )
 
-    def _marginal_covariances(self, keys: Sequence[int], size: int) -> FloatArray:
-        """Covariances (N, size, size) of variables."""
-        if not keys:
-            return np.zeros((0, size, size))
-        solver = self.settle()
-        values = solver.values()
-        with gtsam_errors("the marginal covariances"):
-            if self._marginals is None or self._marginals[0] is not values:
-                self._marginals = values, compute_marginals(solver.factors.values(), values)
-            return np.array([self._marginals[1][key] for key in keys])
+    def _marginal_covariances(self) -> dict[int, FloatArray]:
+        """Covariances (n, n) of all variables, by their keys."""
+        values = self._solver.values()
+        if self._marginals is None or self._marginals[0] is not values:
+            with gtsam_errors("the marginal covariances"):
+                self._marginals = values, compute_marginals(self._solver.factors.values(), values)
+        return self._marginals[1]
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
         variables = self._variables()

@@ -33,15 +33,6 @@ class PosePrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LandmarkPrior:
-    """Prior on the ``position`` (3,) m of a landmark of a prior map, with ``sigmas_m`` (3,) of its coordinates."""
-
-    landmark: int
-    position: FloatArray
-    sigmas_m: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Edge:
     """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
 
@@ -69,7 +60,7 @@ class Observation:
     covariance_inflation: float = 1.0
 
 
-Factor = Edge | Observation | PosePrior | LandmarkPrior
+Factor = Edge | Observation | PosePrior
 
 
 def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:
@@ -80,35 +71,27 @@ def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:
     )
 
 
-def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of a landmark prior."""
-    if not np.all(np.isfinite(prior.position)):
-        raise FactorGraphError(f"landmark {prior.landmark}: the position {prior.position} is not finite")
-    noise = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas_m)
-    return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
+def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:
+    """The GTSAM factor of the position (3,) m of a landmark of a prior map; ``sigmas_m`` (3,) of its coordinates."""
+    if not np.all(np.isfinite(position)):
+        raise FactorGraphError(f"landmark {landmark}: the position {position} is not finite")
+    return gtsam.PriorFactorPoint3(L(landmark), position, gtsam.noiseModel.Diagonal.Sigmas(sigmas_m))
 
 
-def between_factor(edge: Edge) -> gtsam.NoiseModelFactor:
-    """The GTSAM factor of an edge; closures are robust, the others are not."""
-    pose, noise = _measurement(edge)
-    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
+def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of an edge; closures are robust, the others are not.
 
-
-def map_frame_factor(edge: Edge) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge from the map frame, which is not a variable: a rotation below the resolution of a
-    solver would move a keyframe that is far from its origin.
+    ``T_map_from`` (4, 4): of a keyframe that is a constant.
     """
-    pose, noise = _measurement(edge)
-    return gtsam.PriorFactorPose3(X(edge.to_keyframe), pose, noise)
-
-
-def _measurement(edge: Edge) -> tuple[gtsam.Pose3, gtsam.noiseModel.Base]:
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     covariances = _checked_covariances(edge.covariance[None], lambda _: what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariances[0])
     if edge.kind == EdgeKind.LOOP_CLOSURE:
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
-    return checked_pose(edge.T_from_to, what), noise
+    pose = checked_pose(edge.T_from_to, what)
+    if T_map_from is not None:
+        return gtsam.PriorFactorPose3(X(edge.to_keyframe), gtsam.Pose3(T_map_from).compose(pose), noise)
+    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
 
 
 def observation_factors(

@@ -1,38 +1,84 @@
-"""The common part of incremental and batch solver: factors by their numbers, and the variables in use."""
+"""The solver: iSAM2 during the drive, Levenberg-Marquardt over everything at its end."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import logging
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from slam.backend.gtsam_calls import first_line, graph_of, gtsam_errors
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
+
+logger = logging.getLogger(__name__)
+
+RELINEARIZE_RAD = 0.05
+"""Rotation that relinearises a pose."""
 
 Value = gtsam.Pose3 | FloatArray
 """The pose of a keyframe, or the position (3,) m of a landmark."""
 
 
-class Solver(ABC):
-    """Factors of GTSAM by the caller's numbers, and the values of the variables that they tie together.
+@dataclass(frozen=True, slots=True)
+class Optimization:
+    """How the batch optimisation ended; ``error``: the cost at its end, in nats."""
 
-    Variables are named by GTSAM's keys. A landmark leaves with its last factor.
+    converged: bool
+    iterations: int
+    error: float
+
+
+class Solver:
+    """Factors of GTSAM by the caller's numbers, not negative, and the values of the variables that they tie together.
+
+    Updates are those of iSAM2 (Kaess et al. 2012); after a batch optimisation the next one begins again from its
+    result. Variables are named by GTSAM's keys. A landmark leaves with its last factor.
     """
 
-    def __init__(self) -> None:
-        self._factors: dict[int, gtsam.NonlinearFactor] = {}
-        self._uses: Counter[int] = Counter()
-        self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
-        self._removed: list[int] = []  # of those that were there at the last update
+    def __init__(self, *, sensor_range_m: float) -> None:
+        self._relinearize_m = RELINEARIZE_RAD * (1.0 / 30.0 * sensor_range_m)
+        self._isam: gtsam.ISAM2 | None = None
+        self._slots: dict[int, int] = {}  # places of the factors in iSAM2
+        self._values: gtsam.Values | None = None  # of its estimate, unless not asked for yet
+        self.restart(gtsam.Values(), {})
 
     @property
     def factors(self) -> Mapping[int, gtsam.NonlinearFactor]:
         """All factors, by their numbers."""
         return self._factors
+
+    def restart(self, values: gtsam.Values, factors: Mapping[int, gtsam.NonlinearFactor]) -> None:
+        """Take these factors, and no others; the next update solves them from ``values``."""
+        self._factors: dict[int, gtsam.NonlinearFactor] = {}
+        self._uses: Counter[int] = Counter()
+        self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
+        self._removed: list[int] = []  # of those that were there at the last update
+        self._begin(None, values)
+        for number, factor in factors.items():
+            self.add(number, factor)
+        self._held = set(self._uses)
+
+    def holds(self, key: int) -> bool:
+        """Whether a variable is there."""
+        return key in self._held
+
+    def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
+        """Add a variable with its initial value; one that was about to leave stays where it was.
+
+        ``prior``: a factor on a landmark that leaves with it.
+        """
+        self._held.add(key)
+        if prior is not None:
+            self.add(-key, prior)
+        if key in self._leaving:
+            self._leaving.remove(key)
+        else:
+            self._new_values.insert(key, value)
 
     def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
         """Add a factor between variables that are held."""
@@ -46,54 +92,132 @@ class Solver(ABC):
             self._removed.append(number)
         for key in factor.keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
-            if not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
-                self._release(key)
-
-    def restart(self, values: gtsam.Values, factors: Mapping[int, gtsam.NonlinearFactor]) -> None:
-        """Solve these factors, and no others, from ``values``."""
-        self._factors, self._added, self._removed, self._uses = {}, {}, [], Counter()
-        for number, factor in factors.items():
-            self.add(number, factor)
-        self._start(values)
-        self._note_update()
-
-    def update(self) -> None:
-        """Bring the estimate up to date with all that was added and removed."""
-        if self._added or self._removed:
-            self._improve()
-            self._note_update()
-
-    def _note_update(self) -> None:
-        self._added, self._removed = {}, []
+            if self._uses[key] == 1 and -key in self._factors:
+                self.remove(-key)
+            elif not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
+                self._held.remove(key)
+                if self._new_values.exists(key):
+                    self._new_values.erase(key)
+                else:
+                    self._leaving.add(key)
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
-        if not self.holds(X(keyframe)):
+        key = X(keyframe)
+        if key not in self._held:
             raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
-        return np.asarray(self._pose(keyframe).matrix())
+        if self._new_values.exists(key):
+            return np.asarray(self._new_values.atPose3(key).matrix())
+        if keyframe not in self._poses:
+            with gtsam_errors(f"the estimate of keyframe {keyframe}"):
+                if self._values is not None:
+                    self._poses[keyframe] = self._values.atPose3(key)
+                else:
+                    assert self._isam is not None
+                    self._poses[keyframe] = self._isam.calculateEstimatePose3(key)
+        return np.asarray(self._poses[keyframe].matrix())
 
-    @abstractmethod
-    def holds(self, key: int) -> bool:
-        """Whether the solver holds a variable."""
-
-    @abstractmethod
-    def insert(self, key: int, value: Value) -> None:
-        """Add a variable with its initial value."""
-
-    @abstractmethod
     def values(self) -> gtsam.Values:
-        """The estimate of all variables, as of the last update."""
+        """The estimate of all variables as of the last update; iSAM2 computes those that were not queried only here."""
+        if self._values is None:
+            assert self._isam is not None
+            with gtsam_errors("the estimate"):
+                self._values = self._isam.calculateEstimate()
+        return self._values
 
-    @abstractmethod
-    def _start(self, values: gtsam.Values) -> None:
-        """Solve all factors, from ``values``."""
+    def values_with_new(self) -> gtsam.Values:
+        """The same with the initial values of the variables that were added since."""
+        values = gtsam.Values(self.values())
+        values.insert(self._new_values)
+        return values
 
-    @abstractmethod
-    def _improve(self) -> None:
-        """Improve the estimate by what was added and removed."""
+    def update(self) -> None:
+        """Bring the estimate up to date with all that was added and removed."""
+        if not self._added and not self._removed:
+            return
+        isam = self._isam
+        with gtsam_errors("the incremental update"):
+            try:
+                if isam is None:
+                    self._solve_afresh(self.values_with_new(), "CHOLESKY")
+                else:
+                    self._update_isam(isam)
+            except RuntimeError as error:
+                logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
+                # A failed update of iSAM2 has the new variables already.
+                values = self.values_with_new() if isam is None else isam.getLinearizationPoint()
+                self._solve_afresh(values, "QR")
 
-    @abstractmethod
-    def _release(self, key: int) -> None: ...
+    def optimize(self, min_decrease: float) -> Optimization:
+        """Solve to the end, which a step is that lowers the cost by less than ``min_decrease`` nats."""
+        if self._isam is not None:
+            self.update()
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setMaxIterations(50)
+        parameters.setAbsoluteErrorTol(min_decrease)
+        graph = self._graph()
+        with gtsam_errors("the batch optimisation"):
+            values = _values_of(graph, self.values_with_new())
+            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+            self._begin(None, optimizer.optimize())
+        self._added, self._removed = {}, []
+        iterations = optimizer.iterations()
+        return Optimization(iterations < parameters.getMaxIterations(), iterations, optimizer.error())
 
-    @abstractmethod
-    def _pose(self, keyframe: int) -> gtsam.Pose3: ...
+    def log_determinant(self) -> float:
+        """Of the information of all variables together."""
+        with gtsam_errors("the elimination of all variables"):
+            linear = self._graph().linearize(self.values())
+            return 2.0 * float(linear.eliminateMultifrontal().logDeterminant())
+
+    def _graph(self) -> gtsam.NonlinearFactorGraph:
+        return graph_of(self._factors[number] for number in sorted(self._factors))
+
+    def _begin(self, isam: gtsam.ISAM2 | None, values: gtsam.Values | None) -> None:
+        """Begin with an estimate of all variables: ``values``, or those of iSAM2."""
+        self._isam, self._values = isam, values
+        self._poses: dict[int, gtsam.Pose3] = {}  # those queried since then
+        self._new_values = gtsam.Values()
+        self._leaving = set[int]()
+
+    def _update_isam(self, isam: gtsam.ISAM2) -> None:
+        removed_slots = [self._slots.pop(number) for number in self._removed]
+        self._take(
+            isam, list(self._added), isam.update(graph_of(self._added.values()), self._new_values, removed_slots)
+        )
+
+    def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
+        """Put all factors into a new iSAM2.
+
+        Elimination by QR is slower than by Cholesky, but bears the poor conditioning of, say, a very exact odometry
+        beside landmarks that the robust kernel has all but switched off.
+        """
+        isam, graph = self._new_isam(factorization), self._graph()
+        result = isam.update(graph, _values_of(graph, values))
+        self._slots = {}
+        self._take(isam, sorted(self._factors), result)
+
+    def _take(self, isam: gtsam.ISAM2, numbers: list[int], result: gtsam.ISAM2Result) -> None:
+        """Go on from the result of an update, which put factors with these numbers into iSAM2."""
+        self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
+        self._added, self._removed = {}, []
+        self._begin(isam, None)
+
+    def _new_isam(self, factorization: str) -> gtsam.ISAM2:
+        """An empty one, with thresholds by the sensor range."""
+        thresholds = gtsam.ISAM2ThresholdMap()
+        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, self._relinearize_m], 3)))
+        thresholds.insert(("l", np.repeat(self._relinearize_m, 3)))
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(thresholds)
+        parameters.setFactorization(factorization)
+        return gtsam.ISAM2(parameters)
+
+
+def _values_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    """The values of the variables of a graph alone."""
+    kept = gtsam.Values()
+    for key in graph.keyVector():
+        is_pose = gtsam.symbolChr(key) == ord("x")
+        kept.insert(key, values.atPose3(key) if is_pose else values.atPoint3(key))
+    return kept

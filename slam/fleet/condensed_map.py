@@ -1,14 +1,13 @@
-"""A map of a drive condensed to few upright places: the observations of a stretch, as seen from its middle.
+"""A map condensed to few upright places: the observations of a cell of its area, as seen from one keyframe there.
 
-Keyframes stand metres apart and see the same landmarks again and again. Once a drive is optimised, a place every
-sensor range keeps its shape: the observations of a landmark in a stretch become one, by the sum of their information,
-and the steps of the odometry between two places one edge.
+Keyframes stand metres apart and see the same landmarks again and again. Once a map is optimised, one place in each cell
+keeps its shape: the observations of a landmark from a cell become one, by the sum of their information. However many
+drives there are, the graph is as large as their area.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -19,50 +18,39 @@ from slam.backend.graph_record import make_graph_record
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import SUBMAP_RANGES, Config
-from slam.common.geometry import adjoint, covariance_in_axes, invert
+from slam.common.geometry import covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import gravity_frame
 
 
-def stretch_length_m(config: Config) -> float:
-    """Travel [m] between two places: half of that of a submap."""
+def cell_length_m(config: Config) -> float:
+    """Length [m] of a cell: half of that of a submap."""
     return 0.5 * SUBMAP_RANGES * config.sensor_range_m
 
 
-def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
-    """The same landmarks, observed from a place in each stretch of ``stretch_m`` of travel.
+def condense_map(saved: SavedMap, *, cell_m: float) -> SavedMap:
+    """The same landmarks, observed from one place in each cell of ``cell_m`` that a drive passed.
 
-    The keyframes of the result are these places, upright, numbered from 0 along the drive; edges of kind odometry lead
-    from each to the next one, those of kind closure are loop closures between stretches.
+    The keyframes of the result are these places, upright, numbered from 0. The origin is in the middle of a cell: a
+    drive begins there, and a level one would pass both cells on either side of a border. The place nearest to the
+    origin comes first: covariances are relative to the first one.
     """
-    graph = saved.graph
-    rows = _rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel()).reshape(-1, 2)
-    is_step = are_of_kind(graph, EdgeKind.ODOMETRY) & (rows[:, 1] == rows[:, 0] + 1)
-    steps = np.full(len(graph.keyframe_ids), -1, dtype=np.int64)
-    steps[rows[is_step, 1]] = np.flatnonzero(is_step)
-    travel_m = np.zeros(len(steps))
-    travel_m[steps >= 0] = np.linalg.norm(graph.edge_transforms[steps[steps >= 0], :3, 3], axis=1)
-    travel_m = np.cumsum(travel_m)
-    begins = np.flatnonzero(steps < 0)
-    drive = np.cumsum(steps < 0) - 1
-    travel_m -= travel_m[begins][drive]
-    stretch = np.unique(np.column_stack([drive, travel_m // stretch_m]), axis=0, return_inverse=True)[1].ravel()
-    return _condense(saved, stretch, travel_m[:, None], steps, stretch_m)
-
-
-def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
-    """The same landmarks, observed from one place in each cell of ``stretch_m`` that a drive passed.
-
-    However many drives there are, the graph is as large as their area; its edges are all of kind closure. The origin is
-    in the middle of a cell: a drive begins there, and a level one would pass both cells on either side of a border.
-    The place nearest to the origin comes first: covariances are relative to the first one.
-    """
-    positions = saved.graph.T_map_body[:, :3, 3]
-    cells, cell = np.unique(np.round(positions / stretch_m), axis=0, return_inverse=True)
+    graph, positions = saved.graph, saved.graph.T_map_body[:, :3, 3]
+    cells, cell = np.unique(np.round(positions / cell_m), axis=0, return_inverse=True)
     outwards = np.argsort(np.linalg.norm(cells, axis=1), kind="stable")
     cell = np.argsort(outwards)[cell.ravel()]
-    no_steps = np.full(len(cell), -1, dtype=np.int64)
-    return _condense(saved, cell, positions, no_steps, stretch_m)
+    middles = _middles(cell, positions)
+    T_map_place = gravity_frame(graph.T_map_body[middles])
+    condensed = make_graph_record(
+        graph.stamp_ns,
+        np.arange(len(T_map_place)),
+        graph.keyframe_stamps_ns[middles],
+        T_map_place,
+        [*_edges(graph, cell, T_map_place), *_observations(saved, cell, T_map_place, cell_m)],
+        saved.objects.ids.__getitem__,
+        np.zeros((0, 6, 6)),
+    )
+    return replace(saved, graph=condensed)
 
 
 def _rows(values: object, wanted: object) -> IntArray:
@@ -70,78 +58,52 @@ def _rows(values: object, wanted: object) -> IntArray:
     return np.asarray(pd.Index(values).get_indexer(pd.Index(wanted)), dtype=np.int64)
 
 
-def _middles(stretch: IntArray, coordinates: FloatArray) -> IntArray:
-    """Row of the keyframe (S,) in the middle of each stretch, by the coordinates (K, D) of the keyframes."""
+def _middles(cell: IntArray, positions: FloatArray) -> IntArray:
+    """Row of the keyframe (S,) in the middle of those in each cell, by the positions (K, 3) of the keyframes."""
     middles = []
-    for number in range(int(stretch.max()) + 1):
-        rows = np.flatnonzero(stretch == number)
-        at = coordinates[rows]
+    for number in range(int(cell.max()) + 1):
+        rows = np.flatnonzero(cell == number)
+        at = positions[rows]
         offsets = at - 0.5 * (at.min(axis=0) + at.max(axis=0))
         middles.append(rows[np.linalg.norm(offsets, axis=1).argmin()])
     return np.array(middles, dtype=np.int64)
 
 
-def _condense(
-    saved: SavedMap, stretch: IntArray, coordinates: FloatArray, steps: IntArray, stretch_m: float
-) -> SavedMap:
-    """The map by the ``stretch`` (K,) and the ``coordinates`` (K, D) of each keyframe, and the edge of the odometry to
-    it from the one before it, ``steps`` (K,), -1 where there is none.
+def _edges(graph: FactorGraphRecord, cell: IntArray, T_map_place: FloatArray) -> list[Edge]:
+    """An edge for each two places that edges of keyframes relate, as uncertain as such an edge repeated all the way.
+
+    The first one counts, of the odometry if there is one.
     """
-    graph, middles = saved.graph, _middles(stretch, coordinates)
-    T_map_place = gravity_frame(graph.T_map_body[middles])
-    condensed = make_graph_record(
-        graph.stamp_ns,
-        np.arange(len(T_map_place)),
-        graph.keyframe_stamps_ns[middles],
-        T_map_place,
-        [*_edges(graph, stretch, middles, steps, T_map_place), *_observations(saved, stretch, T_map_place, stretch_m)],
-        saved.objects.ids.__getitem__,
-        np.zeros((0, 6, 6)),
-    )
-    return replace(saved, graph=condensed)
+    keyframes = _rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel()).reshape(-1, 2)
+    ends, is_step = cell[keyframes], are_of_kind(graph, EdgeKind.ODOMETRY)
+    is_between = ~are_of_kind(graph, EdgeKind.DISCONTINUITY) & (ends[:, 0] != ends[:, 1])
+    found: dict[tuple[int, int], Edge] = {}
+    for row in [*np.flatnonzero(is_between & is_step).tolist(), *np.flatnonzero(is_between & ~is_step).tolist()]:
+        first, second = ends[row].tolist()
+        if (first, second) in found or (second, first) in found:
+            continue
+        T_from_to = invert(T_map_place[first]) @ T_map_place[second]
+        R_map_body = graph.T_map_body[keyframes[row, 1], :3, :3]
+        covariance = covariance_in_axes(graph.edge_covariances[row], R_map_body.T @ T_map_place[second, :3, :3])
+        if is_step[row]:
+            lengths_m = np.linalg.norm([T_from_to[:3, 3], graph.edge_transforms[row, :3, 3]], axis=1)
+            covariance = covariance * max(lengths_m[0] / max(lengths_m[1], 1e-9), 1.0)
+        kind = EdgeKind.ODOMETRY if is_step[row] else EdgeKind.LOOP_CLOSURE
+        found[first, second] = Edge(first, second, T_from_to, covariance, kind)
+    return list(found.values())
 
 
-def _edges(
-    graph: FactorGraphRecord, stretch: IntArray, middles: IntArray, steps: IntArray, T_map_place: FloatArray
-) -> list[Edge]:
-    """Edges between places, numbered from 0: those of the odometry, and one for each two that other edges relate."""
-    found: dict[tuple[int, int], tuple[FloatArray, EdgeKind]] = {}
-    for place, (first, last) in enumerate(pairwise(middles.tolist())):
-        between = steps[first + 1 : last + 1]
-        if len(between) and between.min() >= 0:
-            found[place, place + 1] = _composed(graph, between, last), EdgeKind.ODOMETRY
-    is_between = are_of_kind(graph, EdgeKind.ODOMETRY) | are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
-    ends = stretch[_rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel())].reshape(-1, 2)
-    for edge in np.flatnonzero(is_between & (ends[:, 0] != ends[:, 1])).tolist():
-        first, second = ends[edge].tolist()
-        found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))
-    return [
-        Edge(first, second, invert(T_map_place[first]) @ T_map_place[second], covariance, kind)
-        for (first, second), (covariance, kind) in found.items()
-    ]
-
-
-def _composed(graph: FactorGraphRecord, steps: IntArray, last: int) -> FloatArray:
-    """Covariance (6, 6) of a chain of edges, in the upright frame of its last keyframe, row ``last``."""
-    P = np.zeros((6, 6))
-    for step in steps:
-        A = adjoint(invert(graph.edge_transforms[step]))
-        P = A @ P @ A.T + graph.edge_covariances[step]
-    T_map_body = graph.T_map_body[last]
-    return covariance_in_axes(P, T_map_body[:3, :3].T @ gravity_frame(T_map_body)[:3, :3])
-
-
-def _observations(saved: SavedMap, stretch: IntArray, T_map_place: FloatArray, stretch_m: float) -> list[Observation]:
+def _observations(saved: SavedMap, cell: IntArray, T_map_place: FloatArray, cell_m: float) -> list[Observation]:
     """One observation of each landmark from each place of which a keyframe saw it; landmarks by their rows."""
     graph, objects = saved.graph, saved.objects
     keyframes = _rows(graph.keyframe_ids, graph.observation_keyframe_ids)
     landmarks = _rows(objects.ids, graph.observation_landmark_ids)
-    places = stretch[keyframes]
+    places = cell[keyframes]
     T_place_map = invert(T_map_place[places])
     R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[keyframes, :3, :3]
     positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[landmarks]) + T_place_map[:, :3, 3]
     # A landmark nearer to a place has no bearing there; the places beside it observe it.
-    is_far = np.linalg.norm(positions, axis=1) > 0.02 * stretch_m
+    is_far = np.linalg.norm(positions, axis=1) > 0.02 * cell_m
     covariances = R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2)
     summed = sum_observations(
         places[is_far], landmarks[is_far], positions[is_far], covariances[is_far], np.ones(np.count_nonzero(is_far))
@@ -154,7 +116,7 @@ def _observations(saved: SavedMap, stretch: IntArray, T_map_place: FloatArray, s
 
 
 def place_landmarks(condensed: SavedMap, place: int) -> IntArray:
-    """Rows (N,) of the landmarks that were observed from a place and those before and after it on its drive."""
+    """Rows (N,) of the landmarks that were observed from a place and those before and after it on a drive."""
     graph = condensed.graph
     is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     beside = graph.edge_keyframe_ids[is_driven & (graph.edge_keyframe_ids == place).any(axis=1)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from logs.errors import LogError
@@ -13,11 +13,11 @@ from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.acceptance import MapPair, judge_pairs
 from slam.fleet.changes import Change, find_changes, write_changes
-from slam.fleet.condensed_map import stretch_length_m
+from slam.fleet.condensed_map import cell_length_m, condense_map
 from slam.fleet.joins import Join, PlaceIndex, read_joins, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
-from slam.fleet.part import Part, are_saved, fold_part, load_parts, save_parts, session_part
+from slam.fleet.part import Part, are_saved, load_parts, save_parts, session_part
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
 from slam.fleet.session_config import common_config
 from slam.fleet.sessions import MAP_NAME, VERSION, Session, content_key, map_sessions, session_folder
@@ -133,7 +133,8 @@ def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:
     for end, kept in blocks[done:]:
         if not are_saved(kept):
             joined = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
-            save_parts(kept, [fold_part(part, stretch_m=stretch_length_m(joined.config)) for part in joined.parts])
+            cell_m = cell_length_m(joined.config)
+            save_parts(kept, [replace(part, saved=condense_map(part.saved, cell_m=cell_m)) for part in joined.parts])
         known = {f"{kept.name}/{rank}": part for rank, part in enumerate(load_parts(kept))}
     return _join(known, _loaded(paths, range(count, len(paths))), folder)
 

@@ -20,13 +20,9 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.fleet.condensed_map import place_landmarks
-from slam.loop_closure.candidate import Candidate
-from slam.loop_closure.consistency import suppress_non_maxima
+from slam.loop_closure.candidate import Candidate, suppress_non_maxima
 from slam.object_map.map_io import SavedMap
 from slam.scan_localization import ScanLocalizer
-
-MAPS_PER_PLACE = 8
-"""Poses of a place that are verified: where many maps overlap, a few of them suffice to join it to all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +83,8 @@ class PlaceIndex:
         )
         ids = tuple(map(str, range(len(classes))))
         objects = ObjectMapRecord.of_objects(ids, side_by_side, classes, tuple(vocabulary.tolist()), observations=1)
-        closing = config.loop_closure.model_copy(update={"max_candidates": MAPS_PER_PLACE})
+        # Where many maps overlap, a few of them suffice to join a place to all.
+        closing = config.loop_closure.model_copy(update={"max_candidates": 8})
         self._localizer = ScanLocalizer(objects, config.model_copy(update={"loop_closure": closing}))
 
     def find_joins(self, query_map: SavedMap) -> list[Join]:

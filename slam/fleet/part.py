@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
-from slam.fleet.condensed_map import condense_area
 from slam.object_map.map_io import SavedMap, are_of_kind, load_map, write_map
 
 LEDGER_NAME = "visits.json"
@@ -63,11 +62,6 @@ def session_part(number: int, saved: SavedMap) -> Part:
     if not len(steps):
         steps = np.zeros((1, 2), dtype=np.int64)
     return Part(saved, {number: Visit(graph.T_map_body[steps, :3, 3], np.arange(len(saved.objects.ids)))})
-
-
-def fold_part(part: Part, *, stretch_m: float) -> Part:
-    """The part with one place for each cell of ``stretch_m``."""
-    return replace(part, saved=condense_area(part.saved, stretch_m=stretch_m))
 
 
 def save_parts(folder: Path, parts: Sequence[Part]) -> None:

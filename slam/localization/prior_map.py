@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 
 import numpy as np
 
-from logs.messages import LoopClosureRecord, RelocalizationRecord
 from logs.reader import LogReader
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.graph_record import edges_of, observations_of
@@ -69,7 +67,7 @@ def restore_map_frame(graph: FactorGraph) -> Keyframe:
 
     It stands where the map has its origin, and never moves.
     """
-    graph.add_fixed_keyframe(0, np.eye(4), is_map_frame=True)
+    graph.add_fixed_keyframe(0, np.eye(4))
     graph.update()
     return Keyframe(0, _prior_pose(np.eye(4)), np.eye(4), is_prior=True, is_map_frame=True)
 
@@ -109,22 +107,3 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
 def _prior_pose(T_map_body: FloatArray) -> OdometryPose:
     # The clocks of the drives are unrelated.
     return OdometryPose(-1, T_map_body, TRAVEL_M, SEGMENT, np.inf)
-
-
-def relocalizations(
-    closures: Sequence[LoopClosureRecord], graph: FactorGraph, first_keyframe: int
-) -> list[RelocalizationRecord]:
-    """Poses of keyframes in the prior map, from closures with its keyframes: those before ``first_keyframe``."""
-    return [
-        RelocalizationRecord(
-            stamp_ns=closure.stamp_ns,
-            success=True,
-            reason=closure.reason,
-            T_map_body=graph.pose(closure.reference_keyframe_id) @ closure.T_reference_query,
-            covariance=closure.covariance,
-            inlier_count=closure.inlier_count,
-            score=closure.score,
-        )
-        for closure in closures
-        if closure.accepted and closure.reference_keyframe_id < first_keyframe and closure.T_reference_query is not None
-    ]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from logs.messages import DetectionAssociations, LoopClosureRecord, RelocalizationRecord
+from logs.messages import DetectionAssociations, LoopClosureRecord
 from slam.odometry.keyframe import Keyframe
 
 CALIBRATIONS = "calibrations"
 """Counter of a status: how often the map was built again with another calibration. Records of an earlier map
 is replaced by what follows.
 """
-OF_ONE_MAP = (DetectionAssociations, LoopClosureRecord, RelocalizationRecord)
+OF_ONE_MAP = (DetectionAssociations, LoopClosureRecord)
 """Records that name landmarks or keyframes of a map."""
 CONTRADICTED = "localization lost: observations are inconsistent with the map"
 DISCONTINUITY, KIDNAPPED = "odometry discontinuity (jump, gap or restart)", "kidnapped"

@@ -28,8 +28,7 @@ from scipy.special import expit, logit
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.consistency import suppress_non_maxima
+from slam.loop_closure.candidate import Candidate, Query, Stage, suppress_non_maxima
 from slam.loop_closure.verification import Verifier
 
 
@@ -71,22 +70,18 @@ class Acceptance:
             return Decision(refused)
         best, *others = candidates
         rejected = (*refused, *(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others))
-        posterior, own = self._posterior_log_odds(candidates), 0
-        if posterior[0] >= self._least_log_odds:
-            compared = self._distinct([*candidates, *self._verifier.rivals(query, best)])
-            own = next(
-                i for i, each in enumerate(compared) if self._verifier.agree(each.T_local_query, best.T_local_query)
-            )
-            posterior = self._posterior_log_odds(compared)
-            rival = max((each.log_likelihood_ratio for i, each in enumerate(compared) if i != own), default=None)
-            best = replace(best, best_rival_llr=rival)
-        best = replace(best, posterior_log_odds=float(posterior[own]))
-        # Another pose may be surer: it can be true together with two that cannot.
-        if own == 0 and posterior[0] >= self._least_log_odds:
+        log_odds, doubt = self._posterior_log_odds(candidates)[0], ""
+        if log_odds >= self._least_log_odds:
+            rivals = self._distinct([*others, *self._verifier.rivals(query, best)])
+            log_odds = self._posterior_log_odds([best, *rivals])[0]
+            best = replace(best, best_rival_llr=max((each.log_likelihood_ratio for each in rivals), default=None))
+            # It may be surer, where it can be true together with two that cannot.
+            doubt = "ambiguous: another pose is likelier, " if rivals and rivals[0].score > best.score else ""
+        best = replace(best, posterior_log_odds=float(log_odds))
+        if log_odds >= self._least_log_odds and not doubt:
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        doubt = f"wrong with probability {expit(-posterior[0]):.2g}"
-        reason = doubt if own == 0 else f"ambiguous: another pose is likelier, {doubt}"
+        reason = f"{doubt}wrong with probability {expit(-log_odds):.2g}"
         return Decision((*rejected, best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)))
 
     def _distinct(self, candidates: Sequence[Candidate]) -> list[Candidate]:

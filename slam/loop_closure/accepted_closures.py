@@ -12,17 +12,13 @@ from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import BoolArray, IntArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Candidate, Stage
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.segments import SegmentConnectivity
-
-INSERT_RANGES = 2.0 / 3.0
-"""Least travel between two closures that become factors of the graph, in sensor ranges."""
-TRUSTED_AFTER_RANGES = 60.0 / 30.0
-"""A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,15 +48,16 @@ class AcceptedClosures:
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
     ) -> None:
         self._propagation_distance_m = config.propagation_distance_m
-        self._insert_travel_m = INSERT_RANGES * config.sensor_range_m
-        self._trusted_after_m = TRUSTED_AFTER_RANGES * config.sensor_range_m
+        # Least travel between two closures that become factors.
+        self._insert_travel_m = 2.0 / 3.0 * config.sensor_range_m
+        # A relocalization that stayed consistent over that travel is taken to be true.
+        self._trusted_after_m = 2.0 * config.sensor_range_m
         self._min_travel_m = config.closure_travel_m
         self._map, self._graph, self._keyframes = object_map, graph, keyframes
         self._segments = SegmentConnectivity(keyframes)
         self._closed: dict[int, int] = {}
         self._tracked: dict[int, int] = {}
         self._accepted: list[Accepted] = []
-        self._lasting: list[Candidate] = []  # condensed closures across breaks
 
     @property
     def keyframes(self) -> IntArray:
@@ -93,7 +90,7 @@ class AcceptedClosures:
         return {row for row in near if self.is_localized(self._keyframes[row])}
 
     def add(self, candidate: Candidate) -> LoopClosureRecord:
-        """Accept a closure; it becomes a factor unless one within ``INSERT_RANGES`` represents it."""
+        """Accept a closure; it becomes a factor unless one nearby represents it."""
         nearest = min(self._factors, key=lambda each: abs(each.candidate.travel_m - candidate.travel_m), default=None)
         if nearest is None or abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m:
             accepted = Accepted(candidate, candidate.query.id, self._insert(candidate))
@@ -113,7 +110,7 @@ class AcceptedClosures:
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
 
-        If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
+        If the segment was connected to the map only lately, that relocalization was false
         and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
         revoked closures, and whether the robot was kidnapped.
         """
@@ -136,11 +133,15 @@ class AcceptedClosures:
         return -np.inf if any(each.travel_m > trusted_m for each in self._across_breaks) else trusted_m
 
     def forget_condensed(self) -> None:
-        """Forget the closures whose factors were condensed, and those that they represent: they are part of the map."""
-        held = [each for each in self._factors if each.factor in self._graph.factors]
-        self._lasting += [each.candidate for each in self._factors if each not in held and each.candidate.crosses_break]
-        representing = {each.represented_by for each in held}
-        self._accepted = [each for each in self._accepted if each.represented_by in representing]
+        """Forget the closures whose factors were condensed, and those that they represent: they are part of the map.
+        Those across breaks still tell which segments are connected.
+        """
+        held = {each.represented_by for each in self._factors if each.factor in self._graph.factors}
+        self._accepted = [
+            each
+            for each in self._accepted
+            if each.represented_by in held or (each.factor is not None and each.candidate.crosses_break)
+        ]
 
     @property
     def _factors(self) -> list[Accepted]:
@@ -149,7 +150,7 @@ class AcceptedClosures:
 
     @property
     def _across_breaks(self) -> list[Candidate]:
-        """The factors across breaks of the odometry that may still be revoked."""
+        """Those across breaks of the odometry."""
         return [each.candidate for each in self._factors if each.candidate.crosses_break]
 
     def _insert(self, candidate: Candidate) -> int:
@@ -158,10 +159,13 @@ class AcceptedClosures:
         If its keyframes are in segments that were not connected before, the later segment is first moved rigidly to
         where the closure puts it.
         """
-        moved = self._segments.connect(candidate.reference.id, candidate.query.id)
-        edge = candidate.edge()
+        ends = candidate.reference.id, candidate.query.id
+        moved = self._segments.connect(*ends)
+        edge = Edge(*ends, candidate.T_reference_query, candidate.covariance, EdgeKind.LOOP_CLOSURE)
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
-        self._merge_landmarks(candidate, factor)
+        for query, reference in candidate.pairs.tolist():
+            if self._may_merge(query, reference):
+                self._map.merge(reference, query, closure=factor)
         self._graph.alias_landmarks(self._map.aliases)
         return factor
 
@@ -175,31 +179,11 @@ class AcceptedClosures:
             return
         for factor in gone:
             self._graph.remove_factor(factor)
-        self._merge_again(gone)
-        self._segments.reset()
-        for candidate in [*self._lasting, *(each.candidate for each in self._factors)]:
-            self._segments.connect(candidate.reference.id, candidate.query.id)
-
-    def _merge_again(self, gone: set[int]) -> None:
-        """Undo all merges of landmarks, and make them again but for those by closures with the factors ``gone``.
-
-        What a closure may merge depends on the merges before it, so each merges its landmarks anew.
-        """
-        waiting = {each.factor: each.candidate for each in self._factors}
-        anew = set(waiting)
-        for merge in self._map.undo_merges():
-            if merge.closure in waiting:
-                self._merge_landmarks(waiting.pop(merge.closure), merge.closure)
-            elif merge.closure not in gone | anew:  # by the front end, or by a closure that was condensed
-                self._map.merge(merge.kept, merge.dropped, closure=merge.closure)
-        for factor, candidate in waiting.items():
-            self._merge_landmarks(candidate, factor)
+        self._map.undo_merges(gone)
         self._graph.alias_landmarks(self._map.aliases)
-
-    def _merge_landmarks(self, candidate: Candidate, factor: int | None) -> None:
-        for query, reference in candidate.pairs.tolist():
-            if self._may_merge(query, reference):
-                self._map.merge(reference, query, closure=factor)
+        self._segments.reset()
+        for each in self._factors:
+            self._segments.connect(each.candidate.reference.id, each.candidate.query.id)
 
     def _may_merge(self, query: int, reference: int) -> bool:
         """Whether the query landmark is not merged, and neither landmark is of both traversals."""

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from logs.messages import LoopClosureRecord
-from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import invert
+from slam.common.geometry import invert, yaw_rad
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
+
+# Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
+# the objects in a row, or more. In sensor ranges.
+AGREE_RANGES = 1.0 / 15.0
+AGREE_RAD = np.deg2rad(5.0)
 
 
 class Stage(StrEnum):
@@ -76,9 +81,11 @@ class Candidate:
         """Log-likelihood ratio minus odometry penalty: the log posterior odds if there was no other candidate."""
         return self.log_likelihood_ratio - self.odometry_penalty
 
-    def edge(self) -> Edge:
-        """The between-factor of this closure."""
-        return Edge(self.reference.id, self.query.id, self.T_reference_query, self.covariance, EdgeKind.LOOP_CLOSURE)
+    def agrees(self, T_local_query: FloatArray, sensor_range_m: float) -> bool:
+        """Whether another estimate (4, 4) of the pose differs by less than ``AGREE_RANGES`` and ``AGREE_RAD``."""
+        T_between = invert(self.T_local_query) @ T_local_query
+        apart_m = np.hypot(T_between[0, 3], T_between[1, 3])
+        return bool(apart_m < AGREE_RANGES * sensor_range_m and abs(yaw_rad(T_between)) < AGREE_RAD)
 
     def record(
         self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
@@ -125,13 +132,6 @@ class Query:
         """The tilt (4, 4) of the keyframe, by the odometry."""
         return np.asarray(invert(self.T_local_gravity) @ self.keyframe.T_local_body)
 
-    def refusal_of_tracked(self, reference: Keyframe) -> LoopClosureRecord:
-        """The record of a place that landmarks of the traversal of ``reference`` tell, which are still associated."""
-        reason = "its landmarks are still associated: there is no loop to close"
-        T_reference_query = invert(reference.T_local_body) @ self.keyframe.T_local_body
-        refusal = self.refusal(Stage.ASSOCIATION, reason, reference)
-        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
-
     def refusal(
         self, stage: Stage, reason: str, reference: Keyframe | None = None, *, place: Place | None = None
     ) -> LoopClosureRecord:
@@ -153,3 +153,12 @@ def _record(
         rank=place.rank if place else 0,
         proposer=place.proposer if place else "",
     )
+
+
+def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: float) -> list[Candidate]:
+    """Of the candidates of one query that agree on its pose, the one with the highest score; by falling score."""
+    kept: list[Candidate] = []
+    for candidate in sorted(candidates, key=lambda c: -c.score):
+        if not any(candidate.agrees(better.T_local_query, sensor_range_m) for better in kept):
+            kept.append(candidate)
+    return kept

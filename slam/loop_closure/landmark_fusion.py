@@ -16,10 +16,6 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 
-MAX_HEIGHT_RADII = 1.0 / 0.7
-"""Largest difference of the heights of duplicates, in horizontal radii: heights are less exact, as the centre of a
-partly visible object moves up and down."""
-
 
 def find_duplicate_landmarks(
     object_map: ObjectMap,
@@ -99,8 +95,9 @@ def _nearest_alike(positions: FloatArray, classes: IntArray, radius_m: float) ->
     """Index (N,) of the nearest other landmark of the same class within the radius, -1 where there is none."""
     nearest = np.full(len(positions), -1, dtype=np.int64)
     pairs = cKDTree(positions[:, :2]).query_pairs(radius_m, output_type="ndarray").astype(np.int64)
+    # Heights are less exact, as the centre of a partly visible object moves up and down.
     alike = (classes[pairs[:, 0]] == classes[pairs[:, 1]]) & (
-        np.abs(positions[pairs[:, 0], 2] - positions[pairs[:, 1], 2]) < MAX_HEIGHT_RADII * radius_m
+        np.abs(positions[pairs[:, 0], 2] - positions[pairs[:, 1], 2]) < radius_m / 0.7
     )
     pairs = np.concatenate([pairs[alike], pairs[alike][:, ::-1]])
     apart_m = np.linalg.norm(positions[pairs[:, 0], :2] - positions[pairs[:, 1], :2], axis=1)

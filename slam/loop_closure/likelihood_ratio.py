@@ -39,8 +39,6 @@ CLUTTER_RANGES = 1.0 / 6.0
 """Landmarks of the same class within that distance count as clutter, in sensor ranges, ..."""
 ALONG_TRACK_RANGES, CROSS_TRACK_RANGES = 1.5, 0.7 / 30.0
 """... and those along the direction of travel within the first, with the second as standard deviation across it."""
-NEAREST = 2
-"""Nearest landmarks of the class that may show the direction of a row."""
 PRIOR_OBJECTS, GRID = 10.0, 200
 """Weight, in objects, of the prior of P_D of a single place, and steps of the integral over it."""
 LEAST_COUNT = 0.01
@@ -146,7 +144,7 @@ def _row_densities(
     offsets: FloatArray, distances: FloatArray, others: BoolArray, heading_rad: float, sensor_range_m: float
 ) -> FloatArray:
     """Largest density (N,) of ``others`` (M, N) along the direction of travel, and along the line through each object
-    and one of its nearest, that one left out: a row need not run along the heading, as that before a corner.
+    and one of its two nearest, that one left out: a row need not run along the heading, as that before a corner.
 
     ``offsets`` (M, N, 2) m and ``distances`` (M, N) m are from the objects to the landmarks. Densities are Gaussian
     across the line.
@@ -156,7 +154,7 @@ def _row_densities(
     count = distances.shape[1]
     columns, apart = np.arange(count), np.where(others, distances, np.inf)
     lines = [(np.tile([np.cos(heading_rad), np.sin(heading_rad)], (count, 1)), np.full(count, -1))]
-    for _ in range(min(NEAREST, len(apart))):
+    for _ in range(min(2, len(apart))):
         nearest = np.argmin(apart, axis=0)
         direction = offsets[nearest, columns] / np.maximum(distances[nearest, columns], 1e-9)[:, None]
         lines.append((np.where(np.isfinite(apart[nearest, columns])[:, None], direction, np.nan), nearest))

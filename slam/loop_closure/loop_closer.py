@@ -26,7 +26,6 @@ from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.missing_landmarks import MissingLandmarks
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -37,9 +36,6 @@ from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import MIN_INLIERS
 
 logger = logging.getLogger(__name__)
-
-CHANGED_SHARE = 0.2
-"""A query is looked up if that share of its landmarks and those of the last one looked up are in one of them only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +79,6 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self.missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
@@ -120,9 +115,8 @@ class LoopCloser:
             return Outcome([self._accept(propagated)])
         # 2. Where landmarks of an earlier traversal are still associated there is no loop to close, ...
         records = list[LoopClosureRecord]()
-        if (tracked := self._tracked_reference(query)) is not None:
-            self.closures.add_tracked(keyframe, tracked)
-            records.append(query.refusal_of_tracked(tracked))
+        if (tracked := self._tracked_place(query)) is not None:
+            records.append(tracked)
             if len(query.submap) < MIN_INLIERS:
                 return Outcome(records)
         # 3. ... unless there are enough others. Retrieval proposes places.
@@ -130,11 +124,8 @@ class LoopCloser:
             refusal = query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")
             return Outcome([*records, refusal])
         self._looked_up = query
-        query, verified = self._look_up(query, initial_pose)
-        if not verified:
-            return Outcome([*records, query.refusal(Stage.RETRIEVAL, _why_nothing(query))])
         # 4. The candidate with the highest score is accepted or rejected.
-        decision = self._acceptance.decide(query, verified)
+        decision = self._acceptance.decide(*self._look_up(query, initial_pose))
         records += decision.rejected
         best = decision.accepted
         if best is None:
@@ -175,17 +166,26 @@ class LoopCloser:
             self._recent.popleft()
         return query
 
-    def _tracked_reference(self, query: Query) -> Keyframe | None:
-        """The nearest keyframe of the earlier traversal that most landmarks around are from, still associated.
+    def _tracked_place(self, query: Query) -> LoopClosureRecord | None:
+        """The record of the nearest keyframe of the earlier traversal that most landmarks around are from, still
+        associated.
 
         None if they are too few for a pose, or the robot is lost, so that they do not tell where it is.
         """
+        keyframe = query.keyframe
         is_known = query.tracked >= max(MIN_INLIERS, len(query.submap) + 1)
-        if not is_known or not self.closures.is_localized(query.keyframe):
+        if not is_known or not self.closures.is_localized(keyframe):
             return None
-        place, segment = query.T_local_gravity[:3, 3], query.keyframe.odometry.segment
+        place, segment = query.T_local_gravity[:3, 3], keyframe.odometry.segment
         found = self._track.nearest(place, segment=segment, from_m=-np.inf, to_m=query.before_m)
-        return None if found is None else self._keyframes[found[0]]
+        if found is None:
+            return None
+        reference = self._keyframes[found[0]]
+        self.closures.add_tracked(keyframe, reference)
+        reason = "its landmarks are still associated: there is no loop to close"
+        T_reference_query = invert(reference.T_local_body) @ keyframe.T_local_body
+        refusal = query.refusal(Stage.ASSOCIATION, reason, reference)
+        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
 
     def _predict(self, seed: Candidate | None, query: Query) -> Predicted | None:
         """What a closure predicts for a query; None without one that is near enough."""
@@ -199,7 +199,7 @@ class LoopCloser:
         if predicted is None or not isinstance(predicted.verified, Candidate):
             return None
         candidate = predicted.verified
-        agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
+        agrees = candidate.agrees(predicted.place.T_local_query, self._sensor_range_m)
         return candidate if agrees and self._acceptance.is_acceptable(candidate) else None
 
     def _is_contradicted(self, query: Query, predicted: Predicted) -> bool:
@@ -225,13 +225,15 @@ class LoopCloser:
         return apart_m > self._verifier.reach_m
 
     def _looked_up_alike(self, query: Query) -> Query | None:
-        """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
+        """The last query that was looked up, if the answer is the same, as four fifths of the landmarks are; a closure
+        soon after predicts this one, too.
+        """
         last = self._looked_up
         if last is None or len(query.submap) < MIN_INLIERS or not self.closures.is_localized(query.keyframe):
             return None
         common = len(np.intersect1d(query.submap.rows, last.submap.rows, assume_unique=True))
         all_of_both = len(query.submap) + len(last.submap) - common
-        is_alike = common > (1.0 - CHANGED_SHARE) * all_of_both
+        is_alike = common > 0.8 * all_of_both
         is_near = query.travel_m - last.travel_m < self._config.propagation_distance_m
         return last if is_alike and is_near else None
 
@@ -244,13 +246,16 @@ class LoopCloser:
         """
         verified = self._retrieve(query, initial_pose)
         is_found = any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified)
-        if is_found or self.closures.is_localized(query.keyframe):
-            return query, verified
-        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
-        with_unconfirmed = replace(query, submap=submap)
-        if len(submap) > len(query.submap):
-            verified += self._retrieve(with_unconfirmed, initial_pose)
-        return with_unconfirmed, verified
+        if not is_found and not self.closures.is_localized(query.keyframe):
+            submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
+            query, has_more = replace(query, submap=submap), len(submap) > len(query.submap)
+            verified += self._retrieve(query, initial_pose) if has_more else []
+        if not verified:
+            reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
+            if len(query.submap) >= MIN_INLIERS:
+                reason = "no matches that agree on a place"
+            verified = [query.refusal(Stage.RETRIEVAL, reason)]
+        return query, verified
 
     def _retrieve(self, query: Query, initial_pose: InitialPose | None) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
@@ -290,12 +295,4 @@ class LoopCloser:
     def _accept(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure, which predicts the next ones."""
         self._seed = candidate
-        if candidate.reference.is_prior:
-            self.missing.add(candidate.query, candidate.T_local_query, candidate.pairs[:, 1])
         return self.closures.add(candidate)
-
-
-def _why_nothing(query: Query) -> str:
-    if len(query.submap) >= MIN_INLIERS:
-        return "no matches that agree on a place"
-    return f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"

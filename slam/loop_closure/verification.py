@@ -11,10 +11,9 @@ from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import covariance_in_axes, invert
+from slam.common.geometry import covariance_in_axes, invert, yaw_rad
 from slam.localization.pose_prior import MapArea, PosePrior, failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD, odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
@@ -26,6 +25,10 @@ from slam.registration.registration import Registration, RegistrationConfig, ref
 
 MIN_OBJECTS = 2
 """Fewest objects that determine a pose."""
+TILT_SIGMA_RAD = np.deg2rad(1.0)
+"""Error of gravity between two traversals."""
+CLOSURE_SIGMA_RAD = np.deg2rad(0.8)
+"""Heading error of a closure that its inliers share: what the centroids of a row of objects turn by."""
 
 
 class Verifier:
@@ -41,8 +44,12 @@ class Verifier:
         mapped: FloatArray | None = None,
     ) -> None:
         """``mapped`` (N, 2) m: objects of a map without keyframes, among which the robot may be anywhere."""
-        self._config = config
+        self._config, objects = config, config.calibration.objects
         self._registration = registration_config(config)
+        # Of the errors that all inliers of a registration share, rotation first.
+        shift, height = objects.landmark_sigma_m, np.hypot(objects.landmark_sigma_m, objects.landmark_height_sigma_m)
+        sigmas = np.array([TILT_SIGMA_RAD, TILT_SIGMA_RAD, CLOSURE_SIGMA_RAD, shift, shift, height])
+        self._shared_covariance = np.diag(sigmas**2)
         self._sensor_range_m = config.sensor_range_m
         self._retriever = retriever
         self._track = track
@@ -62,22 +69,38 @@ class Verifier:
         pose = seed.reference.odometry
         T_local_query = np.asarray(seed.T_local_query @ T_seed_query)
         place = Place(T_local_query, pose.travel_m, pose.segment, "prediction", predicted_by=seed.query.id)
-        reference = self._nearest(place, query, within_m=self._sensor_range_m)
+        reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
     def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
         registration = register(query.submap, submap, place.T_local_query, self._registration)
-        if registration.T_reference_query is None:
-            reference = self._nearest(place, query, within_m=self._sensor_range_m)
-            return query.refusal(Stage.REGISTRATION, registration.reason, reference, place=place)
-        registered = replace(place, T_local_query=registration.T_reference_query)
-        reference = self._nearest(registered, query, within_m=self._sensor_range_m)
+        T_local_query, covariance = registration.T_reference_query, registration.covariance
+        if T_local_query is None or covariance is None:
+            return query.refusal(Stage.REGISTRATION, registration.reason, self._nearest(place, query), place=place)
+        reference = self._nearest(replace(place, T_local_query=T_local_query), query)
         if reference is None:
             reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, place=place)
-        return self._candidate(query, place, submap, registration, reference)
+        ratio = self._ratio(query, submap, T_local_query, registration.pairs)
+        prior = self._prior(query, place, reference)
+        seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
+        exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
+        return Candidate(
+            query=query.keyframe,
+            reference=reference,
+            place=place,
+            # The query's tilt is the odometry's; the registration is upright.
+            T_reference_query=invert(reference.T_local_body) @ T_local_query @ query.T_gravity_body,
+            T_local_query=T_local_query,
+            covariance=covariance_in_axes(covariance + self._shared_covariance, query.T_gravity_body[:3, :3]),
+            log_likelihood_ratios=ratio.per_object,
+            pairs=np.column_stack([seen, met])[exists],
+            matched_fraction=ratio.matched_fraction,
+            odometry_penalty=-prior.log_mass(T_local_query, covariance),
+            unpredicted_penalty=-prior.log_uniform(covariance),
+        )
 
     def unmatched(self, query: Query, place: Place) -> FloatArray:
         """LLR (N,) of each object of the query at a place where it cannot be registered: none has a match."""
@@ -92,15 +115,12 @@ class Verifier:
         first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         start, end = first.reference.id, second.reference.id
-        T_predicted = invert(self._graph.pose(start)) @ self._graph.pose(end)
-        sigmas = self._track.drift_sigmas(start, end)
-        sigma_m = self._config.calibration.objects.landmark_sigma_m
-        penalty = odometry_penalty(T_predicted, T_implied, sigmas, sigma_m)
-        return penalty < 0.5 * self._registration.gate_sigma**2
-
-    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
-        """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
-        return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
+        T_error = invert(self._graph.pose(end)) @ self._graph.pose(start) @ T_implied
+        drift_m, drift_rad = self._track.drift_sigmas(start, end)
+        sigma_m = SLIP_INFLATION * np.hypot(drift_m, self._config.calibration.objects.landmark_sigma_m)
+        sigma_rad = SLIP_INFLATION * np.hypot(drift_rad, CLOSURE_SIGMA_RAD)
+        squares = (np.hypot(*T_error[:2, 3]) / sigma_m) ** 2 + (yaw_rad(T_error) / sigma_rad) ** 2
+        return bool(squares < self._registration.gate_sigma**2)
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
@@ -113,36 +133,8 @@ class Verifier:
         return [
             each
             for each in found
-            if isinstance(each, Candidate) and not self.agree(each.T_local_query, candidate.T_local_query)
+            if isinstance(each, Candidate) and not each.agrees(candidate.T_local_query, self._sensor_range_m)
         ]
-
-    def _candidate(
-        self, query: Query, place: Place, submap: Submap, registration: Registration, reference: Keyframe
-    ) -> Candidate:
-        T_local_gravity, covariance = registration.T_reference_query, registration.covariance
-        assert T_local_gravity is not None
-        assert covariance is not None
-        ratio = self._ratio(query, submap, T_local_gravity, registration.pairs)
-        prior = self._prior(query, place, reference)
-        seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
-        exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
-        # The query's tilt is the odometry's; the registration is upright.
-        T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ query.T_gravity_body
-        return Candidate(
-            query=query.keyframe,
-            reference=reference,
-            place=place,
-            T_reference_query=T_reference_query,
-            T_local_query=T_local_gravity,
-            covariance=covariance_in_axes(
-                covariance + shared_covariance(self._config.calibration.objects), query.T_gravity_body[:3, :3]
-            ),
-            log_likelihood_ratios=ratio.per_object,
-            pairs=np.column_stack([seen, met])[exists],
-            matched_fraction=ratio.matched_fraction,
-            odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
-            unpredicted_penalty=-prior.log_uniform(covariance),
-        )
 
     def _prior(self, query: Query, place: Place, reference: Keyframe) -> PosePrior:
         """The prior of the query's pose: by the odometry since the closure that predicts it, or since the reference."""
@@ -152,12 +144,12 @@ class Verifier:
             since = reference.id
             T_predicted = invert(self._graph.pose(since)) @ self._graph.pose(query.keyframe.id)
             T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(query.T_gravity_body))
-        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        drift_m, drift_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
         travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
             T_local_query,
-            float(np.hypot(SLIP_INFLATION * sigma_m, self._config.calibration.objects.landmark_sigma_m)),
-            float(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD)),
+            float(np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m)),
+            float(np.hypot(SLIP_INFLATION * drift_rad, CLOSURE_SIGMA_RAD)),
             failure_probability(self._config.localization.failures_per_km, travel_m),
             self._area.area_m2,
         )
@@ -166,10 +158,10 @@ class Verifier:
         shares = self._retriever.class_shares()
         return compute_log_likelihood_ratio(query.submap, submap, T_local_query, pairs, self._sensor_range_m, shares)
 
-    def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
-        """The nearest keyframe of the reference traversal, if it is so near.
+    def _nearest(self, place: Place, query: Query) -> Keyframe | None:
+        """The nearest keyframe of the reference traversal within the sensor range.
 
-        Farther away than the sensor sees, the map of that traversal has less than half of what is in view.
+        Farther away, the map of that traversal has less than half of what is in view.
         """
         extent_m = TRAVERSAL_EXTENT * self._config.closure_travel_m
         found = self._track.nearest(
@@ -181,7 +173,7 @@ class Verifier:
         if found is None:
             return None
         reference = self._keyframes[found[0]]
-        return reference if reference.is_map_frame or found[1] <= within_m else None
+        return reference if reference.is_map_frame or found[1] <= self._sensor_range_m else None
 
 
 def register(

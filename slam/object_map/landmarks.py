@@ -6,6 +6,7 @@ once it was observed often enough; ``RETIRED`` with a reason if it is not a stat
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -253,10 +254,12 @@ class ObjectMap:
             self._merges.append(LandmarkMerge(kept, dropped, closure))
         return is_new
 
-    def undo_merges(self) -> list[LandmarkMerge]:
-        """Undo all merges; returns them, the oldest first."""
-        undone, self._merges, self._aliases = self._merges, [], UnionFind()
-        return undone
+    def undo_merges(self, closures: Set[int]) -> None:
+        """Undo the merges by closures with these factors."""
+        kept = [merge for merge in self._merges if merge.closure not in closures]
+        self._merges, self._aliases = [], UnionFind()
+        for merge in kept:
+            self.merge(merge.kept, merge.dropped, closure=merge.closure)
 
     @property
     def aliases(self) -> dict[int, int]:

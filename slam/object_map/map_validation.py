@@ -14,9 +14,6 @@ from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.union_find import find_components
 
-ROUNDING = 1e-6
-"""How far from 1 it may put a sum of probabilities, and how far below 0 an eigenvalue, in parts of the trace."""
-
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     """The first error of a map, in one line; empty for a valid map.
@@ -56,7 +53,7 @@ def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iter
 
 def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
     probabilities = objects.class_probabilities
-    is_normalised = np.abs(probabilities.sum(axis=1) - 1.0) <= ROUNDING
+    is_normalised = np.abs(probabilities.sum(axis=1) - 1.0) <= 1e-6  # rounding
     faults = {
         "is not confirmed": np.array([state != "confirmed" for state in objects.states]),
         "has a position that is not finite": ~np.isfinite(objects.positions).all(axis=1),
@@ -92,7 +89,7 @@ def _are_covariances(P: FloatArray) -> NDArray[np.bool_]:
     usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     trace = np.trace(P, axis1=1, axis2=2)
     least = np.linalg.eigvalsh(np.where(usable[:, None, None], P, 0.0))[:, 0]
-    return np.asarray(usable & (trace > 0.0) & (least >= -ROUNDING * np.abs(trace)))
+    return np.asarray(usable & (trace > 0.0) & (least >= -1e-6 * np.abs(trace)))
 
 
 def _are_definite(P: FloatArray) -> NDArray[np.bool_]:

@@ -12,8 +12,6 @@ from slam.common.geometry import yaw_rad
 
 GATE_SIGMAS = 3.5
 """A place beyond that many standard deviations is outside the prior of the pose: 2 in 1000 are, in the plane."""
-YAW_SIGMA_RAD = np.pi / 12.0
-"""Standard deviation of a heading that a person gives; that of RViz's pose estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,4 +46,5 @@ class InitialPose:
         if self.yaw_rad is None:
             return True
         off_rad = float(yaw_rad(T_map_query)) - self.yaw_rad - float(yaw_rad(T_first_query))
-        return bool(abs(np.angle(np.exp(1j * off_rad))) <= GATE_SIGMAS * YAW_SIGMA_RAD)
+        # The standard deviation of a heading that a person gives is that of RViz's pose estimate.
+        return bool(abs(np.angle(np.exp(1j * off_rad))) <= GATE_SIGMAS * np.pi / 12.0)

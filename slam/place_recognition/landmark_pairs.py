@@ -15,9 +15,6 @@ from descriptors.registry import make_index
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 
-DESCRIPTOR_RANGE_M = 30.0
-"""Sensor range for which vectors of constellations are made: their rings and radii are lengths of their own."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
@@ -48,15 +45,11 @@ class LearnedPairs:
         unit_m = spacing_m(
             batch.positions if is_first else np.concatenate([each.positions[each.centres] for each in self._batches])
         )
+        new = [batch]
         if self._index.unit_m is None or abs(np.log(unit_m / self._index.unit_m)) > np.log(1.25):
-            self._index = self._index.emptied(unit_m)
-            for each in self._batches:
-                self._enter(each)
-        else:
-            self._enter(batch)
-
-    def _enter(self, batch: Batch) -> None:
-        self._index.add(batch.positions, batch.labels, numbers=batch.entries, centres=batch.centres)
+            self._index, new = self._index.emptied(unit_m), self._batches
+        for each in new:
+            self._index.add(each.positions, each.labels, numbers=each.entries, centres=each.centres)
 
     def search(
         self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
@@ -70,7 +63,8 @@ class VectorPairs:
 
     def __init__(self, config: Config, index: VectorIndex) -> None:
         self._top_k, self._index = config.loop_closure.top_k, index
-        self._scale = DESCRIPTOR_RANGE_M / config.sensor_range_m
+        # Descriptors are made for a sensor that sees 30 m.
+        self._scale = 30.0 / config.sensor_range_m
         self._plane, self._segments = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
         self._vocabulary: tuple[str, ...] = ()
 

@@ -21,14 +21,6 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.landmark_pairs import LandmarkPairs
 from slam.registration.pose_voting import vote_for_poses
 
-COMPARED = 600
-"""Poses with most votes that are scored as they are: with 200, 7 of 100 places with much clutter are missed."""
-FITTED = 40
-"""The likeliest of them, which are fitted and scored again; with 200 no more places are found."""
-ROUNDS = 3
-"""Of association and least squares with the noise of a voted pose, and as many with that of a fitted one. After one of
-each, right poses 2 m off are not yet better than others.
-"""
 SAME_TURN_RAD = 0.2
 """Poses that differ by less than that, and by less than half a spacing, are one."""
 
@@ -131,14 +123,15 @@ class PlaceSearch:
             ends.reshape(-1, 2),
             np.maximum(matches.nats, 0.1),
             tolerance_m=1.8 * float(np.median(sigmas_m)),
-            count=max(count, COMPARED),
+            count=max(count, 600),  # with 200, 7 of 100 places with much clutter are missed
         )
         placed = _query(positions, labels, sigmas_m)
         voted = _Poses.of(T_voted, placed.middle)
         scores = self._log_likelihood_ratios(voted, placed, placed.voted_sigmas_m)
-        likeliest = _likeliest(scores)[: max(count, FITTED)]
+        likeliest = _likeliest(scores)[: max(count, 40)]  # with 200 no more places are found
         fitted = voted[likeliest]
-        for fit_sigmas_m in ROUNDS * [placed.voted_sigmas_m] + ROUNDS * [placed.fitted_sigmas_m]:
+        # After one round with either noise, right poses 2 m off are not yet better than others.
+        for fit_sigmas_m in 3 * [placed.voted_sigmas_m] + 3 * [placed.fitted_sigmas_m]:
             fitted = self._fitted(fitted, placed, fit_sigmas_m)
         scores = self._log_likelihood_ratios(fitted, placed, placed.fitted_sigmas_m)
         chosen = self._distinct(fitted, scores, count)

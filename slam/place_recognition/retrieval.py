@@ -41,8 +41,11 @@ class PlaceRetriever:
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
         self._map = object_map
-        self._index = LandmarkIndex(config)
+        self._likelihood = shipped_likelihood()
+        self._pairs = make_landmark_pairs(config)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
+        self._search: PlaceSearch | None = None
+        self._shifts_m, self._pitch_m = {0: 0.0}, 1.0  # of segments side by side
         self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1
 
@@ -93,7 +96,8 @@ class PlaceRetriever:
             entry_of[around],
             segment,
         )
-        self._index.add(batch, tuple(self._map.vocabulary))
+        self._pairs.add(batch, tuple(self._map.vocabulary))
+        self._search = None
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
@@ -111,13 +115,45 @@ class PlaceRetriever:
         landmarks = self._map.rows
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
         usable &= ~landmarks["is_active"]
-        places = [
-            Place(T_local_query, self._traversal_m(self._rows[entries]), segment, "descriptor")
-            for T_local_query, segment, entries in self._index.propose(query, usable[self._rows], self._count)
-        ]
+        places = self._places(query, usable[self._rows])
         if self._imported is not None:
             places += self._imported.propose(query, count=self._count)
         return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+
+    def _places(self, query: Submap, allowed: BoolArray) -> list[Place]:
+        """The likeliest places of a query among entries that are ``allowed`` (M,)."""
+        if not len(query) or not allowed.any():
+            return []
+        if self._search is None:
+            self._search = self._side_by_side()
+        positions, of = (self._map.rows[name][self._rows] for name in ("position_local", "segment"))
+        middle = np.append(query.positions.mean(axis=0), 1.0)
+        radius_m = float(np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max())
+        slots = dict(enumerate(self._shifts_m))
+        places = []
+        for T in self._search.find_poses(query, count=self._count, allowed=allowed):
+            segment = slots.get(int((T @ middle)[0] // self._pitch_m))
+            if segment is None:
+                continue
+            T[0, 3] -= self._shifts_m[segment]
+            offsets = positions[:, :2] - (T @ middle)[:2]
+            near = allowed & (of == segment) & (np.hypot(*offsets.T) <= radius_m)
+            if near.any():
+                places.append(Place(T, self._traversal_m(self._rows[near]), segment, "descriptor"))
+        return places
+
+    def _side_by_side(self) -> PlaceSearch:
+        """All entries in one map, those of each segment of the odometry apart from the others, along x."""
+        placed, of = self._map.rows["position_local"][self._rows], self._map.rows["segment"][self._rows]
+        segments = np.unique(of).tolist()
+        xs_m = [placed[of == segment, 0] for segment in segments]
+        self._pitch_m = 2.0 * max(float(np.ptp(x_m)) for x_m in xs_m) + 1e3 * spacing_m(placed)
+        self._shifts_m = {
+            segment: (slot + 0.25) * self._pitch_m - float(x_m.min())
+            for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
+        }
+        placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(of)
+        return PlaceSearch(self._pairs, placed, self._map.classes(self._rows), len(self._map.vocabulary))
 
     def _traversal_m(self, rows: IntArray) -> float:
         """Middle travel [m] of the traversal that most of the landmarks ``rows`` (K,) of a segment are from.
@@ -134,7 +170,7 @@ class PlaceRetriever:
 
         Besides it there are as many as candidates of a query in the map.
         """
-        pairs = PairIndex(shipped_likelihood())
+        pairs = PairIndex(self._likelihood)
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
@@ -161,60 +197,3 @@ class PlaceRetriever:
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
         return placed_submap(self._map, rows, centre, self._calibration)
-
-
-class LandmarkIndex:
-    """Entries are landmarks, numbered in the order in which they were added."""
-
-    def __init__(self, config: Config) -> None:
-        self._pairs = make_landmark_pairs(config)
-        self._search: PlaceSearch | None = None
-        self._positions, self._segments = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-        self._labels = np.zeros(0, dtype=np.int64)
-        self._shifts_m, self._pitch_m = {0: 0.0}, 1.0
-
-    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
-        """Add landmarks."""
-        new = batch.centres
-        self._positions = np.concatenate([self._positions, batch.positions[new]])
-        self._labels = np.concatenate([self._labels, batch.labels[new]])
-        self._segments = np.concatenate([self._segments, np.full(len(new), batch.segment)])
-        self._pairs.add(batch, vocabulary)
-        self._search = None
-
-    def propose(self, query: Submap, allowed: BoolArray, count: int) -> list[tuple[FloatArray, int, IntArray]]:
-        """At most ``count`` poses (4, 4) of a query, the likeliest first, each with its segment and the entries (K,) of
-        that around it that are ``allowed`` (M,).
-        """
-        if not len(query) or not allowed.any():
-            return []
-        if self._search is None:
-            self._search = self._side_by_side()
-        poses = self._search.find_poses(query, count=count, allowed=allowed)
-        middle = np.append(query.positions.mean(axis=0), 1.0)
-        radius_m = float(np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max())
-        slots = dict(enumerate(self._shifts_m))
-        places = []
-        for T in poses:
-            segment = slots.get(int((T @ middle)[0] // self._pitch_m))
-            if segment is None:
-                continue
-            T[0, 3] -= self._shifts_m[segment]
-            offsets = self._positions[:, :2] - (T @ middle)[:2]
-            near = np.flatnonzero(allowed & (self._segments == segment) & (np.hypot(*offsets.T) <= radius_m))
-            if len(near):
-                places.append((T, segment, near))
-        return places
-
-    def _side_by_side(self) -> PlaceSearch:
-        """All landmarks in one map, those of each segment of the odometry apart from the others, along x."""
-        segments = np.unique(self._segments).tolist()
-        xs_m = [self._positions[self._segments == segment, 0] for segment in segments]
-        self._pitch_m = 2.0 * max(float(np.ptp(x_m)) for x_m in xs_m) + 1e3 * spacing_m(self._positions)
-        self._shifts_m = {
-            segment: (slot + 0.25) * self._pitch_m - float(x_m.min())
-            for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
-        }
-        placed = self._positions.copy()
-        placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(self._segments)
-        return PlaceSearch(self._pairs, placed, self._labels, int(self._labels.max()) + 1)

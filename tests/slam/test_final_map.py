@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from slam.backend.batch_solver import Optimization
+from slam.backend.solver import Optimization
 from slam.final_map import judge_outcome
 
 CONVERGED = Optimization(True, 4, 1.0)

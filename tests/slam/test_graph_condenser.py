@@ -45,13 +45,6 @@ def variables(graph: FactorGraphRecord) -> int:
 
 
 @pytest.mark.slow
-def test_a_graph_that_is_small_is_left_as_it_is(whole):
-    assert count_condensed(whole) == 0
-    assert "condensed" not in whole.graph.edge_kinds
-    assert variables(whole.graph) == len(whole.graph.keyframe_ids)
-
-
-@pytest.mark.slow
 def test_a_graph_that_outgrew_its_map_is_condensed(whole, condensed):
     np.testing.assert_array_equal(condensed.graph.keyframe_ids, whole.graph.keyframe_ids)
     attached = count_condensed(condensed)

@@ -122,15 +122,6 @@ def test_what_is_not_to_be_calibrated_is_mapped_with_the_settings_as_they_are(no
         assert Config.model_validate_json(reader.metadata()["dslam"]["configuration"]) == config
 
 
-def test_the_output_can_be_evaluated_on_its_own(noisy_output):
-    found = evaluate(read_records(noisy_output))
-    assert found.estimate.ate_m < found.odometry.ate_m
-    assert found.results["associations"]["precision"] > 0.99
-    assert found.results["landmarks"]["matched_count"] > 30
-    assert found.results["counters"] == final_status(noisy_output).counters
-    assert set(found.unavailable) <= {"closures", "calibration"}
-
-
 def test_the_summary_agrees_with_the_output(noisy_replay):
     summary, status = noisy_replay.summary, final_status(noisy_replay.output)
     assert summary.counters == status.counters

@@ -9,6 +9,7 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.graph_record import observations_of
 from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
 from tests.slam.backend.graphs import (
     KEYFRAMES,
@@ -102,6 +103,11 @@ def test_the_record_holds_the_graph():
         (o.keyframe, str(o.landmark)) for o in observations
     ]
     np.testing.assert_allclose(record.observation_covariances[0], 3.0 * SEEN_COVARIANCE)
+    again = observations_of(
+        record, dict(enumerate(range(KEYFRAMES))), {str(o.landmark): o.landmark for o in observations}
+    )
+    assert {each.covariance_inflation for each in again} == {3.0}
+    np.testing.assert_allclose(again[0].covariance, SEEN_COVARIANCE)
 
 
 def test_the_record_of_a_graph_without_edges_and_observations():

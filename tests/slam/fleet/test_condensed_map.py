@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from slam.common.geometry import apply, invert
-from slam.fleet.condensed_map import condense_area, condense_map, place_landmarks
+from slam.fleet.condensed_map import condense_map, place_landmarks
 from slam.object_map.map_io import SavedMap
 from slam.object_map.map_validation import find_fault
 from tests.helpers.driven_maps import driven_map, town
 
-STRETCH_M = 25.0
+CELL_M = 25.0
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +21,13 @@ def whole() -> SavedMap:
 
 @pytest.fixture(scope="module")
 def condensed(whole: SavedMap) -> SavedMap:
-    return condense_map(whole, stretch_m=STRETCH_M)
+    return condense_map(whole, cell_m=CELL_M)
 
 
 def test_a_condensed_map_keeps_its_landmarks_and_shape(whole: SavedMap, condensed: SavedMap) -> None:
     graph, objects = condensed.graph, condensed.objects
     assert objects.ids == whole.objects.ids
-    assert len(graph.keyframe_ids) == 4
+    assert len(graph.keyframe_ids) == 5
     assert find_fault(objects, graph) == ""
     rows = [objects.ids.index(name) for name in graph.observation_landmark_ids]
     T_map_place = graph.T_map_body[graph.observation_keyframe_ids]
@@ -52,7 +52,7 @@ def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(whole
         observation_keyframe_ids=np.append(graph.observation_keyframe_ids, graph.observation_keyframe_ids + count),
         observation_landmark_ids=graph.observation_landmark_ids * 2,
     )
-    single, double = (condense_area(replace(whole, graph=each), stretch_m=STRETCH_M) for each in (graph, again))
+    single, double = (condense_map(replace(whole, graph=each), cell_m=CELL_M) for each in (graph, again))
     assert double.objects.ids == single.objects.ids
     np.testing.assert_array_equal(double.graph.T_map_body, single.graph.T_map_body)
     np.testing.assert_allclose(double.graph.observation_covariances, 0.5 * single.graph.observation_covariances)
@@ -61,21 +61,21 @@ def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(whole
 def test_the_place_at_the_origin_comes_first_also_if_drives_came_from_behind_it(whole: SavedMap) -> None:
     T_map_body = whole.graph.T_map_body.copy()
     T_map_body[:, 0, 3] -= 60.0
-    folded = condense_area(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), stretch_m=STRETCH_M)
+    folded = condense_map(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), cell_m=CELL_M)
     from_origin_m = np.linalg.norm(folded.graph.T_map_body[:, :3, 3], axis=1)
-    assert from_origin_m[0] == from_origin_m.min() < 0.5 * STRETCH_M
+    assert from_origin_m[0] == from_origin_m.min() < 0.5 * CELL_M
 
 
 def test_a_level_drive_passes_one_row_of_cells_whatever_its_noise(whole: SavedMap) -> None:
     rng = np.random.default_rng(0)
     T_map_body = whole.graph.T_map_body.copy()
     T_map_body[:, 1:3, 3] = rng.normal(0.0, 0.05, (len(T_map_body), 2))
-    folded = condense_area(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), stretch_m=STRETCH_M)
-    assert len(folded.graph.keyframe_ids) == len(np.unique(np.round(T_map_body[:, 0, 3] / STRETCH_M)))
+    folded = condense_map(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), cell_m=CELL_M)
+    assert len(folded.graph.keyframe_ids) == len(np.unique(np.round(T_map_body[:, 0, 3] / CELL_M)))
 
 
-def test_observations_of_a_stretch_add_up(whole: SavedMap) -> None:
-    graph = condense_map(whole, stretch_m=200.0).graph
+def test_observations_of_a_cell_add_up(whole: SavedMap) -> None:
+    graph = condense_map(whole, cell_m=400.0).graph
     counts = [whole.graph.observation_landmark_ids.count(name) for name in graph.observation_landmark_ids]
     expected = 0.1**2 / np.array(counts)[:, None, None] * np.eye(3)
     np.testing.assert_allclose(graph.observation_covariances, expected, atol=1e-12)
@@ -83,20 +83,17 @@ def test_observations_of_a_stretch_add_up(whole: SavedMap) -> None:
 
 def test_edges_between_places_are_as_uncertain_as_the_steps_between_them(condensed: SavedMap) -> None:
     graph = condensed.graph
-    np.testing.assert_allclose(graph.edge_covariances[:, 2, 2], 1e-5 * STRETCH_M / 2.0, rtol=0.2)
-    # The heading moves what lies ahead sideways: more than the steps alone.
-    assert (graph.edge_covariances[:, 4, 4] > 1.05 * 1e-3 * 12).any()
     first, second = graph.T_map_body[graph.edge_keyframe_ids.T]
     np.testing.assert_allclose(graph.edge_transforms, invert(first) @ second, atol=1e-9)
+    lengths_m = np.linalg.norm(graph.edge_transforms[:, :3, 3], axis=1)
+    np.testing.assert_allclose(graph.edge_covariances[:, 2, 2], 1e-5 * lengths_m / 2.0, rtol=0.2)
 
 
-def test_a_break_of_the_odometry_ends_a_stretch(whole: SavedMap) -> None:
-    kinds = list(whole.graph.edge_kinds)
-    kinds[20] = "closure"  # what ties the two parts together is no odometry
-    broken = replace(whole, graph=replace(whole.graph, edge_kinds=tuple(kinds)))
-    condensed = condense_map(broken, stretch_m=200.0)
-    assert len(condensed.graph.keyframe_ids) == 2
-    assert condensed.graph.edge_kinds == ("closure",)
+def test_places_that_only_a_closure_ties_have_its_edge(whole: SavedMap) -> None:
+    kinds = ["closure" if 20 <= row < 40 else kind for row, kind in enumerate(whole.graph.edge_kinds)]
+    tied = condense_map(replace(whole, graph=replace(whole.graph, edge_kinds=tuple(kinds))), cell_m=CELL_M)
+    assert set(tied.graph.edge_kinds) == {"odometry", "closure"}
+    assert find_fault(tied.objects, tied.graph) == ""
 
 
 def test_place_landmarks_are_those_of_the_places_beside_it_too(condensed: SavedMap) -> None:

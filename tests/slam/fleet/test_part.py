@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from slam.fleet.part import Part, fold_part
+from slam.fleet.condensed_map import condense_map
+from slam.fleet.part import Part
 from tests.helpers.driven_maps import driven_map, town
-from tests.slam.fleet.parts import STRETCH_M, joined, session_parts
+from tests.slam.fleet.parts import CELL_M, joined, session_parts
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +21,6 @@ def whole(sessions: list[Part]) -> Part:
 
 
 def test_a_folded_part_has_the_places_of_its_area_and_not_of_each_session(sessions: list[Part], whole: Part) -> None:
-    folded = fold_part(whole, stretch_m=STRETCH_M).saved.graph
+    folded = condense_map(whole.saved, cell_m=CELL_M).graph
     assert len(whole.saved.graph.keyframe_ids) == sum(len(each.saved.graph.keyframe_ids) for each in sessions)
-    assert len(folded.keyframe_ids) <= 250.0 / STRETCH_M + 1
+    assert len(folded.keyframe_ids) <= 250.0 / CELL_M + 1

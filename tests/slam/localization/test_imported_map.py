@@ -80,11 +80,3 @@ def test_a_mirrored_map_is_told_wherever_the_robot_was_found_in_it(tmp_path: Pat
     summary = replay_log(tmp_path / "drive.mcap", tmp_path / "out.mcap", prior_map=known, extend=False)
     assert any(MIRRORED in note for note in summary.notes) == is_mirrored
     assert summary.counters["keyframes_recognised"] > 0 or is_mirrored
-
-
-@pytest.mark.slow
-def test_in_another_town_it_is_not_found(town: World) -> None:
-    other = generate_street_grid(rng=np.random.default_rng(99))
-    errors, _, slam = drive(town, city_map(other), extend=False)
-    assert not slam.fixes
-    assert errors == []

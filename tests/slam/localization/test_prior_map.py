@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -83,36 +81,6 @@ def test_a_path_is_no_map() -> None:
         with_heights_of(Config(), "town.mcap")
 
 
-def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
-    """An object seen far beside where others see it: the kernel, narrowed by covariance_inflation, shuts it out."""
-    graph = FactorGraph()
-    graph.add_first_keyframe(0, POSES[0])
-    for k in (1, 2):
-        graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
-    for k, T in enumerate(POSES):
-        places = dict(enumerate(OBJECTS + (k == 2) * np.array([0.0, 1.0, 0.0])))
-        graph.add_observations([replace(each, covariance_inflation=500.0) for each in seen_from(T, k, places)])
-    graph.optimize()
-    before = graph.landmark_positions(np.arange(4))
-    objects = ObjectMap(ObjectCalibration())
-    rows = objects.add(
-        before, np.tile(SEEN, (4, 1, 1)), objects.label_indices(("tree",) * 4), stamp_ns=5, scan=0, travel_m=0.0
-    )
-    objects.confirm(rows)
-    objects.assign(rows, position_map=before)
-    again = FactorGraph()
-    restore(
-        SavedMap(objects.to_record(9), graph.to_record(9, np.arange(3))),
-        ObjectMap(ObjectCalibration()),
-        again,
-        fixed=False,
-    )
-    again.optimize()
-    np.testing.assert_allclose(again.landmark_positions(np.arange(4)), before, atol=1e-4)
-    # Neither is it the mean of all three, which a kernel of the wide covariance would make it.
-    assert np.abs(before[:, 1] - OBJECTS[:, 1]).max() < 0.2
-
-
 def test_landmarks_of_a_fixed_map_stay_and_tell_where_the_robot_is(saved: SavedMap) -> None:
     """Everything is seen beside where the map has it, so the robot is that far beside where it is, the other way."""
     _, graph = loaded(saved, fixed=True)
@@ -175,13 +143,6 @@ def test_retiring_a_landmark_retires_what_was_merged_into_it(saved: SavedMap) ->
     object_map.retire(np.array([0]), RetirementReason.GONE)
     assert object_map.rows["state"].tolist() == [2, 1, 2, 1]
     assert object_map.to_record(9).reasons == ("gone", "", "merged into 0", "")
-
-
-def test_twin_retiring_what_was_merged_leaves_the_other(saved: SavedMap) -> None:
-    object_map, _ = loaded(saved, fixed=False)
-    object_map.merge(0, 2)
-    object_map.retire(np.array([2]), RetirementReason.MOVING)
-    assert object_map.rows["state"].tolist() == [1, 1, 2, 1]
 
 
 # Many factors at once

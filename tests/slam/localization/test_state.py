@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.localization.state import CONTRADICTED, DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
+from slam.localization.state import CONTRADICTED, DISCONTINUITY, Fix, LocalizationState, State
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
@@ -23,12 +23,6 @@ def test_a_robot_maps_until_its_odometry_breaks():
     ((lost, why),) = update(state, is_localized=False, began=DISCONTINUITY)
     assert lost is state.state is State.LOST
     assert why.startswith("odometry discontinuity")
-    assert update(state, is_localized=False) == []
-
-
-def test_a_robot_that_was_moved_says_so_once():
-    state = LocalizationState(has_prior_map=False)
-    assert update(state, is_localized=False, began=KIDNAPPED)[0][1].startswith("kidnapped")
     assert update(state, is_localized=False) == []
 
 

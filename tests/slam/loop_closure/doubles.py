@@ -9,12 +9,9 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.consistency import poses_agree
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-
-SENSOR_RANGE_M = 30.0
 
 
 def at(x_m: float) -> FloatArray:
@@ -55,9 +52,6 @@ class Patterns:
     def __init__(self) -> None:
         self.alike: list[Candidate] = []
         self.passed_twice = False
-
-    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
-        return poses_agree(T_a, T_b, sensor_range_m=SENSOR_RANGE_M)
 
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         return self.passed_twice

@@ -13,7 +13,6 @@ from slam.registration.registration import RegistrationConfig
 MODULES = (
     "localization/pose_prior.py",
     "loop_closure/acceptance.py",
-    "loop_closure/consistency.py",
     "loop_closure/likelihood_ratio.py",
     "loop_closure/verification.py",
 )

@@ -158,7 +158,7 @@ def test_segments_stay_connected_by_a_condensed_closure():
     street.graph.remove_factor(factor)
     street.closures.forget_condensed()
     street.accept(110)
-    street.declare_lost(since=110)
+    street.closures.revoke_since(make_keyframe(street.keyframes[-1].id, STEP_M * 95 + 61.0, segment=1), 110)
     assert street.closures.is_localized(street.keyframes[95])
 
 

@@ -147,13 +147,6 @@ def test_a_closure_makes_one_landmark_of_the_two_that_meet(street):
     assert record.observation_counts.tolist()[:5] == [2] * 5
 
 
-def test_merged_landmarks_alone_hold_the_passes_together(street):
-    street.close(7, 2, SAME_STATIONS)
-    street.graph.remove_factor(street.accepted[0].factor)
-    street.graph.update()
-    assert street.graph.pose(8)[0, 3] == pytest.approx(3 * SPACING_M, abs=0.3)
-
-
 @pytest.mark.parametrize(
     "closures",
     [
@@ -254,16 +247,6 @@ def test_a_merge_of_the_front_end_outlives_the_closures_around_it(street, pair, 
     assert street.names()[2] == 2
     street.revoke(0)
     assert street.facts() == only_in_view(pair).facts()
-
-
-def test_removing_a_closure_leaves_the_merges_before_it_alone(street):
-    street.close(7, 2, [(7, 2)])
-    street.merge_in_view(5, 6)
-    before, aliases = street.facts(), street.map.aliases
-    street.close(12, 7, [(12, 7)])
-    street.revoke(1)
-    assert street.facts() == before
-    assert street.map.aliases == aliases
 
 
 def test_a_merge_of_the_front_end_does_not_keep_a_landmark_from_being_merged_by_a_closure(street):

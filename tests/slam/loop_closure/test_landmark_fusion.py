@@ -111,31 +111,13 @@ def test_what_was_seen_beside_a_merged_landmark_is_another_object() -> None:
     assert fuse_duplicate_landmarks(*parts, range(KEYFRAMES), radius_m=0.7) == 1
 
 
-def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
-    landmarks = [
-        FIRST,
-        ("tree", (5.2, 4.0, 0.0), (3,)),
-        ("tree", (5.05, 4.1, 0.0), (4, 5)),
-        ("tree", (9.0, 4.0, 0.0), (4, 5)),
-    ]
-    object_map, graph = mapped(landmarks)
-    assert fuse_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 2
-    graph.optimize()
-    assert graph.landmarks.tolist() == [0, 3]
-    assert graph.observers() == {0: {0, 1, 2, 3, 4, 5}, 3: {4, 5}}
-    assert [object_map.canonical_id(row) for row in range(4)] == [0, 0, 0, 3]
-    # Three observations at 5.0, one at 5.2 and two at 5.05: the landmark is between, as sure as all six together.
-    np.testing.assert_allclose(graph.landmark_positions(np.array([0]))[0, 0], 5.05, atol=0.03)
-    assert fuse_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 0
-
-
 def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
     graph = FactorGraph()
     known = {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])}
     graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
     for row in (0, 1):
-        graph.add_fixed_keyframe(row, np.eye(4))
+        graph.add_first_keyframe(row, np.eye(4))
         graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
     graph.update()
     assert find_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == []

@@ -13,8 +13,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Query
-from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD
-from slam.loop_closure.verification import Verifier
+from slam.loop_closure.verification import CLOSURE_SIGMA_RAD, Verifier
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, yaw_rad
-from slam.loop_closure import consistency
+from slam.loop_closure import verification
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
 from slam.loop_closure.verification import Verifier
@@ -169,8 +169,8 @@ def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_
         ({"landmark_sigma_m": 1.0, "landmark_height_sigma_m": 2.0}, (tilt, yaw)),
         ({"landmark_sigma_m": 1e-6}, (1e-6, 1e-6)),
     ):
-        monkeypatch.setattr(consistency, "TILT_SIGMA_RAD", angles[0])
-        monkeypatch.setattr(consistency, "CLOSURE_SIGMA_RAD", angles[1])
+        monkeypatch.setattr(verification, "TILT_SIGMA_RAD", angles[0])
+        monkeypatch.setattr(verification, "CLOSURE_SIGMA_RAD", angles[1])
         found.append(Scene(scattered(), calibration={"objects": objects}).verified())
     with_shared, without = found
     upright = np.diag([tilt**2, tilt**2, yaw**2, 1.0, 1.0, 5.0])

@@ -11,7 +11,6 @@ import pytest
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.final_map import FinalMap
-from slam.object_map.landmarks import RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
@@ -121,21 +120,6 @@ def test_an_empty_map_is_refused(first: FinalMap, tmp_path: Path) -> None:
 
 
 # What is worth keeping
-
-
-def test_a_landmark_that_ended_after_others_became_part_of_it_leaves_a_map_that_can_be_used(
-    known: SavedMap, tmp_path: Path, second: list[Entry]
-) -> None:
-    slam = Slam(Config(), known)
-    for _, _, record in second[: len(second) // 2]:
-        slam.process(record)
-    ended = np.array(sorted(slam._object_map.aliases.values()))[:1]
-    assert len(ended) == 1
-    slam._mapper._retire(ended, RetirementReason.CONTRADICTED)
-    final = slam.finish()
-    assert str(ended[0]) not in final.graph.observation_landmark_ids
-    path = write_map(tmp_path / "m.mcap", confirmed(final.object_map), final.graph)
-    assert len(load_map(path).objects.ids) == final.object_map.states.count("confirmed")
 
 
 def test_a_map_that_stays_as_it_is_cannot_be_saved_again(

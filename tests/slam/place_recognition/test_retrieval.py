@@ -156,7 +156,7 @@ class _Batches:
 
 def test_landmarks_are_indexed_among_those_of_their_traversal(places, monkeypatch):
     index = _Batches()
-    monkeypatch.setattr(places.retriever, "_index", index)
+    monkeypatch.setattr(places.retriever, "_pairs", index)
     for seed, travel_m in enumerate((0.0, 500.0, 510.0)):
         places.add(0.0, travel_m, seed=seed)
         places.retriever.index_inactive_landmarks(after(travel_m + 200.0))
@@ -170,7 +170,7 @@ def test_landmarks_are_indexed_among_those_of_their_traversal(places, monkeypatc
 def test_landmarks_of_an_imported_map_are_not_indexed_again(places, monkeypatch):
     index = _Batches()
     retriever = PlaceRetriever(CONFIG, places.map, SimpleNamespace())
-    monkeypatch.setattr(retriever, "_index", index)
+    monkeypatch.setattr(retriever, "_pairs", index)
     places.add(0.0, 0.0, segment=SEGMENT)
     places.add(50.0, 0.0, segment=SEGMENT + 1, seed=2)
     retriever.index_inactive_landmarks(after(200.0))
@@ -235,11 +235,11 @@ def test_places_of_segments_are_told_apart(descriptor):
 def test_landmarks_are_indexed_again_when_their_spacing_has_changed(places):
     places.add(50.0, 100.0)
     places.retriever.index_inactive_landmarks(after(200.0))
-    before_m = places.retriever._index._pairs._index.unit_m
+    before_m = places.retriever._pairs._index.unit_m
     for row in range(4):
         places.add(400.0, 101.0 + row, seed=10 + row)
     places.retriever.index_inactive_landmarks(after(NOW_M))
-    assert places.retriever._index._pairs._index.unit_m < before_m / 1.25
+    assert places.retriever._pairs._index.unit_m < before_m / 1.25
     assert places.found_m(50.0) == [50.0]
 
 

@@ -62,11 +62,11 @@ PARTS: dict[str, Part] = {
         replaced={"slam.frontend.mapper.which_exist": lambda landmarks, seen, scan: np.ones(len(seen), dtype=np.bool_)}
     ),
     "tracked places": Part(
-        replaced={"slam.loop_closure.loop_closer.LoopCloser._tracked_reference": lambda self, query: None}
+        replaced={"slam.loop_closure.loop_closer.LoopCloser._tracked_place": lambda self, query: None}
     ),
     "association after a loop": Part(
         replaced={
-            "slam.loop_closure.accepted_closures.AcceptedClosures._merge_landmarks": lambda *each: None,
+            "slam.loop_closure.accepted_closures.AcceptedClosures._may_merge": lambda *each: False,
             "slam.graph_condenser.fuse_duplicate_landmarks": lambda *each, radius_m: 0,
         }
     ),

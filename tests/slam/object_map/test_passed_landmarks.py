@@ -1,0 +1,43 @@
+"""Landmarks of a prior map that are passed at several keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.calibration import ObjectCalibration
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.passed_landmarks import find_passed
+
+PATH = np.column_stack([np.arange(100.0, 126.0, 5.0), np.zeros((6, 2))])
+"""Six keyframes on 25 m."""
+
+
+def street(*landmarks_m: float) -> ObjectMap:
+    """Landmarks along the x axis."""
+    count = len(landmarks_m)
+    positions = np.column_stack([landmarks_m, np.zeros((count, 2))])
+    object_map = ObjectMap(ObjectCalibration())
+    rows = object_map.add(
+        positions, np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, np.int64), stamp_ns=0, scan=0, travel_m=0.0
+    )
+    object_map.confirm(rows)
+    object_map.assign(rows, position_map=positions)
+    return object_map
+
+
+@pytest.mark.parametrize(("x_m", "is_passed"), [(109.9, False), (110.1, True), (114.9, True), (115.1, False)])
+def test_find_passed_counts_six_keyframes_in_reach(x_m: float, is_passed: bool) -> None:
+    assert find_passed(street(x_m), 0, PATH, 15.0).tolist() == ([0] if is_passed else [])
+    assert find_passed(street(x_m), 0, PATH[1:], 15.0).tolist() == []
+
+
+def test_find_passed_without_keyframes() -> None:
+    assert find_passed(street(110.0), 0, PATH[:0], 15.0).tolist() == []
+
+
+def test_find_passed_leaves_out_landmarks_of_the_drive_and_retired_ones() -> None:
+    object_map = street(112.0, 113.0, 114.0)
+    object_map.assign(np.array([0]), segment=1)
+    object_map.assign(np.array([1]), state=2)
+    assert find_passed(object_map, 0, PATH, 15.0).tolist() == [2]
