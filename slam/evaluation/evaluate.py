@@ -22,12 +22,7 @@ from slam.evaluation.metrics.association import (
     label_detections,
 )
 from slam.evaluation.metrics.calibration import evaluate_calibration
-from slam.evaluation.metrics.landmarks import (
-    LandmarkMatches,
-    evaluate_landmarks,
-    match_by_detections,
-    match_by_position,
-)
+from slam.evaluation.metrics.landmarks import LandmarkMatches, evaluate_landmarks, match_by_detections
 from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
@@ -152,21 +147,19 @@ class _Evaluator:
     def _evaluate_landmarks(
         self, labelled: pd.DataFrame | None, matches: LandmarkMatches | None, T_world_map: FloatArray | None
     ) -> dict[str, Any]:
-        map_est, map_gt, protocol = self._records.object_map, self._records.true_objects, self._protocol
+        map_est, map_gt = self._records.object_map, self._records.true_objects
         if map_est is None or map_gt is None:
             raise EvaluationError("no object map in the log (/slam/map)" if map_est is None else NO_TRUE_OBJECTS)
-        if matches is None:
-            if T_world_map is None:
-                raise EvaluationError("neither a truth of the detections nor an aligned trajectory to match with")
-            matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
+        if labelled is None or matches is None:
+            raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
         return evaluate_landmarks(
             map_est,
             map_gt,
             matches,
-            protocol,
+            self._protocol,
             path_gt=self._truth,
             T_world_map=T_world_map,
-            object_detection_counts=None if labelled is None else count_detections(labelled),
+            object_detection_counts=count_detections(labelled),
         )
 
     def _judge_closures(self) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:

@@ -26,7 +26,6 @@ class Protocol:
     max_truth_gap_s: float = 1.5
     revisit_m: float = 100.0
     window_m: float = 50.0
-    match_distance_m: float = 2.0
     least_detections: int = 5
     closure_translation_m: float = 4.0
     closure_rotation_deg: float = 10.0

@@ -121,12 +121,9 @@ def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
 
-def test_landmarks_are_matched_by_position_without_detection_truth() -> None:
-    log = [(t, r) for t, r in made_log() if t != "/ground_truth/detections"]
-    result = evaluate(collect_records(log))
-    assert at_json(result, "landmarks.method") == "nearest"
-    assert at_json(result, "landmarks.matched_count") == 9  # the pole is called a tree
-    assert at_json(result, "landmarks.class_accuracy") is None
+def test_landmarks_need_truth_of_detections() -> None:
+    result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/ground_truth/detections"]))
+    assert at_json(result, "landmarks") == {}
     assert "detections" in result.unavailable["associations"]
 
 
