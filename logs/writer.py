@@ -11,13 +11,12 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
-from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from logs.encoders import definition_of, encode, encode_path
+from logs.encoders import definition_of, encode
 from logs.errors import InvalidRecordError, UnwritableLogError
-from logs.messages import Record, TrajectoryRecord
+from logs.messages import Record
 from logs.storage.placement import SPECIAL, is_special, put_in_place
 from logs.topics import RawMessage
 from logs.validation import LAST_NS
@@ -92,11 +91,9 @@ class LogWriter:
             InvalidRecordError: no record, or a time or text that a log cannot hold.
         """
         message = encode(record)
-        self._write_message(topic, message, _checked(topic, record.stamp_ns, log_time_ns))
-
-    def write_path(self, topic: str, trajectory: TrajectoryRecord, log_time_ns: int | None = None) -> None:
-        """Write ``trajectory`` as foxglove.PosesInFrame, for viewers; :meth:`write` stores it complete."""
-        self._write_message(topic, encode_path(trajectory), _checked(topic, trajectory.stamp_ns, log_time_ns))
+        time_ns = _checked(topic, record.stamp_ns, log_time_ns)
+        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
+        self._writer.add_message(channel_id, time_ns, message.SerializeToString(deterministic=True), time_ns)
 
     def write_raw(self, raw: RawMessage) -> None:
         """Copy a message of another log unchanged: topic, schema, times, sequence number and bytes."""
@@ -160,10 +157,6 @@ class LogWriter:
             self._writer.finish()  # type: ignore[no-untyped-call]
         with contextlib.suppress(UnwritableLogError):
             self._stream.close()
-
-    def _write_message(self, topic: str, message: Message, log_time_ns: int) -> None:
-        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
-        self._writer.add_message(channel_id, log_time_ns, message.SerializeToString(deterministic=True), log_time_ns)
 
     def _channel_id(
         self,

@@ -51,7 +51,6 @@ KINDS = {
 }
 PICTURES = {
     "/slam/landmarks": "foxglove.SceneUpdate",
-    "/slam/trajectory": "foxglove.PosesInFrame",
     "/slam/pose": "foxglove.PoseInFrame",
     "/tf": "foxglove.FrameTransforms",
     "/slam/log": "foxglove.Log",
