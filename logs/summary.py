@@ -112,7 +112,7 @@ def summarize(
         mappings = selection.mappings if selection is not None else {}
         # A graph is large, and nothing of it is shown.
         shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
-        for item in reader.items(Selection(shown, mappings), times_of=[info.topic for info in topics]):
+        for item in reader.items(Selection(shown, mappings), copy=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
         candidates = find_final_decisions(gathering.closures)
         return LogSummary(

@@ -14,7 +14,7 @@ MEGABYTE = 1_000_000
 class ReadingLimits:
     """What goes beyond is left out and counted, or refused where nothing would be left; the error names the limit.
 
-    ``chunk_mb``: of one chunk, decompressed; ``message_mb``: of one message whose content is used; ``waiting_mb``: of
+    ``chunk_mb``: of one chunk, decompressed; ``message_mb``: of one message that is decoded; ``waiting_mb``: of
     the messages that wait because chunks overlap in time; ``metadata_mb``: of all metadata; ``channels``: of channels
     and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in characters.
     """

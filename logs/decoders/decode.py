@@ -53,8 +53,9 @@ def decode(
     limits = limits or ReadingLimits()
     try:
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
-        if not is_large and len(raw.data) > limits.input_bytes:
-            raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
+        name, most = ("message_mb", limits.message_bytes) if is_large else ("objects", limits.input_bytes)
+        if len(raw.data) > most:
+            raise Refusal(f"too many bytes for limits.{name}", f"{len(raw.data)}, more than {most}")
         context = Context(raw, kind, Counter() if counters is None else counters)
         records = (decoder or decoder_of(raw.channel))(context)
         for record in records:

@@ -12,7 +12,7 @@ from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.reader import LogReader
 from logs.selection import Selection
-from logs.storage.mcap_index import read_index
+from logs.storage.mcap_index import McapIndex
 from logs.writer import LogWriter
 from tests.logs.examples import random_detections, random_transform
 
@@ -43,7 +43,7 @@ def chunk_offsets(data, tmp_path):
     path = tmp_path / "for_offsets.mcap"
     path.write_bytes(data)
     with open(path, "rb") as stream:
-        return read_index("", stream, ReadingLimits()).blocks
+        return McapIndex("", stream, ReadingLimits()).blocks
 
 
 @pytest.mark.parametrize("cut", [8, 60, 300_001, -1, -30])

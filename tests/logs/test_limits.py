@@ -14,13 +14,15 @@ import pytest
 import zstandard
 
 from logs.container.limits import ReadingLimits
-from logs.errors import UnreadableLogError
+from logs.decoders.decode import decode
+from logs.errors import InvalidRecordError, UnreadableLogError
 from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.storage import mcap_index
 from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 from logs.summary import summarize
+from logs.topics import Channel, RawMessage, RecordKind
 from logs.writer import LogWriter
 from tests.fuzz.mcap_file import Layout, McapFile, Message, read_file, write_file
 
@@ -96,11 +98,15 @@ def test_topic_with_endless_name_is_refused(tmp_path):
 
 
 def test_large_messages_are_left_out(file, tmp_path, caplog):
-    limits = ReadingLimits(message_mb=0.004)
+    limits = ReadingLimits(message_mb=0.004, objects=5)
     large = replace(file.messages[4], data=b"x" * 5000)
     altered = McapFile(file.schemas, file.channels, [*file.messages[:4], large, *file.messages[5:]])
-    assert read(tmp_path, altered, limits=limits) == (29, {"messages_too_large": 1})
-    assert "limits.message_mb" in caplog.text
+    assert read(tmp_path, altered, limits=limits) == (29, {"invalid_messages": 1})
+    assert "limits.objects" in caplog.text
+    with pytest.raises(InvalidRecordError, match=r"limits\.message_mb"):
+        decode(
+            RawMessage(Channel(1, "/map", "protobuf", None), 5, 5, 0, b"x" * 5000), RecordKind.OBJECT_MAP, None, limits
+        )
     outside_of_chunks = MESSAGE_HEADER.pack(1, 0, 5, 5) + b"x" * 5000
     path = tmp_path / "large.mcap"
     read(tmp_path, file, has_index=False)

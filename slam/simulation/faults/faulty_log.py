@@ -122,7 +122,7 @@ def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:
     """The messages of the kinds that faults can read, numbered among all of the log."""
     kept = {topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_READ)}
     others = {info.topic for info in reader.topics()} - set(kept)
-    for number, item in enumerate(reader.items(Selection(kept, selection.mappings), times_of=others)):
+    for number, item in enumerate(reader.items(Selection(kept, selection.mappings), copy=others)):
         yield from (Message(item.raw.topic, item.raw.log_time_ns, record, number) for record in item.records)
 
 
