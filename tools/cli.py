@@ -23,8 +23,6 @@ class ExitCode(IntEnum):
     INTERNAL_ERROR = 70
 
 
-_LONGEST_MESSAGE = 1000
-
 _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
@@ -154,9 +152,8 @@ def _fail(message: str, code: int) -> int:
     from logs.container.names import visible
 
     line = visible(" ".join(message.split()))
-    if len(line) > _LONGEST_MESSAGE:
-        half = _LONGEST_MESSAGE // 2
-        line = f"{line[:half]} ... {line[-half:]}"
+    if len(line) > 1000:
+        line = f"{line[:500]} ... {line[-500:]}"
     with contextlib.suppress(OSError):  # there is nobody to tell
         print(f"dslam: {line}", file=sys.stderr)
     return code

@@ -28,10 +28,6 @@ from descriptors.training.pair_contrast import PairSample
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
-OWN_SHARE = 0.5
-"""Share of the steps that are on pieces of given maps, where there are any; the others keep what is true anywhere."""
-MAX_GRADIENT = 1.0
-"""Norm to which gradients are clipped."""
 RANKS = (1, 5, 25)
 
 
@@ -79,11 +75,12 @@ class Recipe:
 
     def step(self) -> float:
         """Draw a sample and change the weights by it; returns the loss."""
-        sample = draw_sample(self.config, self.given, OWN_SHARE, rng=self.rng)
+        # Half of the steps are on given maps, where there are any; the others keep what is true anywhere.
+        sample = draw_sample(self.config, self.given, 0.5, rng=self.rng)
         loss = sample.loss(sample.scores(self.network, self.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimizer.step()
         self.schedule.step()
         return float(loss.detach())

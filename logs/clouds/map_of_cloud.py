@@ -11,9 +11,6 @@ from logs.clouds.objects import find_objects
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects
 
-_LISTED = 10
-"""Classes that a message lists."""
-
 
 def map_of_cloud(cloud: LabelledCloud, source: str, sha256: str, names: Mapping[int, str] | None = None) -> MapObjects:
     """Objects of the classes in ``names``, or, without it, of all but 0, named by their numbers.
@@ -29,7 +26,7 @@ def map_of_cloud(cloud: LabelledCloud, source: str, sha256: str, names: Mapping[
         numbers = np.unique(cloud.classes).tolist()
         raise DatasetError(
             f"{source}: {len(found.labels)} objects; a map needs at least four. The classes of its points: "
-            f"{', '.join(map(str, numbers[:_LISTED])) or 'none'}{', ...' if len(numbers) > _LISTED else ''}"
+            f"{', '.join(map(str, numbers[:10])) or 'none'}{', ...' if len(numbers) > 10 else ''}"
         )
     instances = found.instances.tolist()
     ids = tuple(f"{i}" if instance == 0 else f"{instance}:{i}" for i, instance in enumerate(instances))

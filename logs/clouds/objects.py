@@ -15,9 +15,6 @@ from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_sid
 from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
 
-MAX_VOXELS = 2**20
-"""Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudObjects:
@@ -111,11 +108,13 @@ def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
     if len(cloud.positions) == 0:
         return
     low, high = cloud.positions.min(axis=0), cloud.positions.max(axis=0)
-    astray = ~((high - low) / voxel_m < MAX_VOXELS) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
+    # So that the places of all voxels can be numbered: 100 km of those of 0.1 m.
+    most = 2**20
+    astray = ~((high - low) / voxel_m < most) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
     if astray.any():
         axis = int(astray.argmax())
         raise DatasetError(
-            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MAX_VOXELS} voxels "
+            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {most} voxels "
             f"of {voxel_m:g} m; remove outliers"
         )
 

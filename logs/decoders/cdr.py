@@ -16,11 +16,8 @@ from rosbags.typesys.store import Typestore
 from logs.topics import Schema
 from logs.validation import Refusal
 
-_MAX_BYTES = 65_536
-"""Of a definition: reading one takes 10 ms for each kilobyte."""
 _MAX_FIELDS = 1024
 """Of a message and all its parts; each element of an array of fixed length counts, as code is generated for it."""
-_MAX_DEPTH = 32
 _DAMAGE = (SerdeError, struct.error, ValueError, IndexError, KeyError, OverflowError, MemoryError)
 _SEPARATOR = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
@@ -61,8 +58,8 @@ def _read_definition(schema: Schema) -> Typestore | str:
     """The types of a definition, or why it cannot be read; computed once for all its messages."""
     store = get_typestore(Stores.EMPTY)
     try:
-        if len(schema.data) > _MAX_BYTES:
-            raise ValueError(f"{len(schema.data)} bytes, more than {_MAX_BYTES}")
+        if len(schema.data) > 65_536:  # reading one takes 10 ms for each kilobyte
+            raise ValueError(f"{len(schema.data)} bytes, more than 65536")
         text = schema.data.decode()
         if schema.encoding == "ros2idl":
             # The library knows no directives of a preprocessor; what they include stands in the same text.
@@ -70,7 +67,7 @@ def _read_definition(schema: Schema) -> Typestore | str:
             store.register({name: t for part in parts if part.strip() for name, t in get_types_from_idl(part).items()})
         else:
             store.register(get_types_from_msg(text, schema.name))
-        _count_fields(store, schema.name, _MAX_DEPTH)
+        _count_fields(store, schema.name, depth=32)
     except (TypesysError, SyntaxError, RecursionError, *_DAMAGE) as error:
         return " ".join(str(error).split())[:200]
     return store
@@ -84,7 +81,7 @@ def _count_fields(store: Typestore, type_name: str, depth: int) -> int:
         KeyError: a part is not defined.
     """
     if depth == 0:
-        raise ValueError(f"nested more than {_MAX_DEPTH} levels deep")
+        raise ValueError("nested more than 32 levels deep")
     count = 1
     fielddefs: list[tuple[str, Any]] = list(store.fielddefs[type_name][1])
     for _, (kind, described) in fielddefs:

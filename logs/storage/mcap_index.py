@@ -41,7 +41,6 @@ Summary = dict[type, list[Any]]
 
 _CHUNK_TIMES = struct.Struct("<QQ")  # first and last log time
 _FOOTER = struct.Struct("<QQI")  # summary start, summary offset start, checksum of all from the summary start to here
-_MAX_BLOCKS = 500_000
 _DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: mcap_records.Schema, Opcode.CHANNEL: mcap_records.Channel}
 
 
@@ -263,9 +262,9 @@ class McapIndex:
     def _add_block(self, start: int, end: int, times_ns: list[int] | tuple[int, ...]) -> None:
         if end == start:
             return
-        if len(self.blocks) == _MAX_BLOCKS:
+        if len(self.blocks) == 500_000:
             raise UnreadableLogError(
-                f"{self._name} has more than {_MAX_BLOCKS} chunks and no index; write it again with larger chunks"
+                f"{self._name} has more than {len(self.blocks)} chunks and no index; write it again with larger chunks"
             )
         times = {"message_start_time": min(times_ns, default=0), "message_end_time": max(times_ns, default=0)}
         unknown = {"compression": "", "compressed_size": 0, "uncompressed_size": 0, "message_index_length": 0}

@@ -19,8 +19,6 @@ from slam.common.errors import EvaluationError
 from slam.display.map_layers import Layer, MapPicture
 
 _INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
-_MAX_NAME_LENGTH, _MAX_TITLE_LENGTH = 40, 60
-"""Letters that have room in the key and above the map."""
 
 
 def draw_map(path_png: str | Path, picture: MapPicture) -> None:
@@ -55,9 +53,7 @@ def _compose(picture: MapPicture) -> Figure:
         for number, layer in enumerate(layers, start=2):  # above the grid
             _draw(axes, layer, number)
         figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
-        axes.set_title(
-            _cut(picture.title, _MAX_TITLE_LENGTH), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30
-        )
+        axes.set_title(_cut(picture.title, 60), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30)
         place: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (0.0, 6.0), "textcoords": "offset points"}
         axes.annotate(picture.subtitle, (0.0, 1.0), **place, fontsize=13, color=_MUTED)
     return figure
@@ -85,7 +81,7 @@ def _prepare(axes: Axes, low: FloatArray, high: FloatArray) -> None:
 
 
 def _draw(axes: Axes, layer: Layer, zorder: int) -> None:
-    name = _cut(layer.name, _MAX_NAME_LENGTH) + ("" if layer.count is None else f" ({layer.count})")
+    name = _cut(layer.name, 40) + ("" if layer.count is None else f" ({layer.count})")
     if name.startswith("_"):
         name = f" {name}"  # the key leaves out what begins with an underscore
     x, y = layer.positions[:, :2].T
@@ -98,5 +94,6 @@ def _draw(axes: Axes, layer: Layer, zorder: int) -> None:
 
 
 def _cut(name: str, most: int) -> str:
+    """As many letters of a name as have room."""
     text = visible(name).replace("\n", " ")
     return text if len(text) <= most else f"{text[: most - 1]}…"

@@ -14,7 +14,7 @@ from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
-from slam.evaluation.inputs.protocol import WINDOW_LANDMARKS, Protocol
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.evaluation.metrics.association import FALSE_POSITIVE
@@ -65,7 +65,7 @@ def compute_windowed_errors_m(
 
     Windows of ``window_m`` start every half window until the path is covered. A landmark belongs to the windows in
     which it was first seen, and has an error in each. In each window yaw and translation are aligned by least squares
-    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than ``WINDOW_LANDMARKS``
+    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than three
     landmarks, or with all of them in one place, are left out.
 
     Args:
@@ -83,7 +83,7 @@ def compute_windowed_errors_m(
     errors_m = [np.zeros(0)]
     for start_m in (stride_m * numbers[is_on_path]).tolist():
         inside = (seen_at_m >= start_m) & (seen_at_m < start_m + window_m)
-        if np.count_nonzero(inside) < WINDOW_LANDMARKS:
+        if np.count_nonzero(inside) < 3:  # two leave no residual after their alignment
             continue
         with suppress(EvaluationError):
             alignment = align_yaw_translation(positions_est[inside], positions_gt[inside])
