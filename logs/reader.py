@@ -14,8 +14,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.record_decoder import RecordDecoder
-from logs.decoders.registry import kinds_of
+from logs.decoders.decode import RecordDecoder, kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
 from logs.selection import Selection
@@ -80,7 +79,7 @@ class LogReader:
 
         Of the files: ``lost_chunks``, ``lost_bytes``, ``truncated`` (those that end before their end mark) and
         ``chunks_too_large`` (by limits.chunk_mb). Of the latest pass over messages: ``messages_without_time`` (it is
-        after the year 2116), and the counters of :class:`logs.decoders.record_decoder.RecordDecoder`.
+        after the year 2116), and the counters of :class:`logs.decoders.decode.RecordDecoder`.
         """
         counters = Counter(self._decoding_counters)
         for file in self._open:

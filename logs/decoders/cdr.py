@@ -13,7 +13,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from logs.topics import Schema
+from logs.topics import RawMessage, Schema
 from logs.validation import Refusal
 
 _MAX_FIELDS = 1024
@@ -23,17 +23,20 @@ _SEPARATOR = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
 
 
-def parse(schema: Schema, data: bytes) -> Any:
-    """The message in ``data``: fields are attributes, as in Python nodes; arrays of numbers are NumPy arrays.
+def parse(raw: RawMessage) -> Any:
+    """The message in ``raw``: fields are attributes, as in Python nodes; arrays of numbers are NumPy arrays.
 
     Raises:
-        Refusal: a definition that cannot be read, or bytes that are no such message.
+        Refusal: no definition or one that cannot be read, or bytes that are no such message.
     """
+    schema = raw.channel.schema
+    if schema is None:
+        raise Refusal("no definition of the message in the log")
     store = _typestore(schema)
     try:
-        return store.deserialize_cdr(data, schema.name)
+        return store.deserialize_cdr(raw.data, schema.name)
     except _DAMAGE as error:
-        raise Refusal("bytes do not decode", f"{len(data)} bytes as {schema.name}") from error
+        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {schema.name}") from error
 
 
 def constants_of(schema: Schema, type_name: str) -> Mapping[str, int | float | str | bool]:

@@ -48,7 +48,7 @@ class MessageDecoder(NamedTuple):
     kinds: tuple[RecordKind, ...]
     records: Callable[[Any, Context], Records]
     message_class: Any = None
-    """Of protobuf."""
+    """Of protobuf; None of ROS."""
 
 
 class Detection(NamedTuple):

@@ -51,21 +51,18 @@ _SECONDS, _NANOSECONDS = {"sec", "seconds"}, {"nsec", "nanosec", "nanos"}
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
 
 
-def decode(context: Context) -> Records:
-    """Records of one message; see :data:`logs.decoders.registry.Decoder`.
+def parse(raw: RawMessage, message_class: Any) -> Any:
+    """The message in ``raw``.
 
     Raises:
-        Refusal: bytes that are no such message, or values that no record may have.
+        Refusal: bytes that are no such message.
     """
-    raw = context.raw
-    known = DECODERS[raw.channel.schema_name]
     if raw.channel.message_encoding == "json":
-        return known.records(_parse_json(known.message_class, raw), context)
+        return _parse_json(message_class, raw)
     try:
-        message = known.message_class.FromString(raw.data)
+        return message_class.FromString(raw.data)
     except DecodeError as error:
         raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
-    return known.records(message, context)
 
 
 def _parse_json(message_class: Any, raw: RawMessage) -> Any:

@@ -10,21 +10,6 @@ from logs.decoders import ros2_images as images
 from logs.decoders.parts import FRAMES, POSE, Context, MessageDecoder, Records, fix_records, frame_records, pose_records
 from logs.decoders.ros2_detections import place_of
 from logs.topics import RecordKind
-from logs.validation import Refusal
-
-
-def decode(context: Context) -> Records:
-    """Records of one message; see :data:`logs.decoders.registry.Decoder`.
-
-    Raises:
-        Refusal: bytes that are no such message, a definition without the usual fields, or values no record may have.
-    """
-    from logs.decoders.cdr import parse  # loads rosbags
-
-    schema = context.raw.channel.schema
-    if schema is None:
-        raise Refusal("no definition of the message in the log")
-    return DECODERS[schema.name].records(parse(schema, context.raw.data), context)
 
 
 def _odometry(message: Any, context: Context) -> Records:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from logs.decoders.registry import kinds_of
+from logs.decoders.decode import kinds_of
 from logs.errors import TopicSelectionError
 from logs.selection import Selection, select_all, select_topics
 from logs.topics import Channel, Schema, TopicInfo

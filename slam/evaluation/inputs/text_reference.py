@@ -12,7 +12,7 @@ from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, find_f
 from logs.messages import GroundTruthPose
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,7 @@ class TextReference:
             calib=read_source_text(self.calib) if is_kitti and self.calib is not None else None,
         )
         self._check_axes(trajectory, path)
-        stamps_ns = trajectory.stamps.stamps_ns.tolist()
-        return tuple(GroundTruthPose(at, T) for at, T in zip(stamps_ns, trajectory.T_world_body, strict=True))
+        return tuple(GroundTruthPose(stamp_ns, T) for stamp_ns, T in trajectory.poses())
 
     def _times(self, source: SourceText, path: PoseSeries) -> SourceText:
         if len(source.lines()) != len(path.stamps_ns):
@@ -51,7 +50,7 @@ class TextReference:
 
     def _check_axes(self, truth: Trajectory, path: PoseSeries) -> None:
         """The robot moves in the same direction of its body by both, on stretches of equal length."""
-        series = clean_poses(truth.stamps.stamps_ns, truth.T_world_body)
+        series = PoseSeries(truth.stamps_ns, truth.T_world_body)
         try:
             both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
         except EvaluationError:
