@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import re
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from logs import messages as m
-from logs.closures import find_final_decisions, rank_stage
+from logs.closures import find_final_decisions
 from logs.container.limits import ReadingLimits
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
@@ -24,7 +23,6 @@ MAX_CLASSES = 20_000
 OTHER_CLASSES = "(other classes)"
 
 _FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
-_NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +51,12 @@ class TopicSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class ClosureCount:
-    """How many loop-closure candidates got their final decision at ``stage`` for ``reason``, whose numbers are #."""
-
-    stage: str
-    reason: str
-    accepted: bool
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
 class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
-    ``closure_candidates`` are the final decisions by query stamp, ``closures`` counts them. ``first_stamp_ns`` is the
-    earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
+    ``closure_candidates`` are the final decisions by query stamp. ``first_stamp_ns`` is the earliest of odometry and
+    poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
     """
 
     path: str
@@ -80,7 +68,6 @@ class LogSummary:
     odometry_length_m: float | None
     selection: Selection | None
     obstacle: str
-    closures: tuple[ClosureCount, ...]
     closure_candidates: tuple[m.LoopClosureRecord, ...]
     first_stamp_ns: int | None
     metadata: Mapping[str, Mapping[str, str]]
@@ -107,14 +94,13 @@ def summarize(
             selection, obstacle = select_topics(topics, overrides), ""
         except TopicSelectionError as error:
             selection, obstacle = None, str(error)
-        gathering = _Gathering(_odometry_topic(selection, topics))
+        gathering = _Gathering()
         everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
         mappings = selection.mappings if selection is not None else {}
         # A graph is large, and nothing of it is shown.
         shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
         for item in reader.items(Selection(shown, mappings), copy=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
-        candidates = find_final_decisions(gathering.closures)
         return LogSummary(
             path=str(path),
             size_bytes=reader.size_bytes,
@@ -122,33 +108,15 @@ def summarize(
             end_ns=gathering.end_ns,
             topics=tuple(gathering.topics[info.topic, info.schema_name].summary(info) for info in topics),
             class_counts=dict(sorted(gathering.class_counts.items(), key=lambda pair: (-pair[1], pair[0]))),
-            odometry_length_m=gathering.odometry_length_m(),
+            odometry_length_m=gathering.odometry_length_m(selection),
             selection=selection,
             obstacle=obstacle,
-            closures=_count_closures(candidates),
-            closure_candidates=candidates,
+            closure_candidates=find_final_decisions(gathering.closures),
             first_stamp_ns=gathering.first_stamp_ns,
             metadata=reader.metadata(),
             counters=reader.counters,
             status=gathering.status,
         )
-
-
-def _count_closures(candidates: Iterable[m.LoopClosureRecord]) -> tuple[ClosureCount, ...]:
-    """By the order of the stages, the most frequent reason first."""
-    counts = Counter((c.stage, _NUMBER.sub("#", c.reason), c.accepted) for c in candidates)
-    found = [ClosureCount(*decision, count) for decision, count in counts.items()]
-    return tuple(sorted(found, key=lambda c: (rank_stage(c.stage), c.stage, not c.accepted, -c.count, c.reason)))
-
-
-def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
-    """The topic whose length is reported: that of a replay, else the only topic with odometry messages."""
-    if selection is None:
-        try:
-            selection = select_topics(topics, needed=(RecordKind.ODOMETRY,))
-        except TopicSelectionError:
-            return None
-    return next(iter(selection.topics_of(RecordKind.ODOMETRY)), None)
 
 
 class _TopicGathering:
@@ -195,9 +163,9 @@ class _TopicGathering:
 
 
 class _Gathering:
-    """What accumulates in the pass: the times of topics, and the positions of the odometry."""
+    """What accumulates in the pass: the times of topics, and the positions of each odometry."""
 
-    def __init__(self, odometry_topic: str | None) -> None:
+    def __init__(self) -> None:
         self.start_ns: int | None = None
         self.end_ns = 0
         self.class_counts: Counter[str] = Counter()
@@ -205,8 +173,7 @@ class _Gathering:
         self.first_stamp_ns: int | None = None
         self.status: m.StatusRecord | None = None
         self.topics: dict[tuple[str, str], _TopicGathering] = defaultdict(_TopicGathering)
-        self._odometry_topic = odometry_topic
-        self._odometry_xyz = array("d")
+        self._odometry_xyz: dict[str, array[float]] = defaultdict(lambda: array("d"))
 
     def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
         self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
@@ -222,8 +189,8 @@ class _Gathering:
         if isinstance(record, (m.Odometry, m.SlamPose)):
             first = self.first_stamp_ns
             self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
-        if isinstance(record, m.Odometry) and topic == self._odometry_topic:
-            self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
+        if isinstance(record, m.Odometry):
+            self._odometry_xyz[topic].extend(record.T_odom_body[:3, 3].tolist())
         elif isinstance(record, m.ObjectDetections):
             self._count_classes(record.labels)
         elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < 100_000:
@@ -239,8 +206,10 @@ class _Gathering:
             self.class_counts = Counter(dict(kept))
             self.class_counts[OTHER_CLASSES] += gone
 
-    def odometry_length_m(self) -> float | None:
-        if not self._odometry_xyz:
+    def odometry_length_m(self, selection: Selection | None) -> float | None:
+        """The length of the odometry of a replay, else of the only one that is there."""
+        there = [*self._odometry_xyz] if selection is None else selection.topics_of(RecordKind.ODOMETRY)
+        if len(there) != 1 or there[0] not in self._odometry_xyz:
             return None
-        xyz = np.frombuffer(self._odometry_xyz, dtype=np.float64).reshape(-1, 3)
+        xyz = np.frombuffer(self._odometry_xyz[there[0]], dtype=np.float64).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())
