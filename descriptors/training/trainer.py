@@ -6,6 +6,7 @@ import hashlib
 import importlib.metadata
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import nn
 
@@ -22,9 +24,16 @@ from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.networks import make_network
 from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
-from descriptors.training.folder import WEIGHTS, Epoch, write_curves
 from descriptors.training.maps import TrainingMap
 from descriptors.training.pair_contrast import PairSample
+
+WEIGHTS, CURVES = "weights.safetensors", "curves.csv"
+
+Epoch = dict[str, float | None]
+"""What an epoch achieved: its number, the mean loss of its steps, the figures of the validation, and seconds.
+
+Epoch 0 has the weights from which a training went on, and no loss of steps.
+"""
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
@@ -110,7 +119,7 @@ class Recipe:
 
 def best_of(epochs: Sequence[Epoch]) -> Epoch:
     """The epoch with the best top 5 on validation maps, of equals the first: its weights are kept."""
-    return max(epochs, key=lambda each: each.metrics["validation_top_5"])
+    return max(epochs, key=lambda each: each["validation_top_5"] or 0.0)
 
 
 def train(
@@ -138,10 +147,13 @@ def train(
     for number in range(0 if recipe.is_trained_further else 1, recipe.config.epochs + 1):
         started = time.perf_counter()
         train_loss = _train_epoch(recipe, number, on_progress) if number else None
-        epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
+        row: Epoch = {"epoch": number, "train_loss": train_loss, **recipe.validate()}
+        epochs.append(row | {"seconds": time.perf_counter() - started})
         if best_of(epochs) is epochs[-1]:
             _save_weights(folder / WEIGHTS, recipe, epochs[-1])
-        write_curves(folder, epochs)
+        part = folder / f"{CURVES}.part"
+        pd.DataFrame(epochs).to_csv(part, index=False, lineterminator="\n")
+        os.replace(part, folder / CURVES)
     return epochs
 
 
@@ -176,6 +188,6 @@ def _save_weights(path: Path, recipe: Recipe, epoch: Epoch) -> None:
         training=recipe.identity,
         seed=recipe.config.seed,
         code_version=importlib.metadata.version("descriptellation-slam"),
-        metrics={name: value for name, value in epoch.as_row().items() if name != "seconds"},
+        metrics={name: value for name, value in epoch.items() if name != "seconds"},
     )
     save_weights(path, weights)

@@ -35,7 +35,7 @@ class _Streets:
         return float(np.linalg.norm(self.places[b] - self.places[a]))
 
 
-def generate_street_grid(*, rng: np.random.Generator, name: str = "street-grid") -> World:
+def generate_street_grid(*, rng: np.random.Generator) -> World:
     """A generated town of 4 x 3 blocks and a tour of 1.5 to 2 km through it; world frame, metres, z = 0.
 
     Blocks are 65 to 130 m wide, crossings are shifted, two streets are closed, and the whole is turned by any angle.
@@ -59,7 +59,7 @@ def generate_street_grid(*, rng: np.random.Generator, name: str = "street-grid")
     for column, row in sorted(parks):
         corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
         furnish_park(furniture, np.stack([streets.places[corner] for corner in corners]), rng=rng)
-    return furniture.world(name, _points_along([streets.places[crossing] for crossing in tour]))
+    return furniture.world("street-grid", _points_along([streets.places[crossing] for crossing in tour]))
 
 
 def _lay_streets(rng: np.random.Generator) -> _Streets:

@@ -60,20 +60,19 @@ class PathQuery:
 
 
 def draw_path_queries(
-    objects: LabelledMap, count: int, *, rng: np.random.Generator, scenario: Scenario | None = None
+    objects: LabelledMap, count: int, scenario: Scenario, *, rng: np.random.Generator
 ) -> list[PathQuery]:
     """Queries from straight paths that begin at objects of the map, in any direction.
 
     Args:
         objects: the map.
         count: how many queries.
+        scenario: how they differ from the map.
         rng: draws the paths and what is observed.
-        scenario: the default one if None.
 
     Raises:
         SimulationError: objects so sparse that too few paths pass enough of them.
     """
-    scenario = scenario or Scenario()
     tree = cKDTree(objects.positions[:, :2])
     drawn: list[PathQuery] = []
     for _ in range(100 * count):
