@@ -94,7 +94,7 @@ def summarize(
             selection, obstacle = select_topics(topics, overrides), ""
         except TopicSelectionError as error:
             selection, obstacle = None, str(error)
-        gathering = _Gathering()
+        gathering = _Gathering(_odometry_topic(selection, topics))
         everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
         mappings = selection.mappings if selection is not None else {}
         # A graph is large, and nothing of it is shown.
@@ -108,7 +108,7 @@ def summarize(
             end_ns=gathering.end_ns,
             topics=tuple(gathering.topics[info.topic, info.schema_name].summary(info) for info in topics),
             class_counts=dict(sorted(gathering.class_counts.items(), key=lambda pair: (-pair[1], pair[0]))),
-            odometry_length_m=gathering.odometry_length_m(selection),
+            odometry_length_m=gathering.odometry_length_m(),
             selection=selection,
             obstacle=obstacle,
             closure_candidates=find_final_decisions(gathering.closures),
@@ -117,6 +117,16 @@ def summarize(
             counters=reader.counters,
             status=gathering.status,
         )
+
+
+def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
+    """The topic whose length is reported: that of a replay, else of one that needed odometry alone."""
+    if selection is None:
+        try:
+            selection = select_topics(topics, needed=(RecordKind.ODOMETRY,))
+        except TopicSelectionError:
+            return None
+    return next(iter(selection.topics_of(RecordKind.ODOMETRY)), None)
 
 
 class _TopicGathering:
@@ -163,9 +173,9 @@ class _TopicGathering:
 
 
 class _Gathering:
-    """What accumulates in the pass: the times of topics, and the positions of each odometry."""
+    """What accumulates in the pass: the times of topics, and the positions of the odometry."""
 
-    def __init__(self) -> None:
+    def __init__(self, odometry_topic: str | None) -> None:
         self.start_ns: int | None = None
         self.end_ns = 0
         self.class_counts: Counter[str] = Counter()
@@ -173,7 +183,8 @@ class _Gathering:
         self.first_stamp_ns: int | None = None
         self.status: m.StatusRecord | None = None
         self.topics: dict[tuple[str, str], _TopicGathering] = defaultdict(_TopicGathering)
-        self._odometry_xyz: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self._odometry_topic = odometry_topic
+        self._odometry_xyz = array("d")
 
     def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
         self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
@@ -189,8 +200,8 @@ class _Gathering:
         if isinstance(record, (m.Odometry, m.SlamPose)):
             first = self.first_stamp_ns
             self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
-        if isinstance(record, m.Odometry):
-            self._odometry_xyz[topic].extend(record.T_odom_body[:3, 3].tolist())
+        if isinstance(record, m.Odometry) and topic == self._odometry_topic:
+            self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
         elif isinstance(record, m.ObjectDetections):
             self._count_classes(record.labels)
         elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < 100_000:
@@ -206,10 +217,8 @@ class _Gathering:
             self.class_counts = Counter(dict(kept))
             self.class_counts[OTHER_CLASSES] += gone
 
-    def odometry_length_m(self, selection: Selection | None) -> float | None:
-        """The length of the odometry of a replay, else of the only one that is there."""
-        there = [*self._odometry_xyz] if selection is None else selection.topics_of(RecordKind.ODOMETRY)
-        if len(there) != 1 or there[0] not in self._odometry_xyz:
+    def odometry_length_m(self) -> float | None:
+        if not self._odometry_xyz:
             return None
-        xyz = np.frombuffer(self._odometry_xyz[there[0]], dtype=np.float64).reshape(-1, 3)
+        xyz = np.frombuffer(self._odometry_xyz, dtype=np.float64).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())

@@ -76,5 +76,14 @@ def test_a_summary_of_a_log_without_messages(tmp_path):
     assert "The log has no topics" in summary.obstacle
 
 
+def test_without_detections_the_length_is_that_of_the_odometry_and_not_of_other_poses(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for x in (0.0, 2.0):
+            writer.write("/odom", odometry(SECOND, x))
+            writer.write("/other_pose", m.GroundTruthPose(SECOND, np.eye(4)))
+    summary = summarize(tmp_path / "log.mcap")
+    assert (summary.selection, summary.odometry_length_m) == (None, 2.0)
+
+
 def test_overrides_are_what_would_be_used(log):
     assert "does not decode to odometry" in summarize(log, {"odometry": "/detections"}).obstacle
