@@ -30,9 +30,6 @@ from descriptors.descriptellation_lr.pairs import (
 from descriptors.training.maps import TrainingMap
 from descriptors.training.views import draw_view
 
-RIVALS = 1e5
-"""Pairs of nearly the same length in a map of a million objects. Those of a sample stand for as many."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairSample:
@@ -60,9 +57,12 @@ class PairSample:
         return torch.cat(scores).masked_fill(~compared, -1e4)
 
     def loss(self, scores: Tensor) -> Tensor:
-        """The mean loss of the scores (Q, P), those of the negatives raised as if there were :data:`RIVALS` of them."""
+        """The mean loss of the scores (Q, P), those of the negatives raised as if there were 100,000 of them.
+
+        So many pairs are of nearly the same length in a map of a million objects.
+        """
         compared = torch.as_tensor(self.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
-        raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
+        raised = scores + torch.log(1e5 / compared.clamp(min=1.0))[:, None]
         right = torch.as_tensor(self.objects, device=scores.device)
         return cross_entropy(raised.scatter(1, right[:, None], scores.gather(1, right[:, None])), right)
 

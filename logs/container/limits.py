@@ -7,8 +7,6 @@ from dataclasses import dataclass, fields
 
 from logs.errors import UnreadableLogError
 
-MEGABYTE = 1_000_000
-
 
 @dataclass(frozen=True)
 class ReadingLimits:
@@ -36,12 +34,12 @@ class ReadingLimits:
     @property
     def chunk_bytes(self) -> int:
         """``chunk_mb`` in bytes."""
-        return round(self.chunk_mb * MEGABYTE)
+        return round(1e6 * self.chunk_mb)
 
     @property
     def message_bytes(self) -> int:
         """``message_mb`` in bytes."""
-        return round(self.message_mb * MEGABYTE)
+        return round(1e6 * self.message_mb)
 
     @property
     def input_bytes(self) -> int:

@@ -12,7 +12,7 @@ from mcap import records as mcap_records
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
-from logs.container.limits import MEGABYTE, ReadingLimits
+from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.mcap_index import (
     DAMAGE,
@@ -138,7 +138,7 @@ class McapFile:
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name; of several under one name the last. What goes beyond limits.metadata_mb is left out."""
         found: dict[str, dict[str, str]] = {}
-        left = round(self._limits.metadata_mb * MEGABYTE)
+        left = round(1e6 * self._limits.metadata_mb)
         for offset in self._index.metadata_offsets:
             try:
                 self._stream.seek(offset)
@@ -175,7 +175,7 @@ class McapFile:
         return []
 
     def _check_held(self, held_bytes: int) -> None:
-        if held_bytes > self._limits.waiting_mb * MEGABYTE:
+        if held_bytes > 1e6 * self._limits.waiting_mb:
             raise UnreadableLogError(
                 f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
                 "until they are read; write the log again in the order of time, or raise limits.waiting_mb"

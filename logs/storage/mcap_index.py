@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 from mcap.stream_reader import StreamReader
 
-from logs.container.limits import MEGABYTE, ReadingLimits
+from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.topics import Channel, Schema
 
@@ -218,7 +218,7 @@ class McapIndex:
 
     def _note_oversized(self, offset: int, size: int) -> None:
         self.oversized[offset] = size
-        self.report(f"a chunk of {size / MEGABYTE:.0f} MB", "chunk_mb")
+        self.report(f"a chunk of {1e-6 * size:.0f} MB", "chunk_mb")
 
     def _take_summary(self, summary: Summary) -> None:
         for definition in (*summary[mcap_records.Schema], *summary[mcap_records.Channel]):

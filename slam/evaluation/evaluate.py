@@ -42,31 +42,27 @@ NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_
 _Measured = TypeVar("_Measured")
 
 
-def evaluate(
-    records: EvaluationRecords, protocol: Protocol | None = None, *, map_alignment: FloatArray | None = None
-) -> Evaluation:
-    """Measure all that the records allow; a part that they do not allow has its reason in ``unavailable``.
+def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = None) -> Evaluation:
+    """Measure all that the records allow, by lengths in proportion to the sensor range of the run.
 
     Args:
         records: of the log.
-        protocol: the thresholds; those of papers if None, with lengths in proportion to the sensor range of the run.
         map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized, by which its fixes
             there are judged.
 
     Raises:
         EvaluationError: a pose is not finite.
     """
-    if protocol is None:
-        protocol = Protocol() if records.sensor_range_m is None else Protocol().for_range(records.sensor_range_m)
-    return _Evaluator(records, protocol, map_alignment).run()
+    return _Evaluator(records, map_alignment).run()
 
 
 class _Evaluator:
     """Measures part by part; a part that raises :class:`EvaluationError` is unavailable for this reason."""
 
-    def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
+    def __init__(self, records: EvaluationRecords, map_alignment: FloatArray | None) -> None:
         self._records = records
-        self._protocol = protocol
+        range_m = records.sensor_range_m
+        self._protocol = Protocol() if range_m is None else Protocol().for_range(range_m)
         self._map_alignment = map_alignment
         self._unavailable: dict[str, str] = {}
         self._truth = records.true_path
@@ -100,7 +96,7 @@ class _Evaluator:
         }
         if judged is not None and queries is not None:
             results["closures"] |= describe_revisits(queries, judged)
-        return Evaluation(plain(results), self._unavailable, **trajectories, closures=judged)
+        return Evaluation(plain(results), **trajectories, closures=judged)
 
     def _measure(self, part: str, compute: Callable[[], _Measured]) -> _Measured | None:
         """What ``compute`` returns; None where it raises the reason why the part is unavailable."""

@@ -13,15 +13,15 @@ from slam.evaluation.metrics.trajectory import TrajectoryErrors
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """The evaluation of one output log; a part that could not be measured is empty, its reason is in ``unavailable``.
+    """The evaluation of one output log.
 
-    ``results``: all figures, as :meth:`to_json_dict` returns them. ``estimate`` is the final trajectory, ``odometry``
+    ``results``: all figures, as :meth:`to_json_dict` returns them; a part that could not be measured is empty, and has
+    its reason in ``unavailable``. ``estimate`` is the final trajectory, ``odometry``
     the input alone, ``online`` the poses as they were at their time; None where they could not be measured.
     ``closures``: the candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
     """
 
     results: Mapping[str, Any]
-    unavailable: Mapping[str, str]
     estimate: TrajectoryErrors | None = None
     odometry: TrajectoryErrors | None = None
     online: TrajectoryErrors | None = None
