@@ -148,5 +148,5 @@ class TestOsm:
     )
     def test_numbers_that_are_none(self, extract: Path, right: str, wrong: str) -> None:
         extract.write_text(OSM.replace(right, wrong))
-        with pytest.raises(DatasetError, match="no extract of OpenStreetMap"):
+        with pytest.raises(DatasetError, match="not an extract of OpenStreetMap"):
             read_osm(extract)
