@@ -37,7 +37,6 @@ Epoch 0 has the weights from which a training went on, and no loss of steps.
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
-RANKS = (1, 5, 25)
 
 
 class Recipe:
@@ -97,6 +96,7 @@ class Recipe:
     def validate(self) -> dict[str, float]:
         """Mean loss, and the mean share of objects among the first 1, 5 and 25."""
         self.network.eval()
+        ranks = (1, 5, 25)
         losses, shares = [], []
         with torch.no_grad():
             for sample in self._validation:
@@ -104,9 +104,9 @@ class Recipe:
                 objects = torch.as_tensor(sample.objects)
                 losses.append(float(sample.loss(scores)))
                 before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
-                shares.append([float((before < rank).float().mean()) for rank in RANKS])
+                shares.append([float((before < rank).float().mean()) for rank in ranks])
         of_ranks = {
-            f"validation_top_{rank}": share for rank, share in zip(RANKS, np.mean(shares, axis=0).tolist(), strict=True)
+            f"validation_top_{rank}": share for rank, share in zip(ranks, np.mean(shares, axis=0).tolist(), strict=True)
         }
         return {"validation_loss": float(np.mean(losses)), **of_ranks}
 

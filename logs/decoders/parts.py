@@ -28,7 +28,7 @@ Records = tuple[Record, ...]
 Place = tuple[int, str]
 """Stamp [ns] and frame."""
 
-
+DETECTIONS = (RecordKind.DETECTIONS,)
 POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
 FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
 """What a pose, and the pose of a frame in another, may be on a topic."""

@@ -28,6 +28,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs import messages as m
 from logs.decoders.parts import (
+    DETECTIONS,
     FRAMES,
     POSE,
     Context,
@@ -145,15 +146,14 @@ def _fix(message: Any, context: Context) -> Records:
     return fix_records(context, _place(message, context), message)
 
 
-_DETECTIONS = (RecordKind.DETECTIONS,)
 DECODERS: dict[str, MessageDecoder] = {
     "foxglove.Odometry": MessageDecoder(POSE, _odometry, Odometry),
     "foxglove.PoseInFrame": MessageDecoder((*POSE, RecordKind.SLAM_POSE), _pose, PoseInFrame),
     "foxglove.FrameTransform": MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
     "foxglove.FrameTransforms": MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
     "foxglove.LocationFix": MessageDecoder((RecordKind.GNSS,), _fix, LocationFix),
-    "foxglove.SceneUpdate": MessageDecoder(_DETECTIONS, _scene_update, SceneUpdate),
-    "dslam.ObjectDetections": MessageDecoder(_DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
+    "foxglove.SceneUpdate": MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
+    "dslam.ObjectDetections": MessageDecoder(DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
     **_own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
     **_own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
     **_own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
