@@ -66,7 +66,6 @@ class LogWriter:
             raise
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
         self._channel_ids: dict[tuple[object, ...], int] = {}
-        self._closed = False
 
     def __enter__(self) -> LogWriter:
         return self
@@ -74,15 +73,19 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.close()
+        if error is None:
+            self._finish()
+            return
+        # Whatever made the caller give up is the error to tell, not that the footer did not fit either.
+        with contextlib.suppress(UnwritableLogError):
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        with contextlib.suppress(UnwritableLogError):
+            self._stream.close()
+        is_empty = isinstance(error, Exception) and not self._channel_ids
+        if is_empty or isinstance(error, self._refusals):
+            self.partial_path.unlink(missing_ok=True)
         else:
-            self.abandon()
-            is_empty = isinstance(error, Exception) and not self._channel_ids
-            if is_empty or isinstance(error, self._refusals):
-                self.partial_path.unlink(missing_ok=True)
-            elif error is not None:
-                error.add_note(f"what was written until then is left in {self.partial_path}")
+            error.add_note(f"what was written until then is left in {self.partial_path}")
 
     def write(self, topic: str, record: Record, log_time_ns: int | None = None) -> None:
         """Write ``record`` on ``topic`` at ``log_time_ns``, by default the stamp of the record.
@@ -129,11 +132,7 @@ class LogWriter:
         """Hand everything written so far to the operating system, so that a kill after this loses none of it."""
         self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def close(self) -> None:
-        """Finish the file and give it its name. Closing twice does nothing."""
-        if self._closed:
-            return
-        self._closed = True
+    def _finish(self) -> None:
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._stream.sync()
@@ -146,17 +145,6 @@ class LogWriter:
             raise UnwritableLogError(
                 f"{self.partial_path} is complete but cannot be renamed to {self.path}: {error.strerror}"
             ) from error
-
-    def abandon(self) -> None:
-        """Close the partial file, readable as far as that is possible, and leave it under its partial name."""
-        if self._closed:
-            return
-        self._closed = True
-        # Whatever made the caller give up is the error to tell, not that the footer did not fit either.
-        with contextlib.suppress(UnwritableLogError):
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        with contextlib.suppress(UnwritableLogError):
-            self._stream.close()
 
     def _channel_id(
         self,

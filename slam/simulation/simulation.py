@@ -38,10 +38,8 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[D
     configuration and seed give the same records; each cause of error has its own random numbers.
 
     Raises:
-        SimulationError: a negative seed, a kidnapping outside the tour, or a tour too short; raised at the call.
+        SimulationError: a kidnapping outside the tour, or a tour too short; raised at the call.
     """
-    if seed < 0:
-        raise SimulationError(f"seed {seed} is negative; give 0 or more")
     children = np.random.SeedSequence(seed).spawn(len(CAUSES))
     rngs = {cause: np.random.default_rng(child) for cause, child in zip(CAUSES, children, strict=True)}
     return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)

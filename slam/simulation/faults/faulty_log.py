@@ -55,10 +55,8 @@ def apply_faults(log: Recording, faults: Sequence[Fault], *, seed: int) -> None:
         seed: 0 or more.
 
     Raises:
-        SimulationError: the log has not what a fault needs, or the seed is negative.
+        SimulationError: the log has not what a fault needs.
     """
-    if seed < 0:
-        raise SimulationError(f"seed {seed} is negative; give 0 or more")
     times: Counter[str] = Counter()
     for fault in faults:
         name = fault.function.__name__
@@ -93,7 +91,7 @@ def write_faulty(
 
     Raises:
         LogError: the input cannot be read or the output cannot be written.
-        SimulationError: the log has not what a fault needs, or the seed is negative.
+        SimulationError: the log has not what a fault needs.
     """
     with LogReader(source) as reader:
         selection = select_topics(reader.topics(), topics, needed=_NEEDED)
