@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -32,28 +31,13 @@ def parse(raw: RawMessage) -> Any:
     schema = raw.channel.schema
     if schema is None:
         raise Refusal("no definition of the message in the log")
-    store = _typestore(schema)
+    store = _read_definition(schema)
+    if isinstance(store, str):
+        raise Refusal(f"definition of {schema.name} cannot be read", store)
     try:
         return store.deserialize_cdr(raw.data, schema.name)
     except _DAMAGE as error:
         raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {schema.name}") from error
-
-
-def constants_of(schema: Schema, type_name: str) -> Mapping[str, int | float | str | bool]:
-    """The constants of ``type_name``, a part of the message of ``schema``, by name; none if there is no such part.
-
-    Raises:
-        Refusal: a definition that cannot be read.
-    """
-    constants, _ = _typestore(schema).fielddefs.get(type_name, ((), ()))
-    return {name: value for name, _, value in constants}
-
-
-def _typestore(schema: Schema) -> Typestore:
-    found = _read_definition(schema)
-    if isinstance(found, str):
-        raise Refusal(f"definition of {schema.name} cannot be read", found)
-    return found
 
 
 @lru_cache(maxsize=64)
