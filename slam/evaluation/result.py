@@ -13,10 +13,9 @@ from slam.evaluation.metrics.trajectory import TrajectoryErrors
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """The evaluation of one output log.
+    """The evaluation of one output log; a part that could not be measured is empty, its reason is in ``unavailable``.
 
-    ``results``: all figures, as :meth:`to_json_dict` returns them; a part that could not be measured is empty, and has
-    its reason in ``unavailable``. ``estimate`` is the final trajectory, ``odometry``
+    ``results``: all figures, as :meth:`to_json_dict` returns them. ``estimate`` is the final trajectory, ``odometry``
     the input alone, ``online`` the poses as they were at their time; None where they could not be measured.
     ``closures``: the candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
     """
@@ -26,6 +25,12 @@ class Evaluation:
     odometry: TrajectoryErrors | None = None
     online: TrajectoryErrors | None = None
     closures: pd.DataFrame | None = None
+
+    @property
+    def unavailable(self) -> Mapping[str, str]:
+        """Why a part could not be measured, by its name."""
+        reasons: Mapping[str, str] = self.results["unavailable"]
+        return reasons
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers; what is undefined, such as a precision of none, is None."""

@@ -127,7 +127,7 @@ def test_the_output_can_be_evaluated_on_its_own(noisy_output):
     assert found.results["associations"]["precision"] > 0.99
     assert found.results["landmarks"]["matched_count"] > 30
     assert found.results["counters"] == final_status(noisy_output).counters
-    assert set(found.results["unavailable"]) <= {"closures", "calibration"}
+    assert set(found.unavailable) <= {"closures", "calibration"}
 
 
 def test_the_summary_agrees_with_the_output(noisy_replay):

@@ -78,7 +78,7 @@ def made_log() -> list[tuple[str, Record]]:
 
 def test_all_parts_of_a_complete_log() -> None:
     result = evaluate(collect_records(made_log()))
-    assert PARTS.isdisjoint(result.results["unavailable"])
+    assert PARTS.isdisjoint(result.unavailable)
     assert at_json(result, "trajectory.ate_m") == pytest.approx(0.0, abs=1e-9)
     assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
     # 1 % of the straight distance, which on a winding road is a little less than the path.
@@ -99,16 +99,16 @@ def test_unmeasured_parts_are_empty_with_reason() -> None:
     result = evaluate(collect_records(log))
     assert at_json(result, "trajectory.ate_m") is None
     assert at_json(result, "associations") == at_json(result, "landmarks") == {}
-    assert PARTS & set(result.results["unavailable"]) == PARTS - {"relocalization"}
+    assert PARTS & set(result.unavailable) == PARTS - {"relocalization"}
     assert at_json(result, "closures.accepted_count") == 2
     assert at_json(result, "closures.precision") is None
-    assert "--reference" in result.results["unavailable"]["trajectory"]
+    assert "--reference" in result.unavailable["trajectory"]
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
     log = [(t, r) for t, r in made_log() if not isinstance(r, TrajectoryRecord)]
     result = evaluate(collect_records(log))
-    assert "finished" in result.results["unavailable"]["trajectory"]
+    assert "finished" in result.unavailable["trajectory"]
     assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
@@ -116,7 +116,7 @@ def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
 def test_landmarks_need_truth_of_detections() -> None:
     result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/ground_truth/detections"]))
     assert at_json(result, "landmarks") == {}
-    assert "detections" in result.results["unavailable"]["associations"]
+    assert "detections" in result.unavailable["associations"]
 
 
 def test_a_reference_of_another_drive_is_told() -> None:
@@ -126,8 +126,8 @@ def test_a_reference_of_another_drive_is_told() -> None:
     other = EvaluationRecords(true_poses=tuple(late), detection_truths=tuple(truths))
     result = evaluate(records.with_truth_of(other))
     assert at_json(result, "trajectory.ate_m") is None
-    assert "truth of this drive" in result.results["unavailable"]["trajectory"]
-    assert "another drive" in result.results["unavailable"]["associations"]
+    assert "truth of this drive" in result.unavailable["trajectory"]
+    assert "another drive" in result.unavailable["associations"]
 
 
 def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
@@ -142,10 +142,10 @@ def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
                 writer.write(topic, record)
     in_memory = evaluate(collect_records(made_log()))
     from_file = evaluate(read_records(out, reference=reference))
-    assert PARTS.isdisjoint(from_file.results["unavailable"])
+    assert PARTS.isdisjoint(from_file.unavailable)
     for path in ("trajectory.odometry_ate_m", "associations.recall", "landmarks.class_accuracy"):
         assert at_json(from_file, path) == pytest.approx(at_json(in_memory, path), rel=1e-6)
-    assert "--reference" in evaluate(read_records(out)).results["unavailable"]["trajectory"]
+    assert "--reference" in evaluate(read_records(out)).unavailable["trajectory"]
 
 
 def drawn(records: EvaluationRecords) -> dict[str, FloatArray]:

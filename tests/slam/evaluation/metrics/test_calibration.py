@@ -169,7 +169,7 @@ def without_first_truth(log: Log) -> Log:
 )
 def test_calibration_names_missing_parts(change: Change, left: dict[str, int], reason: str) -> None:
     log = change(log_of_a_drive(poses=40, landmarks=40))
-    assert reason in evaluate(collect_records(log)).results["unavailable"]["calibration"]
+    assert reason in evaluate(collect_records(log)).unavailable["calibration"]
     quality = measured(log)
     counts = {name: quality[f"{name}_count"] for name in NEEDS}
     assert {name: count for name, count in counts.items() if count} == left

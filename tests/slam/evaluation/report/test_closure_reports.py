@@ -51,6 +51,6 @@ def test_summary_tells_retrieved_from_propagated_closures() -> None:
 )
 def test_missing_input_of_revisits_is_named(left_out: type, reason: str) -> None:
     result = evaluate(collect_records((t, r) for t, r in there_and_back_log() if not isinstance(r, left_out)))
-    assert reason in result.results["unavailable"]["closures"]
+    assert reason in result.unavailable["closures"]
     assert at_json(result, "closures.candidate_count") == 3
     assert "recall" not in result.to_json_dict()["closures"]
