@@ -17,19 +17,12 @@ from numpy.typing import NDArray
 from logs.encoders import definition_of, encode
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record
-from logs.storage.placement import SPECIAL, is_special, put_in_place
+from logs.storage.placement import SPECIAL, is_special, partial_path, put_in_place
 from logs.topics import RawMessage
 from logs.validation import LAST_NS
 
-PARTIAL_SUFFIX = ".part"
-
 _ARRAY_MEDIA_TYPE = "application/x-npy"
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
-
-
-def partial_path(path: Path) -> Path:
-    """Where the log ``path`` is written until it is finished."""
-    return path.with_name(path.name + PARTIAL_SUFFIX)
 
 
 class LogWriter:
