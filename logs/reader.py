@@ -78,8 +78,8 @@ class LogReader:
         """What was lost or left out so far; zeros are left out.
 
         Of the files: ``lost_chunks``, ``lost_bytes``, ``truncated`` (those that end before their end mark) and
-        ``chunks_too_large`` (by limits.chunk_mb). Of the latest pass over messages: ``messages_without_time`` (it is
-        after the year 2116), and the counters of :class:`logs.decoders.decode.RecordDecoder`.
+        ``chunks_too_large`` (by the setting ``memory_mb``). Of the latest pass over messages: ``messages_without_time``
+        (it is after the year 2116), and the counters of :class:`logs.decoders.decode.RecordDecoder`.
         """
         counters = Counter(self._decoding_counters)
         for file in self._open:

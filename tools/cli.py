@@ -127,7 +127,7 @@ def run(arguments: Sequence[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
             return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
         if isinstance(error, MemoryError):
-            return _fail("out of memory; give a smaller log, or lower the limits.* settings", ExitCode.BAD_INPUT)
+            return _fail("out of memory; give a smaller log, or lower memory_mb", ExitCode.BAD_INPUT)
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)

@@ -75,9 +75,9 @@ def decode(
     limits = limits or ReadingLimits()
     try:
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
-        name, most = ("message_mb", limits.message_bytes) if is_large else ("objects", limits.input_bytes)
+        most = limits.message_bytes if is_large else limits.input_bytes
         if len(raw.data) > most:
-            raise Refusal(f"too many bytes for limits.{name}", f"{len(raw.data)}, more than {most}")
+            raise Refusal("too many bytes for memory_mb", f"{len(raw.data)}, more than {most}")
         context = Context(raw, kind, Counter() if counters is None else counters)
         records = _records(context) if mapping is None else mapping.decode(context)
         for record in records:
@@ -116,12 +116,12 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         value = getattr(record, field)
         values = value if isinstance(value, tuple) else (value,)
         if len(values) > limits.objects:
-            raise Refusal("more objects than limits.objects", f"{len(values)}, more than {limits.objects}")
+            raise Refusal("too many objects for memory_mb", f"{len(values)}, more than {limits.objects}")
         names += values
     if any(type(name) is not str for name in names):
         raise Refusal("name is not text")
     if max(map(len, names), default=0) > limits.name_length:
-        raise Refusal("name longer than limits.name_length", f"more than {limits.name_length} characters")
+        raise Refusal("name too long for memory_mb", f"more than {limits.name_length} characters")
 
 
 class RecordDecoder:

@@ -136,7 +136,7 @@ class McapFile:
             yield message
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata by name; of several under one name the last. What goes beyond limits.metadata_mb is left out."""
+        """Metadata by name; of several under one name the last. What goes beyond the limits is left out."""
         found: dict[str, dict[str, str]] = {}
         left = round(1e6 * self._limits.metadata_mb)
         for offset in self._index.metadata_offsets:
@@ -144,7 +144,7 @@ class McapFile:
                 self._stream.seek(offset)
                 _, length = HEADER.unpack(self._stream.read(HEADER.size))
                 if length > left:
-                    self._index.report(f"metadata of {length} bytes", "metadata_mb")
+                    self._index.report("metadata", length)
                     continue
                 record = mcap_records.Metadata.read(stream_of(self._stream.read(length)))
             except (*DAMAGE, OSError):
@@ -178,5 +178,5 @@ class McapFile:
         if held_bytes > 1e6 * self._limits.waiting_mb:
             raise UnreadableLogError(
                 f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
-                "until they are read; write the log again in the order of time, or raise limits.waiting_mb"
+                "until they are read; write the log again in the order of time, or raise memory_mb"
             )

@@ -208,17 +208,16 @@ class McapIndex:
         except DAMAGE:
             self.lost_blocks[block.chunk_start_offset] = block.chunk_length
 
-    def report(self, what: str, limit: str) -> None:
-        """Warn once of what goes beyond a limit."""
-        if limit not in self._reported:
-            self._reported.add(limit)
-            value = getattr(self._limits, limit)
-            text = "%s: %s exceeds limits.%s = %g and is left out; further ones are only counted"
-            _log.warning(text, self._name, what, limit, value)
+    def report(self, what: str, size: int) -> None:
+        """Warn once of what goes beyond the limits."""
+        if what not in self._reported:
+            self._reported.add(what)
+            text = "%s: %s of %.3g MB is more than memory_mb = %g allows and is left out; further ones are only counted"
+            _log.warning(text, self._name, what, 1e-6 * size, self._limits.chunk_mb)
 
     def _note_oversized(self, offset: int, size: int) -> None:
         self.oversized[offset] = size
-        self.report(f"a chunk of {1e-6 * size:.0f} MB", "chunk_mb")
+        self.report("a chunk", size)
 
     def _take_summary(self, summary: Summary) -> None:
         for definition in (*summary[mcap_records.Schema], *summary[mcap_records.Channel]):
