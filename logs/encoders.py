@@ -13,7 +13,6 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -40,15 +39,6 @@ def encode(record: m.Record) -> Message:
         return encoder(record)
     except UnicodeEncodeError as error:
         raise InvalidRecordError(f"{type(record).__name__}: {error.object!r:.40} is not valid Unicode") from error
-
-
-def encode_path(trajectory: m.TrajectoryRecord) -> Message:
-    """``trajectory`` as foxglove.PosesInFrame, the line that viewers draw; it has no place for the poses' stamps."""
-    return PosesInFrame(
-        timestamp=timestamp(trajectory.stamp_ns),
-        frame_id=trajectory.frame_id,
-        poses=[_pose(T) for T in trajectory.T_map_body],
-    )
 
 
 @cache

@@ -14,8 +14,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.record_decoder import RecordDecoder
-from logs.decoders.registry import kinds_of
+from logs.decoders.decode import RecordDecoder, kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
 from logs.selection import Selection
@@ -79,9 +78,8 @@ class LogReader:
         """What was lost or left out so far; zeros are left out.
 
         Of the files: ``lost_chunks``, ``lost_bytes``, ``truncated`` (those that end before their end mark) and
-        ``chunks_too_large`` (by limits.chunk_mb). Of the latest pass over messages: ``messages_too_large`` (by
-        limits.message_mb), ``messages_without_time`` (it is after the year 2116), and the counters of
-        :class:`logs.decoders.record_decoder.RecordDecoder`.
+        ``chunks_too_large`` (by the setting ``memory_mb``). Of the latest pass over messages: ``messages_without_time``
+        (it is after the year 2116), and the counters of :class:`logs.decoders.decode.RecordDecoder`.
         """
         counters = Counter(self._decoding_counters)
         for file in self._open:
@@ -118,31 +116,23 @@ class LogReader:
             for (topic, schema_name, encoding), infos in sorted(groups.items())
         ]
 
-    def messages(
-        self, topics: Collection[str] | None = None, *, without_content: Collection[str] = ()
-    ) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time.
-
-        Those of the topics ``without_content`` come empty, where only their times are needed.
 
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
-        streams = [file.messages(topics, without_content) for file in self._open]
+        streams = [file.messages(topics) for file in self._open]
         return heapq.merge(*streams, key=lambda message: message.log_time_ns) if len(streams) > 1 else streams[0]
 
-    def items(
-        self, selection: Selection, copy: Collection[str] = (), times_of: Collection[str] = ()
-    ) -> Iterator[LogItem]:
+    def items(self, selection: Selection, copy: Collection[str] = ()) -> Iterator[LogItem]:
         """One pass over the selected topics, decoded, and the topics in ``copy``, raw; a topic may be in both.
 
-        Messages of the topics in ``times_of`` that are neither come without their content. A message that no record
-        may be made of is counted and comes without records.
+        A message that no record may be made of is counted and comes without records.
         """
         decoder = RecordDecoder(self._limits, reported=self._reported)
         self._decoding_counters = decoder.counters
-        read = {*selection.topics, *copy}
-        for raw in self.messages({*read, *times_of}, without_content=set(times_of) - read):
+        for raw in self.messages({*selection.topics, *copy}):
             kinds = selection.kinds.get(raw.topic, ())
             yield LogItem(raw, decoder.records(raw, kinds, selection.mappings.get(raw.topic)) if kinds else ())
 

@@ -15,8 +15,6 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs.messages import FloatArray, IntArray, SceneLines, SceneMarkers, ScenePoints
 
-_SHAPE_SIZE_M = 0.6
-_TEXT_HEIGHT_M = 0.5
 _POINT_FIELDS = (
     *((axis, "<f4", PackedElementField.FLOAT32) for axis in "xyz"),
     *((color, "u1", PackedElementField.UINT8) for color in ("red", "green", "blue", "alpha")),
@@ -38,7 +36,7 @@ def class_colors(classes: IntArray) -> FloatArray:
 
 def encode_markers(markers: SceneMarkers) -> Message:
     """``markers`` as one update of the scene: an entity with shape and text for each object."""
-    now = timestamp(markers.stamp_ns)
+    now, size_m, text_m = timestamp(markers.stamp_ns), 0.6, 0.5
     update = SceneUpdate()
     update.deletions.add(timestamp=now, type=SceneEntityDeletion.ALL)
     colors = [Color(**dict(zip("rgba", color, strict=True))) for color in class_colors(markers.classes).tolist()]
@@ -49,9 +47,9 @@ def encode_markers(markers: SceneMarkers) -> Message:
         entity.metadata.add(key="label", value=label)
         shape = entity.spheres.add(color=color)
         _place(shape.pose, x, y, z)
-        shape.size.x = shape.size.y = shape.size.z = _SHAPE_SIZE_M
-        text = entity.texts.add(billboard=True, font_size=_TEXT_HEIGHT_M, color=color, text=label)
-        _place(text.pose, x, y, z + _SHAPE_SIZE_M + 0.5 * _TEXT_HEIGHT_M)
+        shape.size.x = shape.size.y = shape.size.z = size_m
+        text = entity.texts.add(billboard=True, font_size=text_m, color=color, text=label)
+        _place(text.pose, x, y, z + size_m + 0.5 * text_m)
     return update
 
 

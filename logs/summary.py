@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import re
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from logs import messages as m
-from logs.closures import find_final_decisions, rank_stage
+from logs.closures import find_final_decisions
 from logs.container.limits import ReadingLimits
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
@@ -24,7 +23,6 @@ MAX_CLASSES = 20_000
 OTHER_CLASSES = "(other classes)"
 
 _FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
-_NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +51,12 @@ class TopicSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class ClosureCount:
-    """How many loop-closure candidates got their final decision at ``stage`` for ``reason``, whose numbers are #."""
-
-    stage: str
-    reason: str
-    accepted: bool
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
 class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
-    ``closure_candidates`` are the final decisions by query stamp, ``closures`` counts them. ``first_stamp_ns`` is the
-    earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
+    ``closure_candidates`` are the final decisions by query stamp. ``first_stamp_ns`` is the earliest of odometry and
+    poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
     """
 
     path: str
@@ -80,7 +68,6 @@ class LogSummary:
     odometry_length_m: float | None
     selection: Selection | None
     obstacle: str
-    closures: tuple[ClosureCount, ...]
     closure_candidates: tuple[m.LoopClosureRecord, ...]
     first_stamp_ns: int | None
     metadata: Mapping[str, Mapping[str, str]]
@@ -112,9 +99,8 @@ def summarize(
         mappings = selection.mappings if selection is not None else {}
         # A graph is large, and nothing of it is shown.
         shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
-        for item in reader.items(Selection(shown, mappings), times_of=[info.topic for info in topics]):
+        for item in reader.items(Selection(shown, mappings), copy=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
-        candidates = find_final_decisions(gathering.closures)
         return LogSummary(
             path=str(path),
             size_bytes=reader.size_bytes,
@@ -125,8 +111,7 @@ def summarize(
             odometry_length_m=gathering.odometry_length_m(),
             selection=selection,
             obstacle=obstacle,
-            closures=_count_closures(candidates),
-            closure_candidates=candidates,
+            closure_candidates=find_final_decisions(gathering.closures),
             first_stamp_ns=gathering.first_stamp_ns,
             metadata=reader.metadata(),
             counters=reader.counters,
@@ -134,15 +119,8 @@ def summarize(
         )
 
 
-def _count_closures(candidates: Iterable[m.LoopClosureRecord]) -> tuple[ClosureCount, ...]:
-    """By the order of the stages, the most frequent reason first."""
-    counts = Counter((c.stage, _NUMBER.sub("#", c.reason), c.accepted) for c in candidates)
-    found = [ClosureCount(*decision, count) for decision, count in counts.items()]
-    return tuple(sorted(found, key=lambda c: (rank_stage(c.stage), c.stage, not c.accepted, -c.count, c.reason)))
-
-
 def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
-    """The topic whose length is reported: that of a replay, else the only topic with odometry messages."""
+    """The topic whose length is reported: that of a replay, else of one that needed odometry alone."""
     if selection is None:
         try:
             selection = select_topics(topics, needed=(RecordKind.ODOMETRY,))

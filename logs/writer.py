@@ -11,26 +11,18 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
-from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from logs.encoders import definition_of, encode, encode_path
+from logs.encoders import definition_of, encode
 from logs.errors import InvalidRecordError, UnwritableLogError
-from logs.messages import Record, TrajectoryRecord
-from logs.storage.placement import SPECIAL, is_special, put_in_place
+from logs.messages import Record
+from logs.storage.placement import SPECIAL, is_special, partial_path, put_in_place
 from logs.topics import RawMessage
 from logs.validation import LAST_NS
 
-PARTIAL_SUFFIX = ".part"
-
 _ARRAY_MEDIA_TYPE = "application/x-npy"
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
-
-
-def partial_path(path: Path) -> Path:
-    """Where the log ``path`` is written until it is finished."""
-    return path.with_name(path.name + PARTIAL_SUFFIX)
 
 
 class LogWriter:
@@ -67,7 +59,6 @@ class LogWriter:
             raise
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
         self._channel_ids: dict[tuple[object, ...], int] = {}
-        self._closed = False
 
     def __enter__(self) -> LogWriter:
         return self
@@ -75,15 +66,19 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.close()
+        if error is None:
+            self._finish()
+            return
+        # Whatever made the caller give up is the error to tell, not that the footer did not fit either.
+        with contextlib.suppress(UnwritableLogError):
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        with contextlib.suppress(UnwritableLogError):
+            self._stream.close()
+        is_empty = isinstance(error, Exception) and not self._channel_ids
+        if is_empty or isinstance(error, self._refusals):
+            self.partial_path.unlink(missing_ok=True)
         else:
-            self.abandon()
-            is_empty = isinstance(error, Exception) and not self._channel_ids
-            if is_empty or isinstance(error, self._refusals):
-                self.partial_path.unlink(missing_ok=True)
-            elif error is not None:
-                error.add_note(f"what was written until then is left in {self.partial_path}")
+            error.add_note(f"what was written until then is left in {self.partial_path}")
 
     def write(self, topic: str, record: Record, log_time_ns: int | None = None) -> None:
         """Write ``record`` on ``topic`` at ``log_time_ns``, by default the stamp of the record.
@@ -92,11 +87,9 @@ class LogWriter:
             InvalidRecordError: no record, or a time or text that a log cannot hold.
         """
         message = encode(record)
-        self._write_message(topic, message, _checked(topic, record.stamp_ns, log_time_ns))
-
-    def write_path(self, topic: str, trajectory: TrajectoryRecord, log_time_ns: int | None = None) -> None:
-        """Write ``trajectory`` as foxglove.PosesInFrame, for viewers; :meth:`write` stores it complete."""
-        self._write_message(topic, encode_path(trajectory), _checked(topic, trajectory.stamp_ns, log_time_ns))
+        time_ns = _checked(topic, record.stamp_ns, log_time_ns)
+        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
+        self._writer.add_message(channel_id, time_ns, message.SerializeToString(deterministic=True), time_ns)
 
     def write_raw(self, raw: RawMessage) -> None:
         """Copy a message of another log unchanged: topic, schema, times, sequence number and bytes."""
@@ -132,11 +125,7 @@ class LogWriter:
         """Hand everything written so far to the operating system, so that a kill after this loses none of it."""
         self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def close(self) -> None:
-        """Finish the file and give it its name. Closing twice does nothing."""
-        if self._closed:
-            return
-        self._closed = True
+    def _finish(self) -> None:
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._stream.sync()
@@ -149,21 +138,6 @@ class LogWriter:
             raise UnwritableLogError(
                 f"{self.partial_path} is complete but cannot be renamed to {self.path}: {error.strerror}"
             ) from error
-
-    def abandon(self) -> None:
-        """Close the partial file, readable as far as that is possible, and leave it under its partial name."""
-        if self._closed:
-            return
-        self._closed = True
-        # Whatever made the caller give up is the error to tell, not that the footer did not fit either.
-        with contextlib.suppress(UnwritableLogError):
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        with contextlib.suppress(UnwritableLogError):
-            self._stream.close()
-
-    def _write_message(self, topic: str, message: Message, log_time_ns: int) -> None:
-        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
-        self._writer.add_message(channel_id, log_time_ns, message.SerializeToString(deterministic=True), log_time_ns)
 
     def _channel_id(
         self,

@@ -73,8 +73,6 @@ class OutputLog:
         """Write the results of the drive; ``georeference``: as it is known now."""
         if georeference is not None and self._writer is not None:
             self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
-        if self._writer is not None:
-            self._writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
         for topic, record in _final_records(final):
             self._write(topic, record, log_time_ns)
         for topic, message in (*self._display.show(final.status), *map_messages(final.snapshot)):

@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from logs.errors import LogError, UnwritableLogError
 from logs.reader import LogReader
-from logs.writer import LogWriter, partial_path
+from logs.storage.placement import partial_path
+from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
 from slam.display.drive_display import DriveDisplay

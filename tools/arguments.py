@@ -91,8 +91,7 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] 
     Outputs are written as NAME.part first, which is therefore taken too.
     """
     from logs.errors import UnwritableLogError
-    from logs.storage.placement import SPECIAL, is_special
-    from logs.writer import partial_path
+    from logs.storage.placement import SPECIAL, is_special, partial_path
 
     named = [output for output in outputs if output is not None]
     taken: set[str] = set()

@@ -23,8 +23,6 @@ class ExitCode(IntEnum):
     INTERNAL_ERROR = 70
 
 
-_LONGEST_MESSAGE = 1000
-
 _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
@@ -129,7 +127,7 @@ def run(arguments: Sequence[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
             return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
         if isinstance(error, MemoryError):
-            return _fail("out of memory; give a smaller log, or lower the limits.* settings", ExitCode.BAD_INPUT)
+            return _fail("out of memory; give a smaller log, or lower memory_mb", ExitCode.BAD_INPUT)
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)
@@ -154,9 +152,8 @@ def _fail(message: str, code: int) -> int:
     from logs.container.names import visible
 
     line = visible(" ".join(message.split()))
-    if len(line) > _LONGEST_MESSAGE:
-        half = _LONGEST_MESSAGE // 2
-        line = f"{line[:half]} ... {line[-half:]}"
+    if len(line) > 1000:
+        line = f"{line[:500]} ... {line[-500:]}"
     with contextlib.suppress(OSError):  # there is nobody to tell
         print(f"dslam: {line}", file=sys.stderr)
     return code

@@ -60,9 +60,9 @@ def show_json(value: Mapping[str, Any]) -> None:
     sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False) + "\n")
 
 
-def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
+def pairs(rows: Mapping[str, str]) -> Table:
     """Names and values below one another, without lines."""
-    table = _PlainTable(title=title, show_header=False, **_STYLE)
+    table = _PlainTable(show_header=False, **_STYLE)
     table.add_column(overflow="fold", style="cyan")
     table.add_column(overflow="fold")
     for name, value in rows.items():

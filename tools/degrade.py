@@ -40,7 +40,7 @@ def degrade(
             is_eager=True,
         ),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     topics: Topics = None,
     json: Json = False,
 ) -> None:

@@ -63,8 +63,7 @@ def train(
 
     Example: dslam train out/lr --maps town.csv
     """
-    from descriptors.training.folder import WEIGHTS
-    from descriptors.training.trainer import Recipe, best_of
+    from descriptors.training.trainer import WEIGHTS, Recipe, best_of
     from descriptors.training.trainer import train as train_recipe
     from tools import console
 
@@ -77,11 +76,9 @@ def train(
         history = train_recipe(recipe, folder, threads=threads, on_progress=move)
     best = best_of(history)
     if json:
-        console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})
+        console.show_json({"weights": str(folder / WEIGHTS), "best": best, "epochs": history[-1]["epoch"]})
         return
-    figures = ", ".join(
-        f"{name.replace('_', ' ')} {value:.4g}" for name, value in best.as_row().items() if value is not None
-    )
+    figures = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in best.items() if value is not None)
     console.show(f"weights of the best epoch: {folder / WEIGHTS}", figures)
 
 

@@ -23,13 +23,6 @@ from descriptors.training.maps import TrainingMap, draw_map, with_classes_of
 from descriptors.training.pair_contrast import PairSample, draw_pair_sample
 from descriptors.training.views import draw_view
 
-MAX_DRAWS = 1000
-"""Maps drawn for a step at most: maps of a user may have no place with objects enough."""
-MIN_SEEN = 4
-"""Objects without which a view is drawn anew; loops are closed by as many."""
-TEMPERATURE = 0.1
-"""Of squared distances of vectors: unit vectors, which are at most 2 apart, then reach 40 nats."""
-
 
 @dataclass(frozen=True, slots=True)
 class ContrastTraining:
@@ -68,7 +61,8 @@ class Sample:
         known = vectors_of(network, self.constellations, device)
         asked = torch.cat([vectors_of(network, query, device) for query in self.queries])
         squares = asked.square().sum(dim=1)[:, None] + known.square().sum(dim=1) - 2.0 * asked @ known.T
-        return -squares / TEMPERATURE
+        # Unit vectors, which are at most 2 apart, reach 40 nats at this temperature.
+        return -squares / 0.1
 
     def loss(self, scores: Tensor) -> Tensor:
         """The mean loss of the scores (Q, B)."""
@@ -90,7 +84,7 @@ def draw_sample(
     Raises:
         DescriptorError: the given maps have no place with objects enough.
     """
-    for _ in range(MAX_DRAWS):
+    for _ in range(1000):  # maps of a user may have no place with objects enough
         drawn = draw_map(given, own_share, rng=rng)
         sample: Sample | PairSample | None
         if isinstance(config.architecture, DescriptellationLRArchitecture):
@@ -117,7 +111,7 @@ def _draw_constellations(
     for _ in range(config.views):
         view = draw_view(drawn, rng=rng)
         seen = np.flatnonzero((view.objects >= 0) & (drawn.labels[view.objects] == view.labels))
-        if len(view.labels) < MIN_SEEN or not len(seen):
+        if len(view.labels) < 4 or not len(seen):  # loops are closed by as many
             continue
         centres = rng.permutation(seen)[: config.objects_per_view]
         queries.append(

@@ -30,18 +30,6 @@ from descriptors.descriptellation_lr.pairs import (
 from descriptors.training.maps import TrainingMap
 from descriptors.training.views import draw_view
 
-MIN_SEEN = 3
-"""Objects of a view at least: a pair, and one beside it."""
-MAX_ASKED = 60
-"""Pairs of a view that are asked for, drawn at random: what a step takes in."""
-OUT_OF_THE_QUESTION = -1e4
-SIGMAS = 0.01, 0.15
-"""Least and most noise of a view, in spacings."""
-MAP_SIGMA = 0.04
-"""Most noise of a map, in spacings."""
-RIVALS = 1e5
-"""Pairs of nearly the same length in a map of a million objects. Those of a sample stand for as many."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairSample:
@@ -66,12 +54,15 @@ class PairSample:
             scores.append(query_scores(bits, query, hits, misses, network.architecture))
             first += len(query)
         compared = torch.as_tensor(self.is_compared, device=device)
-        return torch.cat(scores).masked_fill(~compared, OUT_OF_THE_QUESTION)
+        return torch.cat(scores).masked_fill(~compared, -1e4)
 
     def loss(self, scores: Tensor) -> Tensor:
-        """The mean loss of the scores (Q, P), those of the negatives raised as if there were :data:`RIVALS` of them."""
+        """The mean loss of the scores (Q, P), those of the negatives raised as if there were 100,000 of them.
+
+        So many pairs are of nearly the same length in a map of a million objects.
+        """
         compared = torch.as_tensor(self.is_compared.sum(axis=1) - 1, dtype=scores.dtype, device=scores.device)
-        raised = scores + torch.log(RIVALS / compared.clamp(min=1.0))[:, None]
+        raised = scores + torch.log(1e5 / compared.clamp(min=1.0))[:, None]
         right = torch.as_tensor(self.objects, device=scores.device)
         return cross_entropy(raised.scatter(1, right[:, None], scores.gather(1, right[:, None])), right)
 
@@ -85,7 +76,7 @@ def draw_pair_sample(
 ) -> PairSample | None:
     """Views of a map; None if none of their pairs is one of the map."""
     unit_m = spacing_m(drawn.positions)
-    map_sigma = rng.uniform(0.0, MAP_SIGMA)
+    map_sigma = rng.uniform(0.0, 0.04)  # in spacings
     positions = drawn.positions[:, :2] / unit_m + rng.normal(0.0, map_sigma, (len(drawn), 2))
     tree = cKDTree(positions)
     ends = find_ends(positions, drawn.labels, tree, architecture.partners)
@@ -93,16 +84,16 @@ def draw_pair_sample(
         return None
     queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
-        sigma = float(np.exp(rng.uniform(*np.log(SIGMAS))))
+        sigma = float(np.exp(rng.uniform(*np.log((0.01, 0.15)))))  # in spacings
         view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m)
         seen = view.positions[:, :2] / unit_m
-        if len(seen) < MIN_SEEN:
+        if len(seen) < 3:  # a pair, and an object beside it
             continue
         seen_tree = cKDTree(seen)
         asked = find_ends(seen, view.labels, seen_tree, QUERY_PARTNERS, both_ways=True)
         found = _numbers_of(ends, view.objects[asked], len(drawn))
         is_known = (found >= 0) & (drawn.labels[view.objects[asked]] == view.labels[asked]).all(axis=1)
-        rows = rng.permutation(np.flatnonzero(is_known))[:MAX_ASKED]
+        rows = rng.permutation(np.flatnonzero(is_known))[:60]  # what a step takes in
         if len(rows):
             queries.append(gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture))
             sigmas.append(np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma)))

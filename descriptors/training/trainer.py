@@ -6,6 +6,7 @@ import hashlib
 import importlib.metadata
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import nn
 
@@ -22,17 +24,19 @@ from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.networks import make_network
 from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
-from descriptors.training.folder import WEIGHTS, Epoch, write_curves
 from descriptors.training.maps import TrainingMap
 from descriptors.training.pair_contrast import PairSample
 
+WEIGHTS, CURVES = "weights.safetensors", "curves.csv"
+
+Epoch = dict[str, float | None]
+"""What an epoch achieved: its number, the mean loss of its steps, the figures of the validation, and seconds.
+
+Epoch 0 has the weights from which a training went on, and no loss of steps.
+"""
+
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
-OWN_SHARE = 0.5
-"""Share of the steps that are on pieces of given maps, where there are any; the others keep what is true anywhere."""
-MAX_GRADIENT = 1.0
-"""Norm to which gradients are clipped."""
-RANKS = (1, 5, 25)
 
 
 class Recipe:
@@ -79,11 +83,12 @@ class Recipe:
 
     def step(self) -> float:
         """Draw a sample and change the weights by it; returns the loss."""
-        sample = draw_sample(self.config, self.given, OWN_SHARE, rng=self.rng)
+        # Half of the steps are on given maps, where there are any; the others keep what is true anywhere.
+        sample = draw_sample(self.config, self.given, 0.5, rng=self.rng)
         loss = sample.loss(sample.scores(self.network, self.device))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimizer.step()
         self.schedule.step()
         return float(loss.detach())
@@ -91,6 +96,7 @@ class Recipe:
     def validate(self) -> dict[str, float]:
         """Mean loss, and the mean share of objects among the first 1, 5 and 25."""
         self.network.eval()
+        ranks = (1, 5, 25)
         losses, shares = [], []
         with torch.no_grad():
             for sample in self._validation:
@@ -98,9 +104,9 @@ class Recipe:
                 objects = torch.as_tensor(sample.objects)
                 losses.append(float(sample.loss(scores)))
                 before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
-                shares.append([float((before < rank).float().mean()) for rank in RANKS])
+                shares.append([float((before < rank).float().mean()) for rank in ranks])
         of_ranks = {
-            f"validation_top_{rank}": share for rank, share in zip(RANKS, np.mean(shares, axis=0).tolist(), strict=True)
+            f"validation_top_{rank}": share for rank, share in zip(ranks, np.mean(shares, axis=0).tolist(), strict=True)
         }
         return {"validation_loss": float(np.mean(losses)), **of_ranks}
 
@@ -113,7 +119,7 @@ class Recipe:
 
 def best_of(epochs: Sequence[Epoch]) -> Epoch:
     """The epoch with the best top 5 on validation maps, of equals the first: its weights are kept."""
-    return max(epochs, key=lambda each: each.metrics["validation_top_5"])
+    return max(epochs, key=lambda each: each["validation_top_5"] or 0.0)
 
 
 def train(
@@ -141,10 +147,13 @@ def train(
     for number in range(0 if recipe.is_trained_further else 1, recipe.config.epochs + 1):
         started = time.perf_counter()
         train_loss = _train_epoch(recipe, number, on_progress) if number else None
-        epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
+        row: Epoch = {"epoch": number, "train_loss": train_loss, **recipe.validate()}
+        epochs.append(row | {"seconds": time.perf_counter() - started})
         if best_of(epochs) is epochs[-1]:
             _save_weights(folder / WEIGHTS, recipe, epochs[-1])
-        write_curves(folder, epochs)
+        part = folder / f"{CURVES}.part"
+        pd.DataFrame(epochs).to_csv(part, index=False, lineterminator="\n")
+        os.replace(part, folder / CURVES)
     return epochs
 
 
@@ -179,6 +188,6 @@ def _save_weights(path: Path, recipe: Recipe, epoch: Epoch) -> None:
         training=recipe.identity,
         seed=recipe.config.seed,
         code_version=importlib.metadata.version("descriptellation-slam"),
-        metrics={name: value for name, value in epoch.as_row().items() if name != "seconds"},
+        metrics={name: value for name, value in epoch.items() if name != "seconds"},
     )
     save_weights(path, weights)

@@ -15,22 +15,16 @@ from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_sid
 from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
 
-MAX_VOXELS = 2**20
-"""Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudObjects:
     """N objects in the frame of the cloud.
 
-    positions (N, 3) m; covariances (N, 3, 3) m^2; sizes (N, 3) m: length and width along the horizontal main axes, and
-    height; labels (N,); instances (N,), 0 for a cluster. ``left_out``: how many were
-    too "small" or too "long".
+    positions (N, 3) m; covariances (N, 3, 3) m^2; labels (N,); instances (N,), 0 for a cluster.
     """
 
     positions: FloatArray
     covariances: FloatArray
-    sizes: FloatArray
     labels: tuple[str, ...]
     instances: IntArray
 
@@ -74,28 +68,26 @@ def find_objects(
     if viewpoint is not None:
         # 30 of 120,000 points of a scan.
         min_points = max(min_points, int(np.ceil(len(cloud.positions) / 4000.0)))
-    found: list[tuple[str, int, Centre, FloatArray]] = []
+    found: list[tuple[str, int, Centre]] = []
     # A wider gap between two parts of one class makes two objects of them.
     for label, instance, points in _parts(cloud, names, 0.5 * scale, voxel_m, upright=upright):
         if len(points) < min_points:
             continue
         voxels = voxel_means(points, voxel_m)
-        size = _size(voxels)
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
         # What is longer is a surface and no object.
-        elif size[0] <= 15.0 * scale:
+        elif _length_m(voxels) <= 15.0 * scale:
             spacing_m = _spacing_m(points, viewpoint)
             centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
         else:
             continue
-        found.append((label, instance, centre, size))
+        found.append((label, instance, centre))
     return CloudObjects(
-        np.array([centre.position for _, _, centre, _ in found]).reshape(-1, 3),
-        np.array([centre.covariance for _, _, centre, _ in found]).reshape(-1, 3, 3),
-        np.array([size for *_, size in found]).reshape(-1, 3),
+        np.array([centre.position for *_, centre in found]).reshape(-1, 3),
+        np.array([centre.covariance for *_, centre in found]).reshape(-1, 3, 3),
         tuple(label for label, *_ in found),
-        np.array([instance for _, instance, _, _ in found], dtype=np.int64),
+        np.array([instance for _, instance, _ in found], dtype=np.int64),
     )
 
 
@@ -111,11 +103,13 @@ def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
     if len(cloud.positions) == 0:
         return
     low, high = cloud.positions.min(axis=0), cloud.positions.max(axis=0)
-    astray = ~((high - low) / voxel_m < MAX_VOXELS) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
+    # So that the places of all voxels can be numbered: 100 km of those of 0.1 m.
+    most = 2**20
+    astray = ~((high - low) / voxel_m < most) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
     if astray.any():
         axis = int(astray.argmax())
         raise DatasetError(
-            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MAX_VOXELS} voxels "
+            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {most} voxels "
             f"of {voxel_m:g} m; remove outliers"
         )
 
@@ -158,12 +152,11 @@ def _spacing_m(points: FloatArray, viewpoint: FloatArray) -> float:
     return abs(middle) * float(np.diff(bearings).max(initial=0.0))
 
 
-def _size(voxels: FloatArray) -> FloatArray:
-    """Length and width along the horizontal main axes, and height, (3,) m."""
+def _length_m(voxels: FloatArray) -> float:
+    """Along the longer of the horizontal main axes."""
     flat = voxels[:, :2] - voxels[:, :2].mean(axis=0)
     _, axes = np.linalg.eigh(flat.T @ flat)
-    width_m, length_m = np.ptp(flat @ axes, axis=0)
-    return np.array([max(length_m, width_m), min(length_m, width_m), np.ptp(voxels[:, 2])])
+    return float(np.ptp(flat @ axes, axis=0).max())
 
 
 def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:

@@ -17,9 +17,6 @@ import numpy as np
 
 from logs.messages import FloatArray
 
-EDGE = 0.1
-"""Share of the width, at each side, whose points are taken for the edge of the outline."""
-
 
 class Centre(NamedTuple):
     """Centre (3,) m and covariance (3, 3) m^2 of an object."""
@@ -57,8 +54,9 @@ def seen_from_one_side(
     along_m, across_m = (points - mean) @ ray, (points - mean) @ across
     left_m, right_m = float(across_m.min()), float(across_m.max())
     width_m = right_m - left_m
-    left = along_m[across_m <= left_m + EDGE * width_m]
-    right = along_m[across_m >= right_m - EDGE * width_m]
+    # The edges of the outline: a tenth of the width at each side.
+    left = along_m[across_m <= left_m + 0.1 * width_m]
+    right = along_m[across_m >= right_m - 0.1 * width_m]
     outline_m = 0.5 * (float(np.median(left)) + float(np.median(right)))
     depth_m = float(np.subtract(*np.percentile(along_m, [95.0, 5.0])))
     flatness = max(0.0, 1.0 - 2.0 * depth_m / width_m) if width_m > 0.0 else 0.0

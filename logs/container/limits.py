@@ -7,14 +7,13 @@ from dataclasses import dataclass, fields
 
 from logs.errors import UnreadableLogError
 
-MEGABYTE = 1_000_000
-
 
 @dataclass(frozen=True)
 class ReadingLimits:
-    """What goes beyond is left out and counted, or refused where nothing would be left; the error names the limit.
+    """What goes beyond is left out and counted, or refused where nothing would be left; the error names the setting
+    that all are in proportion to, ``memory_mb``.
 
-    ``chunk_mb``: of one chunk, decompressed; ``message_mb``: of one message whose content is used; ``waiting_mb``: of
+    ``chunk_mb``: of one chunk, decompressed; ``message_mb``: of one message that is decoded; ``waiting_mb``: of
     the messages that wait because chunks overlap in time; ``metadata_mb``: of all metadata; ``channels``: of channels
     and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in characters.
     """
@@ -36,12 +35,12 @@ class ReadingLimits:
     @property
     def chunk_bytes(self) -> int:
         """``chunk_mb`` in bytes."""
-        return round(self.chunk_mb * MEGABYTE)
+        return round(1e6 * self.chunk_mb)
 
     @property
     def message_bytes(self) -> int:
         """``message_mb`` in bytes."""
-        return round(self.message_mb * MEGABYTE)
+        return round(1e6 * self.message_mb)
 
     @property
     def input_bytes(self) -> int:
@@ -56,8 +55,7 @@ class ReadingLimits:
         """
         if count > self.channels:
             raise UnreadableLogError(
-                f"{file} has more than {self.channels} channels or schemas; if you trust the file, "
-                f"--set memory_mb={math.ceil(self.chunk_mb * count / self.channels)}"
+                f"{file} has more than {self.channels} channels or schemas; {self._remedy(count / self.channels)}"
             )
 
     def check_name(self, file: str, what: str, name: str) -> None:
@@ -69,9 +67,12 @@ class ReadingLimits:
         if len(name) > self.name_length:
             raise UnreadableLogError(
                 f"{file}: the name of {what} has {len(name)} characters, more than {self.name_length}; "
-                f"if you trust the file, "
-                f"--set memory_mb={math.ceil(self.chunk_mb * len(name) / self.name_length)}"
+                + self._remedy(len(name) / self.name_length)
             )
+
+    def _remedy(self, times: float) -> str:
+        """How a file is read that needs so many times what is allowed."""
+        return f"if you trust the file, --set memory_mb={math.ceil(self.chunk_mb * times)}"
 
 
 RESULT_LIMITS = ReadingLimits(chunk_mb=1000.0, message_mb=1000.0, waiting_mb=1000.0)

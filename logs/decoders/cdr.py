@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -13,47 +12,32 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from logs.topics import Schema
+from logs.topics import RawMessage, Schema
 from logs.validation import Refusal
 
-_MAX_BYTES = 65_536
-"""Of a definition: reading one takes 10 ms for each kilobyte."""
 _MAX_FIELDS = 1024
 """Of a message and all its parts; each element of an array of fixed length counts, as code is generated for it."""
-_MAX_DEPTH = 32
 _DAMAGE = (SerdeError, struct.error, ValueError, IndexError, KeyError, OverflowError, MemoryError)
 _SEPARATOR = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
 
 
-def parse(schema: Schema, data: bytes) -> Any:
-    """The message in ``data``: fields are attributes, as in Python nodes; arrays of numbers are NumPy arrays.
+def parse(raw: RawMessage) -> Any:
+    """The message in ``raw``: fields are attributes, as in Python nodes; arrays of numbers are NumPy arrays.
 
     Raises:
-        Refusal: a definition that cannot be read, or bytes that are no such message.
+        Refusal: no definition or one that cannot be read, or bytes that are no such message.
     """
-    store = _typestore(schema)
+    schema = raw.channel.schema
+    if schema is None:
+        raise Refusal("no definition of the message in the log")
+    store = _read_definition(schema)
+    if isinstance(store, str):
+        raise Refusal(f"definition of {schema.name} cannot be read", store)
     try:
-        return store.deserialize_cdr(data, schema.name)
+        return store.deserialize_cdr(raw.data, schema.name)
     except _DAMAGE as error:
-        raise Refusal("bytes do not decode", f"{len(data)} bytes as {schema.name}") from error
-
-
-def constants_of(schema: Schema, type_name: str) -> Mapping[str, int | float | str | bool]:
-    """The constants of ``type_name``, a part of the message of ``schema``, by name; none if there is no such part.
-
-    Raises:
-        Refusal: a definition that cannot be read.
-    """
-    constants, _ = _typestore(schema).fielddefs.get(type_name, ((), ()))
-    return {name: value for name, _, value in constants}
-
-
-def _typestore(schema: Schema) -> Typestore:
-    found = _read_definition(schema)
-    if isinstance(found, str):
-        raise Refusal(f"definition of {schema.name} cannot be read", found)
-    return found
+        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {schema.name}") from error
 
 
 @lru_cache(maxsize=64)
@@ -61,8 +45,8 @@ def _read_definition(schema: Schema) -> Typestore | str:
     """The types of a definition, or why it cannot be read; computed once for all its messages."""
     store = get_typestore(Stores.EMPTY)
     try:
-        if len(schema.data) > _MAX_BYTES:
-            raise ValueError(f"{len(schema.data)} bytes, more than {_MAX_BYTES}")
+        if len(schema.data) > 65_536:  # reading one takes 10 ms for each kilobyte
+            raise ValueError(f"{len(schema.data)} bytes, more than 65536")
         text = schema.data.decode()
         if schema.encoding == "ros2idl":
             # The library knows no directives of a preprocessor; what they include stands in the same text.
@@ -70,7 +54,7 @@ def _read_definition(schema: Schema) -> Typestore | str:
             store.register({name: t for part in parts if part.strip() for name, t in get_types_from_idl(part).items()})
         else:
             store.register(get_types_from_msg(text, schema.name))
-        _count_fields(store, schema.name, _MAX_DEPTH)
+        _count_fields(store, schema.name, depth=32)
     except (TypesysError, SyntaxError, RecursionError, *_DAMAGE) as error:
         return " ".join(str(error).split())[:200]
     return store
@@ -84,7 +68,7 @@ def _count_fields(store: Typestore, type_name: str, depth: int) -> int:
         KeyError: a part is not defined.
     """
     if depth == 0:
-        raise ValueError(f"nested more than {_MAX_DEPTH} levels deep")
+        raise ValueError("nested more than 32 levels deep")
     count = 1
     fielddefs: list[tuple[str, Any]] = list(store.fielddefs[type_name][1])
     for _, (kind, described) in fielddefs:

@@ -1,16 +1,23 @@
-"""One message -> its records, for the part that its topic plays."""
+"""Messages of a log -> records, with a count of what was not fit to be one."""
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
+from collections.abc import Collection
+from typing import Any
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.parts import Context, Records
-from logs.decoders.registry import Decoder, decoder_of
+from logs.decoders import protobuf, ros2
+from logs.decoders.field_mapping import FieldMapping
+from logs.decoders.parts import Context, MessageDecoder, Records
 from logs.errors import InvalidRecordError
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
-from logs.topics import RawMessage, RecordKind
+from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.validation import LAST_NS, Refusal
+
+MAX_DEFINITIONS = 32
+"""Different definitions of messages in one log; further ones are not read, as each takes time and memory."""
 
 _LARGE = frozenset(
     {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH, RecordKind.DEPTH}
@@ -29,13 +36,28 @@ _OTHER_FIELDS = (
     InvalidRecordError,
 )
 
+_log = logging.getLogger(__name__)
+
+
+def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
+    """What the messages of ``channel`` can be decoded to; () for a schema or an encoding that is not known."""
+    known = _decoder_of(channel)
+    return () if known is None else known.kinds
+
+
+def _decoder_of(channel: Channel) -> MessageDecoder | None:
+    if channel.message_encoding in ("protobuf", "json"):
+        return protobuf.DECODERS.get(channel.schema_name)
+    is_ros2 = channel.schema is not None and channel.schema.encoding in ("ros2msg", "ros2idl")
+    return ros2.DECODERS.get(channel.schema_name) if channel.message_encoding == "cdr" and is_ros2 else None
+
 
 def decode(
     raw: RawMessage,
     kind: RecordKind,
     counters: Counter[str] | None = None,
     limits: ReadingLimits | None = None,
-    decoder: Decoder | None = None,
+    mapping: FieldMapping | None = None,
 ) -> Records:
     """The records of ``raw`` when its topic plays the part ``kind``; a message may hold none, one or several.
 
@@ -44,7 +66,7 @@ def decode(
         kind: one of ``kinds_of`` its channel.
         counters: counts what was left out of records that are otherwise good.
         limits: of objects, and of the length of names.
-        decoder: instead of that of the schema.
+        mapping: where the fields of detections are, in a message of a schema that is not known.
 
     Raises:
         InvalidRecordError: the bytes are no such message, or hold values that no record may have, or more than the
@@ -53,10 +75,11 @@ def decode(
     limits = limits or ReadingLimits()
     try:
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
-        if not is_large and len(raw.data) > limits.input_bytes:
-            raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
+        most = limits.message_bytes if is_large else limits.input_bytes
+        if len(raw.data) > most:
+            raise Refusal("too many bytes for memory_mb", f"{len(raw.data)}, more than {most}")
         context = Context(raw, kind, Counter() if counters is None else counters)
-        records = (decoder or decoder_of(raw.channel))(context)
+        records = _records(context) if mapping is None else mapping.decode(context)
         for record in records:
             _check(record, limits)
         return records
@@ -66,6 +89,21 @@ def decode(
         raise InvalidRecordError(
             f"{raw.topic} at {raw.log_time_ns} ns: {error}; the message is left out", reason=error.reason
         ) from error
+
+
+def _records(context: Context) -> Records:
+    raw = context.raw
+    known = _decoder_of(raw.channel)
+    if known is None:
+        raise Refusal("the schema is not known", raw.channel.schema_name)
+    message: Any
+    if known.message_class is not None:
+        message = protobuf.parse(raw, known.message_class)
+    else:
+        from logs.decoders.cdr import parse  # loads rosbags
+
+        message = parse(raw)
+    return known.records(message, context)
 
 
 def _check(record: Record, limits: ReadingLimits) -> None:
@@ -78,9 +116,48 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         value = getattr(record, field)
         values = value if isinstance(value, tuple) else (value,)
         if len(values) > limits.objects:
-            raise Refusal("more objects than limits.objects", f"{len(values)}, more than {limits.objects}")
+            raise Refusal("too many objects for memory_mb", f"{len(values)}, more than {limits.objects}")
         names += values
     if any(type(name) is not str for name in names):
         raise Refusal("name is not text")
     if max(map(len, names), default=0) > limits.name_length:
-        raise Refusal("name longer than limits.name_length", f"more than {limits.name_length} characters")
+        raise Refusal("name too long for memory_mb", f"more than {limits.name_length} characters")
+
+
+class RecordDecoder:
+    """Decodes the messages of one pass over a log, and counts those that are unfit.
+
+    ``counters``: ``invalid_messages``, ``undecodable`` (messages whose schema does not fit), ``dropped_objects``,
+    ``ignored_covariances``. Invalid messages are reported once for each topic and reason;
+    ``reported``: the topics and reasons that earlier passes reported.
+    """
+
+    def __init__(
+        self,
+        limits: ReadingLimits | None = None,
+        counters: Counter[str] | None = None,
+        reported: set[tuple[str, str]] | None = None,
+    ) -> None:
+        self._limits = limits or ReadingLimits()
+        self._definitions: set[Schema | None] = set()
+        self._reported = set[tuple[str, str]]() if reported is None else reported
+        self.counters = Counter[str]() if counters is None else counters
+
+    def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:
+        """The records of ``raw`` for those of the ``wanted`` kinds that its schema, or ``mapping``, can give."""
+        kinds = [kind for kind in wanted if mapping is not None or kind in kinds_of(raw.channel)]
+        self._definitions |= {raw.channel.schema} if len(self._definitions) < MAX_DEFINITIONS else set()
+        if not kinds or raw.channel.schema not in self._definitions:
+            self.counters["undecodable"] += 1
+            return ()
+        records: Records = ()
+        try:
+            for kind in kinds:
+                records += decode(raw, kind, self.counters, self._limits, mapping)
+        except InvalidRecordError as error:
+            self.counters["invalid_messages"] += 1
+            if (raw.topic, error.reason) not in self._reported:
+                self._reported.add((raw.topic, error.reason))
+                _log.warning("%s; further ones on this topic are only counted", error)
+            return ()
+        return records

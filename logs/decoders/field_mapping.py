@@ -46,7 +46,7 @@ class FieldMapping:
         return FieldMapping(objects.removesuffix("[]"), fields)
 
     def decode(self, context: Context) -> Records:
-        """The records of a message; see :data:`logs.decoders.registry.Decoder`.
+        """The records of a message.
 
         Raises:
             Refusal: bytes that are no such message, or a field that is not there.
@@ -76,11 +76,11 @@ class FieldMapping:
 def _tree(raw: RawMessage) -> Any:
     if raw.channel.message_encoding == "json":
         return json.loads(raw.data)
-    if raw.channel.schema is None or raw.channel.message_encoding != "cdr":
+    if raw.channel.message_encoding != "cdr":
         raise Refusal("fields are mapped in JSON and ROS messages", f"encoding {raw.channel.message_encoding!r}")
     from logs.decoders.cdr import parse  # loads rosbags
 
-    return parse(raw.channel.schema, raw.data)
+    return parse(raw)
 
 
 _MISSING = object()

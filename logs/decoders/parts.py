@@ -28,7 +28,7 @@ Records = tuple[Record, ...]
 Place = tuple[int, str]
 """Stamp [ns] and frame."""
 
-
+DETECTIONS = (RecordKind.DETECTIONS,)
 POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
 FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
 """What a pose, and the pose of a frame in another, may be on a topic."""
@@ -48,7 +48,7 @@ class MessageDecoder(NamedTuple):
     kinds: tuple[RecordKind, ...]
     records: Callable[[Any, Context], Records]
     message_class: Any = None
-    """Of protobuf."""
+    """Of protobuf; None of ROS."""
 
 
 class Detection(NamedTuple):

@@ -28,6 +28,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs import messages as m
 from logs.decoders.parts import (
+    DETECTIONS,
     FRAMES,
     POSE,
     Context,
@@ -51,21 +52,18 @@ _SECONDS, _NANOSECONDS = {"sec", "seconds"}, {"nsec", "nanosec", "nanos"}
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
 
 
-def decode(context: Context) -> Records:
-    """Records of one message; see :data:`logs.decoders.registry.Decoder`.
+def parse(raw: RawMessage, message_class: Any) -> Any:
+    """The message in ``raw``.
 
     Raises:
-        Refusal: bytes that are no such message, or values that no record may have.
+        Refusal: bytes that are no such message.
     """
-    raw = context.raw
-    known = DECODERS[raw.channel.schema_name]
     if raw.channel.message_encoding == "json":
-        return known.records(_parse_json(known.message_class, raw), context)
+        return _parse_json(message_class, raw)
     try:
-        message = known.message_class.FromString(raw.data)
+        return message_class.FromString(raw.data)
     except DecodeError as error:
         raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
-    return known.records(message, context)
 
 
 def _parse_json(message_class: Any, raw: RawMessage) -> Any:
@@ -148,15 +146,14 @@ def _fix(message: Any, context: Context) -> Records:
     return fix_records(context, _place(message, context), message)
 
 
-_DETECTIONS = (RecordKind.DETECTIONS,)
 DECODERS: dict[str, MessageDecoder] = {
     "foxglove.Odometry": MessageDecoder(POSE, _odometry, Odometry),
     "foxglove.PoseInFrame": MessageDecoder((*POSE, RecordKind.SLAM_POSE), _pose, PoseInFrame),
     "foxglove.FrameTransform": MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
     "foxglove.FrameTransforms": MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
     "foxglove.LocationFix": MessageDecoder((RecordKind.GNSS,), _fix, LocationFix),
-    "foxglove.SceneUpdate": MessageDecoder(_DETECTIONS, _scene_update, SceneUpdate),
-    "dslam.ObjectDetections": MessageDecoder(_DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
+    "foxglove.SceneUpdate": MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
+    "dslam.ObjectDetections": MessageDecoder(DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
     **_own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
     **_own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
     **_own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),

@@ -7,24 +7,19 @@ from typing import Any
 from logs.decoders import ros2_clouds as clouds
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
-from logs.decoders.parts import FRAMES, POSE, Context, MessageDecoder, Records, fix_records, frame_records, pose_records
+from logs.decoders.parts import (
+    DETECTIONS,
+    FRAMES,
+    POSE,
+    Context,
+    MessageDecoder,
+    Records,
+    fix_records,
+    frame_records,
+    pose_records,
+)
 from logs.decoders.ros2_detections import place_of
 from logs.topics import RecordKind
-from logs.validation import Refusal
-
-
-def decode(context: Context) -> Records:
-    """Records of one message; see :data:`logs.decoders.registry.Decoder`.
-
-    Raises:
-        Refusal: bytes that are no such message, a definition without the usual fields, or values no record may have.
-    """
-    from logs.decoders.cdr import parse  # loads rosbags
-
-    schema = context.raw.channel.schema
-    if schema is None:
-        raise Refusal("no definition of the message in the log")
-    return DECODERS[schema.name].records(parse(schema, context.raw.data), context)
 
 
 def _odometry(message: Any, context: Context) -> Records:
@@ -53,8 +48,7 @@ def _fix(message: Any, context: Context) -> Records:
     return fix_records(context, place_of(message.header, context), message)
 
 
-_AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
-_DETECTIONS = (RecordKind.DETECTIONS,)
+AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
 DECODERS = {
     "nav_msgs/msg/Odometry": MessageDecoder(POSE, _odometry),
     "geometry_msgs/msg/PoseStamped": MessageDecoder(POSE, _pose),
@@ -62,16 +56,16 @@ DECODERS = {
     "tf2_msgs/msg/TFMessage": MessageDecoder(FRAMES, _tf),
     "tf/msg/tfMessage": MessageDecoder(FRAMES, _tf),
     "sensor_msgs/msg/NavSatFix": MessageDecoder((RecordKind.GNSS,), _fix),
-    "vision_msgs/msg/Detection3DArray": MessageDecoder(_DETECTIONS, objects.detections_3d),
+    "vision_msgs/msg/Detection3DArray": MessageDecoder(DETECTIONS, objects.detections_3d),
     **{
-        f"{package}/msg/{name}": MessageDecoder(_DETECTIONS, objects.autoware_objects)
-        for package in _AUTOWARE
+        f"{package}/msg/{name}": MessageDecoder(DETECTIONS, objects.autoware_objects)
+        for package in AUTOWARE
         for name in ("TrackedObjects", "DetectedObjects")
     },
-    "visualization_msgs/msg/MarkerArray": MessageDecoder(_DETECTIONS, objects.markers),
-    "vision_msgs/msg/Detection2DArray": MessageDecoder(_DETECTIONS, images.detections_2d),
-    "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(_DETECTIONS, images.tags),
-    "sensor_msgs/msg/PointCloud2": MessageDecoder(_DETECTIONS, clouds.labelled_scan),
+    "visualization_msgs/msg/MarkerArray": MessageDecoder(DETECTIONS, objects.markers),
+    "vision_msgs/msg/Detection2DArray": MessageDecoder(DETECTIONS, images.detections_2d),
+    "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(DETECTIONS, images.tags),
+    "sensor_msgs/msg/PointCloud2": MessageDecoder(DETECTIONS, clouds.labelled_scan),
     "sensor_msgs/msg/CameraInfo": MessageDecoder((RecordKind.CAMERA_INFO,), images.camera_info),
     "sensor_msgs/msg/Image": MessageDecoder((RecordKind.DEPTH,), images.depth_image),
 }

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.clouds.cloud_files import labelled_cloud
+from logs.clouds.labelled_cloud import labelled_cloud
 from logs.decoders.parts import Context, Records
 from logs.decoders.ros2_detections import place_of
 from logs.decoders.ros2_images import image_rows

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from logs.decoders.parts import Context, Detection, Place, Records, detection_records, xyz
-from logs.topics import Schema
 from logs.validation import FloatArray, stamp_ns
 
 
@@ -49,7 +48,6 @@ def detections_3d(message: Any, context: Context) -> Records:
 
 def autoware_objects(message: Any, context: Context) -> Records:
     """Records of DetectedObjects or TrackedObjects."""
-    names = _class_names(context.raw.channel.schema)
     found = []
     for seen in message.objects:
         best = max(seen.classification, key=lambda c: c.probability, default=None)
@@ -58,7 +56,7 @@ def autoware_objects(message: Any, context: Context) -> Records:
         found.append(
             Detection(
                 xyz(placed.pose.position),
-                "" if best is None else names.get(best.label, f"class {best.label}"),
+                "" if best is None else _class_name(best),
                 seen.existence_probability,
                 covariance=position_covariance(placed.covariance) if is_known else None,
             )
@@ -66,15 +64,10 @@ def autoware_objects(message: Any, context: Context) -> Records:
     return detection_records({place_of(message.header, context): found}, context.counters)
 
 
-def _class_names(schema: Schema | None) -> dict[int, str]:
-    """Number -> name in small letters, from the constants of ObjectClassification."""
-    from logs.decoders.cdr import constants_of  # loads rosbags
-
-    if schema is None:
-        return {}
-    package = schema.name.partition("/")[0]
-    constants = constants_of(schema, f"{package}/msg/ObjectClassification")
-    return {int(number): name.lower() for name, number in constants.items()}
+def _class_name(best: Any) -> str:
+    """The name of a number, in small letters, by the constants of an ObjectClassification."""
+    names: dict[Any, str] = {number: name.lower() for name, number in vars(type(best)).items() if name.isupper()}
+    return names.get(best.label, f"class {best.label}")
 
 
 def markers(message: Any, context: Context) -> Records:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from logs.decoders.ros2 import AUTOWARE
+
 _HEADER = "std_msgs/Header header\n"
 
 _PERCEPTION = {
@@ -64,13 +66,12 @@ _AUTOWARE = {
     "DetectedObjects": f"{_HEADER}DetectedObject[] objects",
     "TrackedObjects": f"{_HEADER}TrackedObject[] objects",
 }
-_AUTOWARE_PACKAGES = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
 
 
 def _types() -> Typestore:
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = {}
-    autoware = {f"{package}/msg/{name}": text for package in _AUTOWARE_PACKAGES for name, text in _AUTOWARE.items()}
+    autoware = {f"{package}/msg/{name}": text for package in AUTOWARE for name, text in _AUTOWARE.items()}
     for name, text in (_PERCEPTION | autoware).items():
         types.update(get_types_from_msg(text, name))
     store.register(types)

@@ -43,8 +43,7 @@ def read_detections(table: Table) -> DetectionTable:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
             positions are in an impossible unit.
     """
-    stamps = read_stamps(table)
-    stamps.check_increasing(strictly=False)
+    stamps_ns = read_stamps(table, strictly=False)
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
     has_truth = table.find(("object_id",))
@@ -58,7 +57,7 @@ def read_detections(table: Table) -> DetectionTable:
     )
     frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
     scans: dict[tuple[int, str], list[int]] = {}
-    for row, place in enumerate(zip(stamps.stamps_ns.tolist(), frames, strict=True)):
+    for row, place in enumerate(zip(stamps_ns.tolist(), frames, strict=True)):
         scans.setdefault(place, []).extend([] if is_empty[row] else [row])
     records: list[ObjectDetections | DetectionTruth] = []
     for (stamp_ns, frame), rows in scans.items():

@@ -1,4 +1,4 @@
-"""The text files of the KITTI odometry benchmark: camera poses, times of scans, and the calibration of the LiDAR."""
+"""The text files of the KITTI odometry benchmark: camera poses, and the calibration of the LiDAR."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import read_table
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray
@@ -51,17 +50,6 @@ def parse_calibration(source: SourceText) -> FloatArray:
     if not len(T):
         raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
     return np.asarray(T[0])
-
-
-def read_times(source: SourceText) -> Stamps:
-    """Stamps from one line of seconds each; the decimal text is converted exactly.
-
-    Raises:
-        DatasetError: no line, one that is no time, or that does not come after the one before.
-    """
-    stamps = read_stamps(read_table(source, ["stamp_s"]))
-    stamps.check_increasing(strictly=True)
-    return stamps
 
 
 def body_poses(T_origin_camera: FloatArray, T_camera_velodyne: FloatArray) -> FloatArray:

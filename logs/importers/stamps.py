@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from decimal import Decimal
 
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.tables import Column, Table
+from logs.importers.tables import Table
 from logs.messages import IntArray
 from logs.validation import LAST_NS
 
@@ -22,31 +21,12 @@ UNIT_REMEDY = "name the column by its unit: stamp_s, stamp_ms, stamp_us or stamp
 _DATE = re.compile(r"\d{4}(-?)\d\d\1\d\d[T ]\d\d:?\d\d")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stamps:
-    """``stamps_ns`` (R,) of the rows of a table, and their ``column``."""
-
-    table: Table
-    column: Column
-    stamps_ns: IntArray
-
-    def check_increasing(self, *, strictly: bool) -> None:
-        """See that the rows are in the order of time.
-
-        Raises:
-            DatasetError: a stamp is before the one of the row before or, if ``strictly``, equal to it.
-        """
-        steps = np.diff(self.stamps_ns, prepend=self.stamps_ns[:1] - 1)
-        self.table.refuse(steps < 0, self.column, "CELL comes after a later stamp; sort the lines by this column")
-        twice = "CELL occurs twice; remove one of the two lines, or write the stamps with more digits"
-        self.table.refuse(strictly & (steps == 0), self.column, twice)
-
-
-def read_stamps(table: Table) -> Stamps:
-    """The stamps of ``table``.
+def read_stamps(table: Table, *, strictly: bool) -> IntArray:
+    """The stamps (R,) [ns] of the rows of ``table``, in the order of time.
 
     Raises:
-        DatasetError: no row, no column of stamps or several, or a cell that is no time from 0 on.
+        DatasetError: no row, no column of stamps or several, a cell that is no time from 0 on, or a stamp that is
+            before the one of the row before or, if ``strictly``, equal to it.
     """
     column = table.need("the stamp", "stamp_s", STAMP_NAMES, TIME_UNITS)
     if not table.lines:
@@ -58,7 +38,11 @@ def read_stamps(table: Table) -> Stamps:
         except (ValueError, ArithmeticError) as error:
             reason = error if isinstance(error, ValueError) else "not a time"
             raise table.error(row, column.name, f"{cell[:40]!r} is {reason}; correct it, or {UNIT_REMEDY}") from error
-    return Stamps(table, column, stamps_ns)
+    steps = np.diff(stamps_ns, prepend=stamps_ns[:1] - 1)
+    table.refuse(steps < 0, column, "CELL comes after a later stamp; sort the lines by this column")
+    twice = "CELL occurs twice; remove one of the two lines, or write the stamps with more digits"
+    table.refuse(strictly & (steps == 0), column, twice)
+    return stamps_ns
 
 
 def _nanoseconds(cell: str, unit_ns: int) -> int:

@@ -13,8 +13,6 @@ from pathlib import Path
 from logs.errors import DatasetError
 from logs.storage.regular_file import max_unpacked_bytes, read_regular
 
-_GZIP = b"\x1f\x8b"
-
 
 @dataclass(frozen=True, slots=True)
 class SourceText:
@@ -31,24 +29,17 @@ class SourceText:
 
 
 def read_source_text(path: Path) -> SourceText:
-    """The file at ``path`` as text; see :func:`source_text`.
+    """The file at ``path`` as text, unpacked if it is gzip.
 
     Raises:
         DatasetError: it is missing, cannot be read or unpacked, or is no UTF-8 text.
     """
+    name = str(path)
     try:
-        return source_text(str(path), read_regular(path))
+        content = read_regular(path)
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror}); give the path of the dataset's file") from error
-
-
-def source_text(name: str, content: bytes) -> SourceText:
-    """The content of a file as text, unpacked if it is gzip.
-
-    Raises:
-        DatasetError: it cannot be unpacked, or is no UTF-8 text.
-    """
-    plain = _unpacked(name, content) if content.startswith(_GZIP) else content
+        raise DatasetError(f"{name}: cannot be read ({error.strerror}); give the path of the dataset's file") from error
+    plain = _unpacked(name, content) if content.startswith(b"\x1f\x8b") else content
     try:
         if b"\0" in plain:
             raise UnicodeDecodeError("utf-8", plain, plain.index(b"\0"), len(plain), "not text")

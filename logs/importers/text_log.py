@@ -68,7 +68,7 @@ def read_text_log(
     path = trajectories["odometry"]
     described = describe_sources(sources.items())
     if detections.is_dir():
-        found, sha256 = read_centroids(detections, path.stamps.stamps_ns)
+        found, sha256 = read_centroids(detections, path.stamps_ns)
         described |= {"detections": detections.resolve().name, "detections_sha256": sha256}
     else:
         table = read_source_text(detections)

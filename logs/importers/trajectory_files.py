@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
-from logs.importers.kitti import POSE_COLUMNS, body_poses, parse_calibration, parse_poses, read_times
-from logs.importers.stamps import UNIT_REMEDY, Stamps, read_stamps
+from logs.importers.kitti import POSE_COLUMNS, body_poses, parse_calibration, parse_poses
+from logs.importers.stamps import UNIT_REMEDY, read_stamps
 from logs.importers.tables import LENGTH_UNITS, Table, first_row, is_number, read_table
 from logs.importers.text_files import SourceText
-from logs.messages import FloatArray
+from logs.messages import FloatArray, IntArray
 from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE
 
 _TUM = ("stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -35,15 +35,15 @@ class TrajectoryFormat(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Poses (N, 4, 4) of the body, metres, at strictly increasing ``stamps``."""
+    """Poses (N, 4, 4) of the body, metres, at strictly increasing stamps (N,)."""
 
-    stamps: Stamps
+    stamps_ns: IntArray
     T_world_body: FloatArray
     format: TrajectoryFormat
 
     def poses(self) -> Iterator[tuple[int, FloatArray]]:
         """Stamp [ns] and pose (4, 4) of each."""
-        return zip(self.stamps.stamps_ns.tolist(), self.T_world_body, strict=True)
+        return zip(self.stamps_ns.tolist(), self.T_world_body, strict=True)
 
     @property
     def length_m(self) -> float:
@@ -70,9 +70,7 @@ def read_trajectory(
         trajectory = _read_kitti(source, times, calib)
     else:
         table = read_table(source, _TUM if format == TrajectoryFormat.TUM else ())
-        stamps = read_stamps(table)
-        stamps.check_increasing(strictly=True)
-        trajectory = Trajectory(stamps, _poses(table), format)
+        trajectory = Trajectory(read_stamps(table, strictly=True), _poses(table), format)
     _check_plausible(source.name, trajectory)
     return trajectory
 
@@ -140,26 +138,27 @@ def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText 
             f"{source.name}: poses in KITTI's format have no stamps; give the file of their times (--times)"
         )
     T = parse_poses(source)
-    stamps = read_times(times)
-    if len(T) != len(stamps.stamps_ns):
+    stamps_ns = read_stamps(read_table(times, ["stamp_s"]), strictly=True)
+    if len(T) != len(stamps_ns):
         raise DatasetError(
-            f"{source.name} has {len(T)} poses, {times.name} {len(stamps.stamps_ns)} times; give files of one drive"
+            f"{source.name} has {len(T)} poses, {times.name} {len(stamps_ns)} times; give files of one drive"
         )
     if calib is not None:
         T = body_poses(T, parse_calibration(calib))
-    return Trajectory(stamps, T, TrajectoryFormat.KITTI)
+    return Trajectory(stamps_ns, T, TrajectoryFormat.KITTI)
 
 
 def _check_plausible(name: str, trajectory: Trajectory) -> None:
     """See that the median step takes a time and a speed that a robot on the ground has."""
-    stamps = trajectory.stamps
-    if len(stamps.stamps_ns) < 2:
+    if len(trajectory.stamps_ns) < 2:
         raise DatasetError(f"{name}: one pose only; a drive has at least two")
-    steps_s = np.diff(stamps.stamps_ns) * 1e-9
+    steps_s = np.diff(trajectory.stamps_ns) * 1e-9
     # No steps of a sensor, or none of an odometry: a replay takes every such gap for a break.
     if not 1e-6 <= np.median(steps_s) <= 20.0:
-        fault = f"poses are {np.median(steps_s):.3g} s apart (median), unlike those of any odometry"
-        raise stamps.table.error(1, stamps.column.name, f"{fault}; give the stamps in seconds, or {UNIT_REMEDY}")
+        raise DatasetError(
+            f"{name}: poses are {np.median(steps_s):.3g} s apart (median), unlike those of any odometry; give the "
+            f"stamps in seconds, or {UNIT_REMEDY}"
+        )
     steps_m = _steps_m(trajectory.T_world_body)
     speeds_mps = (steps_m / steps_s)[steps_m > 0.0]
     # No robot on the ground.

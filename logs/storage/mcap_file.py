@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import logging
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -13,23 +12,20 @@ from mcap import records as mcap_records
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
-from logs.container.limits import MEGABYTE, ReadingLimits
+from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.mcap_index import (
     DAMAGE,
     HEADER,
     MESSAGE_HEADER,
-    OversizedChunkError,
+    McapIndex,
     read_block,
-    read_index,
     records,
     stream_of,
 )
 from logs.storage.regular_file import open_regular
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,19 +54,16 @@ class McapFile:
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
         self._name = name
         self._limits = limits
-        self._counters = Counter[str]()
-        self._reported: set[str] = set()
+        self._timeless_messages = 0
         try:
             self._stream = open_regular(path)
         except OSError as error:
             raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
         try:
-            self._index = read_index(name, self._stream, limits)
+            self._index = McapIndex(name, self._stream, limits)
         except UnreadableLogError:
             self._stream.close()
             raise
-        for size in self._index.oversized.values():
-            self._report(f"a chunk of {size / MEGABYTE:.0f} MB", "chunk_mb")
 
     def close(self) -> None:
         """Close the file."""
@@ -79,11 +72,11 @@ class McapFile:
     @property
     def counters(self) -> Mapping[str, int]:
         """``lost_chunks``, ``lost_bytes``, ``truncated`` (1: it ends before its end mark), ``chunks_too_large``; of the
-        latest pass over messages ``messages_too_large`` and ``messages_without_time``.
+        latest pass over messages ``messages_without_time``.
         """
         index = self._index
         return {
-            **self._counters,
+            "messages_without_time": self._timeless_messages,
             "lost_chunks": len(index.lost_blocks),
             "lost_bytes": index.lost_tail_bytes + sum(index.lost_blocks.values()),
             "truncated": int(not index.is_complete),
@@ -107,17 +100,14 @@ class McapFile:
         blocks = self._index.blocks
         return [b for b in blocks if not (there := b.message_index_offsets) or not there.keys().isdisjoint(channel_ids)]
 
-    def messages(
-        self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
-    ) -> Iterator[RawMessage]:
-        """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content.
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Undecoded messages of ``topics`` (None: of all), in the order of log time.
 
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
-        self._counters.clear()
+        self._timeless_messages = 0
         wanted = {c.id: c for c in self._index.channels.values() if topics is None or c.topic in topics}
-        empty = {id for id, channel in wanted.items() if channel.topic in without_content}
         waiting = self._blocks_with(wanted)[::-1]
         # (log time, offset of its block) is unique, so that messages are never compared; the next ones stand last.
         heap: list[tuple[int, int, list[RawMessage]]] = []
@@ -125,7 +115,7 @@ class McapFile:
         while waiting or heap:
             while waiting and (not heap or waiting[-1].message_start_time <= heap[0][0]):
                 block = waiting.pop()
-                messages = self._read(block, wanted, empty)
+                messages = self._read(block, wanted)
                 if messages:
                     held_bytes[block.chunk_start_offset] = sum(
                         # A message takes some 300 bytes besides its content.
@@ -146,15 +136,15 @@ class McapFile:
             yield message
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata by name; of several under one name the last. What goes beyond limits.metadata_mb is left out."""
+        """Metadata by name; of several under one name the last. What goes beyond the limits is left out."""
         found: dict[str, dict[str, str]] = {}
-        left = round(self._limits.metadata_mb * MEGABYTE)
+        left = round(1e6 * self._limits.metadata_mb)
         for offset in self._index.metadata_offsets:
             try:
                 self._stream.seek(offset)
                 _, length = HEADER.unpack(self._stream.read(HEADER.size))
                 if length > left:
-                    self._report(f"metadata of {length} bytes", "metadata_mb")
+                    self._index.report("metadata", length)
                     continue
                 record = mcap_records.Metadata.read(stream_of(self._stream.read(length)))
             except (*DAMAGE, OSError):
@@ -164,57 +154,29 @@ class McapFile:
             found[record.name] = record.metadata
         return found
 
-    def _read(self, block: ChunkIndex, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:
-        """The wanted messages of ``block``, the latest first; none, counted, if it is damaged."""
-        try:
+    def _read(self, block: ChunkIndex, wanted: Mapping[int, Channel]) -> list[RawMessage]:
+        """The messages of ``block`` on the channels ``wanted``, the latest first; none if it is damaged."""
+        messages, timeless = list[RawMessage](), 0
+        with self._index.noting_damage(block):
             content = read_block(self._stream, block, self._limits.chunk_bytes)
-            return self._messages_in(content, wanted, empty)
-        except OSError as error:
-            raise UnreadableLogError(
-                f"cannot continue to read {self._name}: {error.strerror}; check the disk"
-            ) from error
-        except OversizedChunkError as error:
-            self._index.oversized[block.chunk_start_offset] = error.size
-            self._report(f"a chunk of {error.size / MEGABYTE:.0f} MB", "chunk_mb")
-        except DAMAGE:
-            self._index.lost_blocks[block.chunk_start_offset] = block.chunk_length
+            for opcode, begin, end in records(content):
+                if opcode != Opcode.MESSAGE:
+                    continue
+                id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, begin)
+                if id in wanted and log_time_ns > LAST_NS:
+                    timeless += 1
+                elif id in wanted:
+                    data = content[begin + MESSAGE_HEADER.size : end]
+                    messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
+            self._timeless_messages += timeless
+            messages.reverse()
+            messages.sort(key=lambda message: -message.log_time_ns)
+            return messages
         return []
 
-    def _messages_in(self, content: bytes, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:
-        """The messages of a block on the channels ``wanted``, the latest first; those on ``empty`` without content."""
-        messages, counters = list[RawMessage](), Counter[str]()
-        for opcode, begin, end in records(content):
-            if opcode != Opcode.MESSAGE:
-                continue
-            id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, begin)
-            if id not in wanted:
-                continue
-            data_begin = end if id in empty else begin + MESSAGE_HEADER.size
-            if log_time_ns > LAST_NS:
-                counters["messages_without_time"] += 1
-            elif end - data_begin > self._limits.message_bytes:
-                counters["messages_too_large"] += 1
-            else:
-                data = content[data_begin:end]
-                messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
-        self._counters += counters
-        if counters["messages_too_large"]:
-            self._report("a message", "message_mb")
-        messages.reverse()
-        messages.sort(key=lambda message: -message.log_time_ns)
-        return messages
-
-    def _report(self, what: str, limit: str) -> None:
-        """Warn once of what goes beyond a limit."""
-        if limit not in self._reported:
-            self._reported.add(limit)
-            value = getattr(self._limits, limit)
-            text = "%s: %s exceeds limits.%s = %g and is left out; further ones are only counted"
-            _log.warning(text, self._name, what, limit, value)
-
     def _check_held(self, held_bytes: int) -> None:
-        if held_bytes > self._limits.waiting_mb * MEGABYTE:
+        if held_bytes > 1e6 * self._limits.waiting_mb:
             raise UnreadableLogError(
                 f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
-                "until they are read; write the log again in the order of time, or raise limits.waiting_mb"
+                "until they are read; write the log again in the order of time, or raise memory_mb"
             )

@@ -5,12 +5,13 @@ Damage anywhere costs no more than the block that it lies in: a chunk, or a run 
 
 from __future__ import annotations
 
+import logging
 import os
 import struct
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from contextlib import contextmanager
 from io import BytesIO
 from typing import Any, BinaryIO
 
@@ -27,6 +28,8 @@ from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.topics import Channel, Schema
 
+_log = logging.getLogger(__name__)
+
 MAGIC = b"\x89MCAP0\r\n"
 HEADER = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
@@ -38,7 +41,6 @@ Summary = dict[type, list[Any]]
 
 _CHUNK_TIMES = struct.Struct("<QQ")  # first and last log time
 _FOOTER = struct.Struct("<QQI")  # summary start, summary offset start, checksum of all from the summary start to here
-_MAX_BLOCKS = 500_000
 _DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: mcap_records.Schema, Opcode.CHANNEL: mcap_records.Channel}
 
 
@@ -48,35 +50,6 @@ class OversizedChunkError(ValueError):
     def __init__(self, size: int) -> None:
         super().__init__(f"{size} bytes")
         self.size = size
-
-
-@dataclass(slots=True)
-class McapIndex:
-    """Channels, numbers of messages and places.
-
-    ``blocks``: chunks, or runs of records outside of chunks, by their first log time; the channels that may be in one
-    are those in its ``message_index_offsets``, all if that is empty. ``lost_blocks``: offset -> bytes; ``oversized``:
-    offset -> bytes, decompressed; ``lost_tail_bytes``: at the end of the file, that are no records.
-    """
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    message_counts: Counter[int] = field(default_factory=Counter)
-    blocks: list[ChunkIndex] = field(default_factory=list)
-    metadata_offsets: list[int] = field(default_factory=list)
-    is_complete: bool = True
-    lost_tail_bytes: int = 0
-    lost_blocks: dict[int, int] = field(default_factory=dict)
-    oversized: dict[int, int] = field(default_factory=dict)
-
-
-def read_index(name: str, stream: BinaryIO, limits: ReadingLimits) -> McapIndex:
-    """The index of an MCAP file; ``name`` is what messages call it.
-
-    Raises:
-        UnreadableLogError: it holds more channels or blocks, or longer names, than the limits allow.
-    """
-    return _Indexing(name, stream, limits).run()
 
 
 def read_summary(stream: BinaryIO) -> Summary | None:
@@ -183,38 +156,83 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
     return data
 
 
-class _Indexing:
+class McapIndex:
+    """Channels, numbers of messages and places, from the summary of a file or from a walk through it.
+
+    ``blocks``: chunks, or runs of records outside of chunks, by their first log time; the channels that may be in one
+    are those in its ``message_index_offsets``, all if that is empty. ``lost_blocks``: offset -> bytes; ``oversized``:
+    offset -> bytes, decompressed; ``lost_tail_bytes``: at the end of the file, that are no records.
+
+    Raises:
+        UnreadableLogError: it holds more channels or blocks, or longer names, than the limits allow; ``name`` is what
+            the message calls it.
+    """
+
     def __init__(self, name: str, stream: BinaryIO, limits: ReadingLimits) -> None:
         self._name = name
         self._stream = stream
         self._limits = limits
-        self._index = McapIndex()
-
-    def run(self) -> McapIndex:
-        summary = read_summary(self._stream)
+        self._reported = set[str]()
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.message_counts = Counter[int]()
+        self.blocks: list[ChunkIndex] = []
+        self.metadata_offsets: list[int] = []
+        self.is_complete = True
+        self.lost_tail_bytes = 0
+        self.lost_blocks: dict[int, int] = {}
+        self.oversized: dict[int, int] = {}
+        summary = read_summary(stream)
         if summary is None:
             self._walk()
-            self._index.blocks = [block for block in self._index.blocks if self._is_indexed(block)]
+            self.blocks = [block for block in self.blocks if self._is_indexed(block)]
         else:
             self._take_summary(summary)
-        self._index.blocks.sort(key=lambda block: (block.message_start_time, block.chunk_start_offset))
-        return self._index
+        self.blocks.sort(key=lambda block: (block.message_start_time, block.chunk_start_offset))
+
+    @contextmanager
+    def noting_damage(self, block: ChunkIndex) -> Iterator[None]:
+        """Note that ``block`` is damaged or too large, if reading it says so, and leave it out.
+
+        Raises:
+            UnreadableLogError: the disk fails.
+        """
+        try:
+            yield
+        except OSError as error:
+            raise UnreadableLogError(
+                f"cannot continue to read {self._name}: {error.strerror}; check the disk"
+            ) from error
+        except OversizedChunkError as error:
+            self._note_oversized(block.chunk_start_offset, error.size)
+        except DAMAGE:
+            self.lost_blocks[block.chunk_start_offset] = block.chunk_length
+
+    def report(self, what: str, size: int) -> None:
+        """Warn once of what goes beyond the limits."""
+        if what not in self._reported:
+            self._reported.add(what)
+            text = "%s: %s of %.3g MB is more than memory_mb = %g allows and is left out; further ones are only counted"
+            _log.warning(text, self._name, what, 1e-6 * size, self._limits.chunk_mb)
+
+    def _note_oversized(self, offset: int, size: int) -> None:
+        self.oversized[offset] = size
+        self.report("a chunk", size)
 
     def _take_summary(self, summary: Summary) -> None:
         for definition in (*summary[mcap_records.Schema], *summary[mcap_records.Channel]):
             self._add(definition)
-        self._index.message_counts.update(summary[mcap_records.Statistics][0].channel_message_counts)
-        self._index.metadata_offsets = [each.offset for each in summary[mcap_records.MetadataIndex]]
-        self._index.blocks = summary[ChunkIndex]
+        self.message_counts.update(summary[mcap_records.Statistics][0].channel_message_counts)
+        self.metadata_offsets = [each.offset for each in summary[mcap_records.MetadataIndex]]
+        self.blocks = summary[ChunkIndex]
 
     def _walk(self) -> None:
         """Find the blocks up to the end of the data, or to where the records stop making sense."""
-        index = self._index
-        index.is_complete = False
+        self.is_complete = False
         size = self._stream.seek(0, os.SEEK_END)
         offset = run_start = len(MAGIC)
         run_times: list[int] = []
-        while not index.is_complete:
+        while not self.is_complete:
             self._stream.seek(offset)
             head = self._stream.read(HEADER.size + MESSAGE_HEADER.size)
             if len(head) < HEADER.size:
@@ -232,59 +250,49 @@ class _Indexing:
             if opcode == Opcode.CHUNK and len(head) >= HEADER.size + _CHUNK_TIMES.size:
                 self._add_block(offset, end, _CHUNK_TIMES.unpack_from(head, HEADER.size))
             elif opcode == Opcode.METADATA:
-                index.metadata_offsets.append(offset)
+                self.metadata_offsets.append(offset)
             elif not is_in_run and opcode in (*_DEFINITIONS, Opcode.MESSAGE):
-                index.oversized[offset] = end - offset
-            index.is_complete = opcode == Opcode.DATA_END
+                self._note_oversized(offset, end - offset)
+            self.is_complete = opcode == Opcode.DATA_END
             offset = end
         self._add_block(run_start, offset, run_times)
-        index.lost_tail_bytes = 0 if index.is_complete else size - offset
+        self.lost_tail_bytes = 0 if self.is_complete else size - offset
 
     def _add_block(self, start: int, end: int, times_ns: list[int] | tuple[int, ...]) -> None:
         if end == start:
             return
-        if len(self._index.blocks) == _MAX_BLOCKS:
+        if len(self.blocks) == 500_000:
             raise UnreadableLogError(
-                f"{self._name} has more than {_MAX_BLOCKS} chunks and no index; write it again with larger chunks"
+                f"{self._name} has more than {len(self.blocks)} chunks and no index; write it again with larger chunks"
             )
         times = {"message_start_time": min(times_ns, default=0), "message_end_time": max(times_ns, default=0)}
         unknown = {"compression": "", "compressed_size": 0, "uncompressed_size": 0, "message_index_length": 0}
         place = {"chunk_start_offset": start, "chunk_length": end - start, "message_index_offsets": {}}
-        self._index.blocks.append(ChunkIndex(**times, **unknown, **place))  # type: ignore[arg-type]
+        self.blocks.append(ChunkIndex(**times, **unknown, **place))  # type: ignore[arg-type]
 
     def _is_indexed(self, block: ChunkIndex) -> bool:
         """Add the channels and the numbers of messages of ``block``, unless it is damaged or too large."""
-        index = self._index
-        try:
+        with self.noting_damage(block):
             content = read_block(self._stream, block, self._limits.chunk_bytes)
             for opcode, begin, end in records(content):
                 if opcode == Opcode.MESSAGE:
-                    index.message_counts[MESSAGE_HEADER.unpack_from(content, begin)[0]] += 1
+                    self.message_counts[MESSAGE_HEADER.unpack_from(content, begin)[0]] += 1
                 elif opcode in _DEFINITIONS:
                     self._add(_DEFINITIONS[opcode].read(stream_of(content[begin:end])))
             return True
-        except OSError as error:
-            raise UnreadableLogError(
-                f"cannot continue to read {self._name}: {error.strerror}; check the disk"
-            ) from error
-        except OversizedChunkError as error:
-            index.oversized[block.chunk_start_offset] = error.size
-        except DAMAGE:
-            index.lost_blocks[block.chunk_start_offset] = block.chunk_length
         return False
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
-        index, limits = self._index, self._limits
         if isinstance(definition, mcap_records.Schema):
-            limits.check_name(self._name, "a schema", definition.name)
-            index.schemas[definition.id] = Schema(definition.id, definition.name, definition.encoding, definition.data)
+            self._limits.check_name(self._name, "a schema", definition.name)
+            self.schemas[definition.id] = Schema(definition.id, definition.name, definition.encoding, definition.data)
         else:
-            limits.check_name(self._name, "a topic", definition.topic)
-            index.channels[definition.id] = Channel(
+            self._limits.check_name(self._name, "a topic", definition.topic)
+            self.channels[definition.id] = Channel(
                 definition.id,
                 definition.topic,
                 definition.message_encoding,
-                index.schemas.get(definition.schema_id),
+                self.schemas.get(definition.schema_id),
                 definition.metadata,
             )
-        limits.check_channels(self._name, max(len(index.schemas), len(index.channels)))
+        self._limits.check_channels(self._name, max(len(self.schemas), len(self.channels)))

@@ -18,6 +18,11 @@ def is_special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
+def partial_path(path: Path) -> Path:
+    """Where the file ``path`` is written until it is finished."""
+    return path.with_name(f"{path.name}.part")
+
+
 def put_in_place(part: Path, path: Path) -> None:
     """Rename ``part`` to ``path``, in the place of a file of that name.
 
@@ -37,7 +42,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         UnwritableLogError: it cannot be written.
     """
     target = Path(path)
-    part = target.with_name(f"{target.name}.part")
+    part = partial_path(target)
     try:
         yield part
         put_in_place(part, target)

@@ -9,13 +9,13 @@ from io import BufferedReader
 
 MAX_BYTES = 1_000_000_000
 """Of a file that is read as a whole: a day of detections as a table."""
-_MAX_EXPANSION, _MIN_UNPACKED_BYTES = 100, 64_000_000
-"""Logs, tables and paths pack to a tenth or so; what unpacks to far more only fills memory or disk."""
 
 
 def max_unpacked_bytes(packed_bytes: int) -> int:
-    """Bytes that a file of ``packed_bytes`` may unpack to."""
-    return max(_MAX_EXPANSION * packed_bytes, _MIN_UNPACKED_BYTES)
+    """Bytes that a file of ``packed_bytes`` may unpack to: a hundred times as many, as logs, tables and paths pack to a
+    tenth or so, and 64 MB in any case.
+    """
+    return max(100 * packed_bytes, 64_000_000)
 
 
 def open_regular(path: str | os.PathLike[str]) -> BufferedReader:

@@ -10,8 +10,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.proto import parse_length_prefixed, serialize_length_prefixed
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.record_decoder import RecordDecoder
-from logs.decoders.registry import kinds_of
+from logs.decoders.decode import RecordDecoder, kinds_of
 from logs.encoders import encode
 from logs.errors import UnreadableLogError
 from logs.messages import Record

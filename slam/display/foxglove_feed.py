@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from logs.encoders import definition_of, encode, encode_path
-from logs.messages import Record, TrajectoryRecord
+from logs.encoders import definition_of, encode
+from logs.messages import Record
 
 NAME = "dslam"
 
@@ -37,7 +37,7 @@ class FoxgloveFeed:
 
     def show(self, topic: str, record: Record, log_time_ns: int) -> None:
         """Publish a record."""
-        message = encode_path(record) if isinstance(record, TrajectoryRecord) else encode(record)
+        message = encode(record)
         if topic not in self._channels:
             name, encoding, data = definition_of(message.DESCRIPTOR)
             schema = self._sdk.Schema(name=name, encoding=encoding, data=data)

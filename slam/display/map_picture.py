@@ -16,33 +16,33 @@ from logs.container.names import visible
 from logs.storage.placement import replacing
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.display.map_layers import Layer, MapPicture, layers_of
+from slam.display.map_layers import Layer, MapPicture
 
 _INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
-_MAX_NAME_LENGTH, _MAX_TITLE_LENGTH = 40, 60
-"""Letters that have room in the key and above the map."""
 
 
 def draw_map(path_png: str | Path, picture: MapPicture) -> None:
-    """Draw a map from above into a PNG file, by way of ``NAME.part``.
+    """Draw a map from above into a PNG file, by way of ``NAME.part``: x to the right, y up, equal scales.
 
-    Raises:
-        EvaluationError: as :func:`compose_map`.
-        UnwritableLogError: the file cannot be written.
-    """
-    save_figure(compose_map(picture), Path(path_png))
-
-
-def compose_map(picture: MapPicture) -> Figure:
-    """A map from above: x to the right, y up, equal scales.
+    The same picture gives the same bytes.
 
     Raises:
         EvaluationError: there is nothing to draw.
+        UnwritableLogError: the file cannot be written.
     """
-    points = picture.points[:, :2]
-    if len(points) == 0:
+    figure, png = _compose(picture), BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of letters that are in no font
+        figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
+    with replacing(path_png) as part:
+        part.write_bytes(png.getvalue())
+
+
+def _compose(picture: MapPicture) -> Figure:
+    layers = [layer for layer in picture.layers if len(layer.positions)]
+    if not layers:
         raise EvaluationError("no position to draw")
-    low, high = _limits(points)
+    low, high = _limits(np.concatenate([layer.positions for layer in layers])[:, :2])
     # A dollar sign in a name is one.
     with rc_context({"text.parse_math": False}):
         height_in = float(min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
@@ -50,38 +50,17 @@ def compose_map(picture: MapPicture) -> Figure:
         figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
         axes = figure.add_subplot()
         _prepare(axes, low, high)
-        for number, layer in enumerate(layers_of(picture), start=2):  # above the grid
+        for number, layer in enumerate(layers, start=2):  # above the grid
             _draw(axes, layer, number)
         figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
-        axes.set_title(
-            _cut(picture.title, _MAX_TITLE_LENGTH), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30
-        )
+        axes.set_title(_cut(picture.title, 60), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30)
         place: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (0.0, 6.0), "textcoords": "offset points"}
-        axes.annotate(_subtitle(picture), (0.0, 1.0), **place, fontsize=13, color=_MUTED)
+        axes.annotate(picture.subtitle, (0.0, 1.0), **place, fontsize=13, color=_MUTED)
     return figure
 
 
-def save_figure(figure: Figure, target: Path) -> None:
-    """Write a PNG, whole or not at all.
-
-    Raises:
-        UnwritableLogError: it cannot be written.
-    """
-    with replacing(target) as part:
-        part.write_bytes(to_png(figure))
-
-
-def to_png(figure: Figure) -> bytes:
-    """The figure as the bytes of a PNG; the same figure gives the same bytes."""
-    png = BytesIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of letters that are in no font
-        figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
-    return png.getvalue()
-
-
 def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     margin = max(0.03 * float(np.max(high - low)), 1.0)
     low, high = low - margin, high + margin
     # A straight street must not become a strip: the short side is widened to half of the long one.
@@ -102,7 +81,7 @@ def _prepare(axes: Axes, low: FloatArray, high: FloatArray) -> None:
 
 
 def _draw(axes: Axes, layer: Layer, zorder: int) -> None:
-    name = _cut(layer.name, _MAX_NAME_LENGTH) + ("" if layer.count is None else f" ({layer.count})")
+    name = _cut(layer.name, 40) + ("" if layer.count is None else f" ({layer.count})")
     if name.startswith("_"):
         name = f" {name}"  # the key leaves out what begins with an underscore
     x, y = layer.positions[:, :2].T
@@ -115,18 +94,6 @@ def _draw(axes: Axes, layer: Layer, zorder: int) -> None:
 
 
 def _cut(name: str, most: int) -> str:
+    """As many letters of a name as have room."""
     text = visible(name).replace("\n", " ")
     return text if len(text) <= most else f"{text[: most - 1]}…"
-
-
-def _subtitle(picture: MapPicture) -> str:
-    parts = []
-    if picture.length_m is not None:
-        parts.append(f"path {picture.length_m:.0f} m")
-    if picture.labels:
-        parts.append(f"landmarks {len(picture.labels)}, classes {len(set(picture.labels))}")
-    if picture.ate_m is not None:
-        parts.append(f"ATE {picture.ate_m:.3f} m")
-    if picture.odometry_ate_m is not None:
-        parts.append(f"odometry alone {picture.odometry_ate_m:.3f} m")
-    return "   ·   ".join(parts)

@@ -15,12 +15,9 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
 
-NEW_SHARE = 0.01
-"""A snapshot is due once that share of the keyframes of the drive is new."""
-
 
 class SnapshotSchedule:
-    """Schedule of the snapshots: each holds the whole map, so that a larger map has fewer.
+    """Schedule of the snapshots: each holds the whole map, so that one is due when a hundredth of the keyframes is new.
 
     ``first_keyframe``: the number of keyframes before the drive; ``update_keyframes``: every so many bring the estimate
     up to date.
@@ -33,7 +30,7 @@ class SnapshotSchedule:
     def is_due(self, keyframes: int) -> bool:
         """Whether one is due now, and is taken, with so many keyframes."""
         is_updated = (keyframes - 1) % self._update_keyframes == 0
-        if not is_updated or keyframes - self._shown <= NEW_SHARE * (keyframes - self._first):
+        if not is_updated or 100 * (keyframes - self._shown) <= keyframes - self._first:
             return False
         self._shown = keyframes
         return True

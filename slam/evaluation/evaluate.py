@@ -22,12 +22,7 @@ from slam.evaluation.metrics.association import (
     label_detections,
 )
 from slam.evaluation.metrics.calibration import evaluate_calibration
-from slam.evaluation.metrics.landmarks import (
-    LandmarkMatches,
-    evaluate_landmarks,
-    match_by_detections,
-    match_by_position,
-)
+from slam.evaluation.metrics.landmarks import LandmarkMatches, evaluate_landmarks, match_by_detections
 from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
@@ -47,31 +42,27 @@ NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_
 _Measured = TypeVar("_Measured")
 
 
-def evaluate(
-    records: EvaluationRecords, protocol: Protocol | None = None, *, map_alignment: FloatArray | None = None
-) -> Evaluation:
-    """Measure all that the records allow; a part that they do not allow has its reason in ``unavailable``.
+def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = None) -> Evaluation:
+    """Measure all that the records allow, by lengths in proportion to the sensor range of the run.
 
     Args:
         records: of the log.
-        protocol: the thresholds; those of papers if None, with lengths in proportion to the sensor range of the run.
         map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized, by which its fixes
             there are judged.
 
     Raises:
         EvaluationError: a pose is not finite.
     """
-    if protocol is None:
-        protocol = Protocol() if records.sensor_range_m is None else Protocol().for_range(records.sensor_range_m)
-    return _Evaluator(records, protocol, map_alignment).run()
+    return _Evaluator(records, map_alignment).run()
 
 
 class _Evaluator:
     """Measures part by part; a part that raises :class:`EvaluationError` is unavailable for this reason."""
 
-    def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
+    def __init__(self, records: EvaluationRecords, map_alignment: FloatArray | None) -> None:
         self._records = records
-        self._protocol = protocol
+        range_m = records.sensor_range_m
+        self._protocol = Protocol() if range_m is None else Protocol().for_range(range_m)
         self._map_alignment = map_alignment
         self._unavailable: dict[str, str] = {}
         self._truth = records.true_path
@@ -105,7 +96,7 @@ class _Evaluator:
         }
         if judged is not None and queries is not None:
             results["closures"] |= describe_revisits(queries, judged)
-        return Evaluation(plain(results), self._unavailable, **trajectories, closures=judged)
+        return Evaluation(plain(results), **trajectories, closures=judged)
 
     def _measure(self, part: str, compute: Callable[[], _Measured]) -> _Measured | None:
         """What ``compute`` returns; None where it raises the reason why the part is unavailable."""
@@ -152,21 +143,19 @@ class _Evaluator:
     def _evaluate_landmarks(
         self, labelled: pd.DataFrame | None, matches: LandmarkMatches | None, T_world_map: FloatArray | None
     ) -> dict[str, Any]:
-        map_est, map_gt, protocol = self._records.object_map, self._records.true_objects, self._protocol
+        map_est, map_gt = self._records.object_map, self._records.true_objects
         if map_est is None or map_gt is None:
             raise EvaluationError("no object map in the log (/slam/map)" if map_est is None else NO_TRUE_OBJECTS)
-        if matches is None:
-            if T_world_map is None:
-                raise EvaluationError("neither a truth of the detections nor an aligned trajectory to match with")
-            matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
+        if labelled is None or matches is None:
+            raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
         return evaluate_landmarks(
             map_est,
             map_gt,
             matches,
-            protocol,
+            self._protocol,
             path_gt=self._truth,
             T_world_map=T_world_map,
-            object_detection_counts=None if labelled is None else count_detections(labelled),
+            object_detection_counts=count_detections(labelled),
         )
 
     def _judge_closures(self) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:

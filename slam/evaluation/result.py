@@ -21,11 +21,16 @@ class Evaluation:
     """
 
     results: Mapping[str, Any]
-    unavailable: Mapping[str, str]
     estimate: TrajectoryErrors | None = None
     odometry: TrajectoryErrors | None = None
     online: TrajectoryErrors | None = None
     closures: pd.DataFrame | None = None
+
+    @property
+    def unavailable(self) -> Mapping[str, str]:
+        """Why a part could not be measured, by its name."""
+        reasons: Mapping[str, str] = self.results["unavailable"]
+        return reasons
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers; what is undefined, such as a precision of none, is None."""

@@ -64,8 +64,7 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
 
 
 def _seconds(stamp_ns: int) -> str:
-    whole, rest = divmod(abs(stamp_ns), 1_000_000_000)
-    return f"{'-' if stamp_ns < 0 else ''}{whole}.{rest:09d}"
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
 
 
 def format_numbers(values: FloatArray) -> str:

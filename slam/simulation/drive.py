@@ -15,8 +15,6 @@ from slam.simulation.config import DriveConfig
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan; a constant, so that nothing depends on when the simulation ran."""
 
-SPACING_M = 0.25
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
@@ -79,7 +77,7 @@ def plan_drive(tour: FloatArray, config: DriveConfig) -> DrivePlan:
     if corner_m[-1] <= 0.0:
         raise SimulationError(f"a tour of {len(tour)} points without length cannot be driven")
     keep = np.concatenate([[True], steps > 0.0])
-    count = max(2, int(np.ceil(corner_m[-1] / SPACING_M)) + 1)
+    count = max(2, int(np.ceil(corner_m[-1] / 0.25)) + 1)  # samples of a tour 0.25 m apart
     tour_m = np.linspace(0.0, corner_m[-1], count)
     xy = np.stack([np.interp(tour_m, corner_m[keep], tour[keep, axis]) for axis in range(2)], axis=1)
     xy = _smooth(xy, config.corner_smoothing_m / (tour_m[1] - tour_m[0]))

@@ -25,8 +25,6 @@ from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
 from slam.simulation.sensor import Scan, scan_objects
 from slam.simulation.world import World
 
-REFERENCE_PATH_M = 100.0
-"""Path over which the settings of the odometry give its drift."""
 CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
 """Each has random numbers of its own; the order is part of what a seed means, so new causes go to the end."""
 
@@ -40,10 +38,8 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[D
     configuration and seed give the same records; each cause of error has its own random numbers.
 
     Raises:
-        SimulationError: a negative seed, a kidnapping outside the tour, or a tour too short; raised at the call.
+        SimulationError: a kidnapping outside the tour, or a tour too short; raised at the call.
     """
-    if seed < 0:
-        raise SimulationError(f"seed {seed} is negative; give 0 or more")
     children = np.random.SeedSequence(seed).spawn(len(CAUSES))
     rngs = {cause: np.random.default_rng(child) for cause, child in zip(CAUSES, children, strict=True)}
     return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)
@@ -151,7 +147,7 @@ def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: 
     # Both streams are always drawn, so that one drift does not change with the other's setting.
     heading_normals, scale_normals = rng.standard_normal((2, len(step)))
     sigma_heading = np.deg2rad(config.heading_drift_deg_per_100m)
-    turn = yaw_rad(step) + heading_normals * sigma_heading * np.sqrt(path_m / REFERENCE_PATH_M)
+    turn = yaw_rad(step) + heading_normals * sigma_heading * np.sqrt(path_m / 100.0)
     translation = step[:, :2, 3] + step[:, :2, 3] * _scale_errors(path_m, scale_normals, config)[:, None]
     heading = np.concatenate([[0.0], np.cumsum(turn)])  # (K,)
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
@@ -164,9 +160,9 @@ def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: 
 
 
 def _scale_errors(path_m: FloatArray, normals: FloatArray, config: OdometryConfig) -> FloatArray:
-    length_error_m = 0.01 * config.scale_drift_percent * REFERENCE_PATH_M
+    # Errors that are correlated over c add up over 100 m to as many metres as percent.
     c = config.scale_correlation_m
-    sigma = length_error_m / np.sqrt(2.0 * c**2 * (REFERENCE_PATH_M / c + np.expm1(-REFERENCE_PATH_M / c)))
+    sigma = config.scale_drift_percent / np.sqrt(2.0 * c**2 * (100.0 / c + np.expm1(-100.0 / c)))
     kept = np.exp(-path_m / c)
     fresh = np.sqrt(-np.expm1(-2.0 * path_m / c)) * normals
     errors = np.empty(len(path_m))

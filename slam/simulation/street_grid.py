@@ -17,7 +17,6 @@ COLUMNS, ROWS = 5, 4
 BLOCK_M = (65.0, 130.0)
 
 MIN_TOUR_M, MAX_TOUR_M = 1500.0, 2000.0
-TOUR_ATTEMPTS = 20_000
 
 Crossing = tuple[int, int]
 
@@ -36,7 +35,7 @@ class _Streets:
         return float(np.linalg.norm(self.places[b] - self.places[a]))
 
 
-def generate_street_grid(*, rng: np.random.Generator, name: str = "street-grid") -> World:
+def generate_street_grid(*, rng: np.random.Generator) -> World:
     """A generated town of 4 x 3 blocks and a tour of 1.5 to 2 km through it; world frame, metres, z = 0.
 
     Blocks are 65 to 130 m wide, crossings are shifted, two streets are closed, and the whole is turned by any angle.
@@ -60,7 +59,7 @@ def generate_street_grid(*, rng: np.random.Generator, name: str = "street-grid")
     for column, row in sorted(parks):
         corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
         furnish_park(furniture, np.stack([streets.places[corner] for corner in corners]), rng=rng)
-    return furniture.world(name, _points_along([streets.places[crossing] for crossing in tour]))
+    return furniture.world("street-grid", _points_along([streets.places[crossing] for crossing in tour]))
 
 
 def _lay_streets(rng: np.random.Generator) -> _Streets:
@@ -92,7 +91,7 @@ def _lay_streets(rng: np.random.Generator) -> _Streets:
 def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
     """Walk at random, never straight back, until a walk revisits as many streets as it should."""
     crossings = list(streets.places)
-    for _ in range(TOUR_ATTEMPTS):
+    for _ in range(20_000):
         tour = [crossings[int(rng.integers(len(crossings)))]]
         target_m, length_m = rng.uniform(MIN_TOUR_M, MAX_TOUR_M), 0.0
         while True:
@@ -107,7 +106,7 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
         driven_m = sum(streets.length_m(a, b) for a, b in pairwise(tour))
         if driven_m >= MIN_TOUR_M and least <= same <= most and least <= opposite <= most:
             return tour
-    raise SimulationError(f"no tour with enough revisits among {TOUR_ATTEMPTS}; take another seed")
+    raise SimulationError("no tour with enough revisits; take another seed")
 
 
 def _revisits(tour: list[Crossing]) -> tuple[int, int]:

@@ -29,10 +29,9 @@ SHARES = (
     "landmarks.recall",
 )
 """Figures that are better the larger they are."""
-SPREAD_FACTOR = 2.0
 RULE = (
     "A group is marked where its mean differs from that of the first group by more than "
-    f"{SPREAD_FACTOR:g} pooled standard deviations of the runs within all groups, and by more than the "
+    "2 pooled standard deviations of the runs within all groups, and by more than the "
     f"{100.0 * (1.0 - CONFIDENCE):.0f} % significance limit of one comparison (Student's t)."
 )
 NO_SPREAD = "No group has two runs, so the spread of the seeds is unknown and no difference is marked."
@@ -73,7 +72,7 @@ def _marks(spreads: pd.DataFrame, *, is_error: bool) -> pd.Series:
     student = stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE) * np.sqrt(1.0 / count + (1.0 / count).iloc[0])
     # What two ways of adding up the same numbers may differ by.
     rounding = 1e-9 * np.maximum(mean.abs(), abs(mean.iloc[0]))
-    is_different = difference.abs() > pooled * np.maximum(SPREAD_FACTOR, student) + rounding
+    is_different = difference.abs() > pooled * np.maximum(2.0, student) + rounding
     return pd.Series(np.where((difference < 0.0) == is_error, "* better", "* worse"), spreads.index).where(
         is_different, ""
     )

@@ -18,9 +18,8 @@ from descriptors.learned.networks import default_architecture
 from descriptors.learned.weights import read_weights
 from descriptors.training import trainer
 from descriptors.training.contrast import ContrastTraining
-from descriptors.training.folder import CURVES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
-from descriptors.training.trainer import Recipe, best_of, train
+from descriptors.training.trainer import CURVES, WEIGHTS, Epoch, Recipe, best_of, train
 
 LIKELIHOOD = ContrastTraining(epochs=2, validation_maps=2, objects_per_map=30, views=1)
 NETWORK = replace(
@@ -64,8 +63,8 @@ def test_network_learns_what_holds_for_other_maps_too(tmp_path, monkeypatch):
     config = replace(NETWORK, epochs=4, validation_maps=8, views=3, objects_per_map=60)
     learned = train(Recipe(replace(config, learning_rate=1e-2)), tmp_path / "learned", threads=1)
     idle = train(Recipe(replace(config, learning_rate=1e-9, last_rate=1e-9)), tmp_path / "idle", threads=1)
-    assert learned[-1].metrics["validation_loss"] < 0.9 * idle[-1].metrics["validation_loss"]
-    assert best_of(learned).metrics["validation_top_5"] > best_of(idle).metrics["validation_top_5"] + 0.05
+    assert learned[-1]["validation_loss"] < 0.9 * idle[-1]["validation_loss"]
+    assert best_of(learned)["validation_top_5"] > best_of(idle)["validation_top_5"] + 0.05
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -105,7 +104,7 @@ def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_pa
         return train(Recipe(config, given, start), tmp_path / name, threads=1)
 
     epochs = further("further")
-    assert [(each.epoch, each.train_loss is None) for each in epochs] == [(0, True), (1, False), (2, False)]
+    assert [(each["epoch"], each["train_loss"] is None) for each in epochs] == [(0, True), (1, False), (2, False)]
     further("ruined", rate=50.0)
     kept, before = (read_weights(path).tensors for path in (tmp_path / "ruined" / WEIGHTS, start))
     assert all(np.array_equal(kept[name], before[name]) for name in before)

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.cases import FAMILIES
 from tests.fuzz.seeds import make_seeds
 from tests.fuzz.trial import Trials, Verdict, begin, run_case
 from tests.helpers.forked_commands import SCRATCH, import_commands
@@ -26,7 +25,6 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=200, help="number of cases")
     parser.add_argument("--seed", type=int, default=0, help="case i is made of (seed, i) alone")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--family", choices=FAMILIES, default="", help="only those")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for the cases that fail")
     parser.add_argument("--minutes", type=float, default=np.inf, help="end after that time")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes; the cases are the same")
@@ -39,7 +37,7 @@ def main() -> int:
 def fuzz(folder: Path, options: argparse.Namespace) -> int:
     """Run the cases in ``folder``; what was wrong is printed as it is found, and counted at the end."""
     (folder / "seeds").mkdir()
-    trials = Trials(make_seeds(folder / "seeds"), options.seed, options.family, folder, options.keep.resolve())
+    trials = Trials(make_seeds(folder / "seeds"), options.seed, folder, options.keep.resolve())
     tally = _Tally()
     numbers = range(options.first, options.first + options.count)
     fork = multiprocessing.get_context("fork")

@@ -91,9 +91,9 @@ class Case:
         return [self.folder / word for word in self.arguments if _OUTPUT.fullmatch(word)]
 
 
-def make_case(seeds: Seeds, folder: Path, rng: np.random.Generator, family: str = "") -> Case:
-    """A case of ``family``, or of any, in which logs are the most frequent."""
-    family = family or str(rng.choice(FAMILIES, p=_WEIGHTS))
+def make_case(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """A case of any family; logs are the most frequent."""
+    family = str(rng.choice(_FAMILIES, p=_WEIGHTS))
     if family in _MAKERS:
         return Case(_MAKERS[family][1](seeds, folder, rng), folder)
     lines = _COMMANDS[family][1].strip().splitlines()
@@ -157,6 +157,6 @@ _MAKERS: dict[str, tuple[float, Callable[[Seeds, Path, np.random.Generator], lis
     "paths": (1.5, lambda seeds, folder, rng: odd_arguments(make_odd_paths(seeds, folder), rng)),
 }
 """Families whose files no seed is."""
-FAMILIES = (*_COMMANDS, *_MAKERS)
+_FAMILIES = (*_COMMANDS, *_MAKERS)
 _WEIGHTS = np.array([weight for weight, _ in (*_COMMANDS.values(), *_MAKERS.values())])
 _WEIGHTS /= _WEIGHTS.sum()

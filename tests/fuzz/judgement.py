@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 from logs.storage.mcap_index import MAGIC
-from tests.fuzz.sandbox import CRASHED, Limits, Outcome
+from tests.fuzz.sandbox import Limits, Outcome
+from tests.helpers.forked_commands import CRASHED
 
 _FINE = (0, 1, 2)
 _ESCAPES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")

@@ -42,6 +42,7 @@ class Layout:
 
     compression: str = "zstd"
     messages_per_chunk: int = 100
+    use_chunking: bool = True
     has_index: bool = True
     doubled_index: bool = False
     chunk: Mapping[str, Any] = field(default_factory=dict)
@@ -71,6 +72,7 @@ def write_file(file: McapFile, layout: Layout) -> bytes:
     writer = Writer(
         stream,
         chunk_size=2**40,
+        use_chunking=layout.use_chunking,
         compression=CompressionType[layout.compression.upper() or "NONE"],
         index_types=IndexType.ALL if has_index else IndexType.NONE,
         repeat_channels=has_index,

@@ -21,7 +21,6 @@ class Trials:
 
     seeds: Seeds
     seed: int
-    family: str
     folder: Path
     keep: Path
 
@@ -53,7 +52,7 @@ def run_case(number: int) -> Verdict:
     limits = Limits()
     folder = _trials.folder / f"case-{number}"
     folder.mkdir()
-    case = make_case(_trials.seeds, folder, np.random.default_rng([_trials.seed, number]), _trials.family)
+    case = make_case(_trials.seeds, folder, np.random.default_rng([_trials.seed, number]))
     outcome = run(case.arguments, folder, limits)
     complaints = judge(case.arguments, case.outputs, outcome, limits)
     if complaints:

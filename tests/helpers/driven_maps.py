@@ -27,7 +27,7 @@ def drive_poses(world: World, from_m: float, to_m: float) -> FloatArray:
     return transform_from_xyz_yaw(np.column_stack([xy, np.zeros(len(xy))]), np.arctan2(steps[:, 1], steps[:, 0]))
 
 
-def driven_map(world: World, from_m: float, to_m: float, *, seed: int = 0, stamp_ns: int = 0) -> SavedMap:
+def driven_map(world: World, from_m: float, to_m: float, *, seed: int = 0) -> SavedMap:
     """The map of a drive; its frame is that of the first pose. Landmarks have the ids of the objects."""
     rng = np.random.default_rng(seed)
     T_world_body = drive_poses(world, from_m, to_m)
@@ -39,26 +39,16 @@ def driven_map(world: World, from_m: float, to_m: float, *, seed: int = 0, stamp
     T_body_map = invert(T_map_body[keyframes])
     positions = np.einsum("nij,nj->ni", T_body_map[:, :3, :3], noisy[objects]) + T_body_map[:, :3, 3]
     count = len(T_map_body)
-    stamps_ns = stamp_ns + np.arange(count) * 250_000_000
+    stamps_ns = np.arange(count) * 250_000_000
     vocabulary = world.vocabulary
     classes = [vocabulary.index(world.labels[row]) for row in seen.tolist()]
-    names = [world.object_ids[row] for row in seen.tolist()]
-    record = ObjectMapRecord(
-        stamp_ns=int(stamps_ns[-1]),
-        frame_id="map",
-        vocabulary=vocabulary,
-        ids=tuple(names),
-        positions=noisy[seen],
-        covariances=np.tile(NOISE_M**2 * np.eye(3), (len(seen), 1, 1)),
-        class_probabilities=np.eye(len(vocabulary))[classes],
-        states=("confirmed",) * len(seen),
-        reasons=("",) * len(seen),
-        observation_counts=np.full(len(seen), 9),
-        first_seen_ns=np.full(len(seen), stamps_ns[0]),
-        last_seen_ns=np.full(len(seen), stamps_ns[-1]),
+    ids = [world.object_ids[row] for row in seen.tolist()]
+    end_ns = int(stamps_ns[-1])
+    record = ObjectMapRecord.of_objects(
+        ids, noisy[seen], classes, vocabulary, stamp_ns=end_ns, sigma_m=NOISE_M, observations=9
     )
     graph = FactorGraphRecord(
-        stamp_ns=int(stamps_ns[-1]),
+        stamp_ns=end_ns,
         keyframe_ids=np.arange(count),
         keyframe_stamps_ns=stamps_ns,
         T_map_body=T_map_body,

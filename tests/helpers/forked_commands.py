@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
-from tools.cli import make_app
+from tools import cli
+
+CRASHED = 99
+"""Exit code of a child whose error passed by the command line."""
+OUT, ERR = "stdout.txt", "stderr.txt"
+"""What a child has printed, in its folder."""
 
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where files are made: outputs are flushed to the disk before they get their names, which takes longer than the rest
@@ -28,4 +39,36 @@ def import_commands() -> None:
     for module in _IMPORTED:
         with contextlib.suppress(ImportError, OSError):
             __import__(module)
-    make_app()
+    cli.make_app()
+
+
+def start(arguments: Sequence[str], folder: Path, limit: Callable[[], None] = lambda: None) -> int:
+    """``dslam`` with ``arguments``, from within ``folder``, in a child of this process; ``limit`` is called there.
+
+    Returns:
+        The number of the child, which the caller waits for.
+    """
+    child = os.fork()
+    if child == 0:
+        _be_the_child(list(arguments), folder, limit)
+    return child
+
+
+def _be_the_child(arguments: list[str], folder: Path, limit: Callable[[], None]) -> NoReturn:
+    code = CRASHED
+    try:
+        os.chdir(folder)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        for number, name in ((1, OUT), (2, ERR)):
+            os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115  for as long as the child lives
+        sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
+        limit()
+        warnings.simplefilter("ignore", RuntimeWarning)  # as ``tools.main`` does
+        code = cli.run(arguments)
+    except BaseException:
+        traceback.print_exc()
+    with contextlib.suppress(Exception):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)

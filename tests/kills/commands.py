@@ -8,7 +8,6 @@ from pathlib import Path
 from slam.replay import replay
 from tests.helpers.short_drives import drive, keep_until, write_log
 from tests.logs.importers.text_drives import TextDrive
-from tools import cli
 
 
 @dataclass(frozen=True)
@@ -42,8 +41,3 @@ def make_commands(folder: Path) -> list[Command]:
         Command("fleet", ("fleet", "add", "city", str(log), str(other), "--workers", "1")),
         Command("train", ("train", "net", *network), is_repeatable=False),
     ]  # fmt: skip
-
-
-def execute(command: Command) -> int:
-    """Run it in this process, in the current folder."""
-    return cli.run(list(command.arguments))

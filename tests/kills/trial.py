@@ -7,14 +7,13 @@ import json
 import os
 import shutil
 import signal
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 from logs.storage.mcap_index import MAGIC
-from tests.kills.commands import Command, execute
+from tests.helpers.forked_commands import ERR, OUT, start
+from tests.kills.commands import Command
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def run_whole(command: Command, folder: Path) -> Reference:
     """Run a command that nobody kills."""
     folder.mkdir()
     started = time.monotonic()
-    code = os.waitstatus_to_exitcode(os.waitpid(_start(command, folder), 0)[1])
+    code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
     if code != 0:
         raise RuntimeError(f"{command.name} ends with {code}: {(folder / 'said.txt').read_text()[-500:]}")
     return Reference(_files(folder), time.monotonic() - started)
@@ -51,7 +50,7 @@ def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: R
         for name, content in reference.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
-    child = _start(command, folder)
+    child = start(command.arguments, folder)
     time.sleep(seconds)
     os.kill(child, signal.SIGKILL)
     was_killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
@@ -59,7 +58,7 @@ def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: R
     if not is_new:
         wrong += [f"after the kill: {name} is gone" for name in reference.files if not (folder / name).exists()]
     started = time.monotonic()
-    code = os.waitstatus_to_exitcode(os.waitpid(_start(command, folder), 0)[1])
+    code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
     again_s = time.monotonic() - started
     if code != 0:
         wrong.append(f"the second run ends with {code}: {(folder / 'said.txt').read_text()[-300:]}")
@@ -70,34 +69,13 @@ def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: R
     return Trial(was_killed, wrong, again_s)
 
 
-def _start(command: Command, folder: Path) -> int:
-    child = os.fork()
-    if child == 0:
-        _be_the_child(command, folder)
-    return child
-
-
-def _be_the_child(command: Command, folder: Path) -> NoReturn:
-    code = 99
-    with contextlib.suppress(BaseException):
-        os.chdir(folder)
-        said = os.open("said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        for descriptor in (1, 2):
-            os.dup2(said, descriptor)
-        sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
-        code = execute(command)
-        sys.stdout.flush()
-        sys.stderr.flush()
-    os._exit(code)
-
-
 def _files(folder: Path) -> dict[str, bytes]:
     """What stands under its final name; parts and temporary files have others."""
     found = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
     return {
         name: path.read_bytes()
         for name, path in found.items()
-        if name != "said.txt" and not any(part.endswith((".part", ".tmp")) for part in name.split("/"))
+        if name not in (OUT, ERR) and not any(part.endswith((".part", ".tmp")) for part in name.split("/"))
     }
 
 

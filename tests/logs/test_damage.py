@@ -5,15 +5,15 @@ import struct
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from mcap.writer import CompressionType, IndexType, Writer
 
 from logs import messages as m
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.reader import LogReader
 from logs.selection import Selection
-from logs.storage.mcap_index import read_index
+from logs.storage.mcap_index import McapIndex
 from logs.writer import LogWriter
+from tests.fuzz.mcap_file import Layout, read_file, write_file
 from tests.logs.examples import random_detections, random_transform
 
 COUNT = 4000
@@ -43,7 +43,7 @@ def chunk_offsets(data, tmp_path):
     path = tmp_path / "for_offsets.mcap"
     path.write_bytes(data)
     with open(path, "rb") as stream:
-        return read_index("", stream, ReadingLimits()).blocks
+        return McapIndex("", stream, ReadingLimits()).blocks
 
 
 @pytest.mark.parametrize("cut", [8, 60, 300_001, -1, -30])
@@ -89,34 +89,20 @@ def test_summary_with_a_bad_checksum_is_not_believed(whole, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("index_types", "compression", "use_chunking"),
-    [
-        (IndexType.ALL, CompressionType.LZ4, True),
-        (IndexType.NONE, CompressionType.NONE, True),
-        (IndexType.ALL, CompressionType.NONE, False),
-    ],
+    "layout",
+    [Layout("lz4"), Layout("", has_index=False), Layout("", use_chunking=False)],
 )
-def test_other_layouts_are_read_alike(whole, tmp_path, index_types, compression, use_chunking):
-    (tmp_path / "in.mcap").write_bytes(whole)
-    path = tmp_path / "out.mcap"
-    with LogReader(tmp_path / "in.mcap") as reader, open(path, "wb") as stream:
-        writer = Writer(stream, compression=compression, index_types=index_types, use_chunking=use_chunking)
-        writer.start()
-        channels = {}
-        for raw in reader.messages():
-            if raw.topic not in channels:
-                schema = raw.channel.schema
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[raw.topic] = writer.register_channel(raw.topic, "protobuf", schema_id)
-            writer.add_message(channels[raw.topic], raw.log_time_ns, raw.data, raw.publish_time_ns)
-        writer.finish()
+def test_other_layouts_are_read_alike(whole, tmp_path, layout):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(whole)
+    path.write_bytes(write_file(read_file(path), layout))
     assert stamps(path) == (list(range(1, COUNT + 1)), {})
     cut = path.read_bytes()[: path.stat().st_size // 2]
     path.write_bytes(cut)
     found, counters = stamps(path)
     assert found == list(range(1, len(found) + 1))
     assert counters["truncated"] == 1
-    assert use_chunking or len(found) > COUNT // 3
+    assert layout.use_chunking or len(found) > COUNT // 3
 
 
 @pytest.mark.parametrize(

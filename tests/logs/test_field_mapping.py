@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
 
+from logs.decoders.decode import decode
+from logs.decoders.field_mapping import FieldMapping
 from logs.decoders.ros2_types import TYPES
 from logs.errors import TopicSelectionError
-from logs.messages import Odometry
+from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from logs.topics import Channel, RawMessage, Schema
+from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.writer import LogWriter
 from tests.helpers.ros2_logs import encoded, header, vector
 
@@ -55,6 +57,13 @@ def test_fields_of_own_messages_become_detections(log: Path) -> None:
     assert (record.stamp_ns, record.frame_id, record.labels) == (5, "lidar", ("tree", "pole"))
     assert record.scores[0] == 0.5
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
+
+
+def test_numbers_are_a_position_and_a_message_without_header_is_of_its_log_time() -> None:
+    raw = RawMessage(Channel(1, "/plants", "json", None), 9, 9, 0, b'[{"at": [1, 2]}]')
+    (record,) = decode(raw, RecordKind.DETECTIONS, mapping=FieldMapping.parse("[] position=at"))
+    assert isinstance(record, ObjectDetections)
+    assert (record.stamp_ns, record.frame_id, record.positions.tolist()) == (9, "", [[1.0, 2.0, 0.0]])
 
 
 @pytest.mark.parametrize("fields", ["plants[] label=kind", "plants[] position=place colour=kind"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 from typing import Any
@@ -13,36 +12,17 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from logs.container.json_text import parse_json
 from logs.decoders.decode import decode
-from logs.errors import DatasetError, InvalidRecordError, UnreadableLogError
-from logs.importers.maps.geojson import read_geojson
+from logs.errors import InvalidRecordError, UnreadableLogError
 from logs.reader import LogReader
 from logs.storage.arrays import read_arrays
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.writer import LogWriter
 
 
-def point(coordinates: Any, kind: str = "Point", **others: Any) -> dict[str, Any]:
-    return {"type": "Feature", "properties": {}, "geometry": {"type": kind, "coordinates": coordinates}, **others}
-
-
-def layer(path: Path, *features: Any) -> Path:
-    content = {"type": "FeatureCollection", "features": [point([13.0, 52.0]), *features]}
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
-
-
 def test_json_is_refused_where_it_is_nested_too_deeply_and_holds_whole_characters_only() -> None:
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json("[" * 100_000)
     assert parse_json('{"a": ["\\ud800", "\\ud83d\\ude00"]}') == {"a": ["?", "\U0001f600"]}
-
-
-@pytest.mark.parametrize(
-    "odd", [point([10**400, 52.0]), point([1.0, 2.0], properties=[1]), point("ab"), point([1.0, 2.0], id="\ud800")]
-)
-def test_geojson_with_other_types_is_refused(tmp_path: Path, odd: dict[str, Any]) -> None:
-    with pytest.raises(DatasetError, match="not a GeoJSON FeatureCollection"):
-        read_geojson(layer(tmp_path / "a.geojson", odd))
 
 
 def test_file_names_that_are_no_utf_8_can_be_recorded(tmp_path: Path) -> None:

@@ -14,13 +14,15 @@ import pytest
 import zstandard
 
 from logs.container.limits import ReadingLimits
-from logs.errors import UnreadableLogError
+from logs.decoders.decode import decode
+from logs.errors import InvalidRecordError, UnreadableLogError
 from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.storage import mcap_index
 from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 from logs.summary import summarize
+from logs.topics import Channel, RawMessage, RecordKind
 from logs.writer import LogWriter
 from tests.fuzz.mcap_file import Layout, McapFile, Message, read_file, write_file
 
@@ -50,7 +52,7 @@ def test_chunk_that_says_it_is_too_large_is_left_out(file, tmp_path, caplog, has
     with caplog.at_level(logging.WARNING):
         found = read(tmp_path, file, chunk={"uncompressed_size": 2**60}, has_index=has_index)
     assert found == (0, {"chunks_too_large": 3})
-    assert "limits.chunk_mb = 64" in caplog.text
+    assert "more than memory_mb = 64 allows" in caplog.text
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
@@ -96,11 +98,15 @@ def test_topic_with_endless_name_is_refused(tmp_path):
 
 
 def test_large_messages_are_left_out(file, tmp_path, caplog):
-    limits = ReadingLimits(message_mb=0.004)
+    limits = ReadingLimits(message_mb=0.004, objects=5)
     large = replace(file.messages[4], data=b"x" * 5000)
     altered = McapFile(file.schemas, file.channels, [*file.messages[:4], large, *file.messages[5:]])
-    assert read(tmp_path, altered, limits=limits) == (29, {"messages_too_large": 1})
-    assert "limits.message_mb" in caplog.text
+    assert read(tmp_path, altered, limits=limits) == (29, {"invalid_messages": 1})
+    assert "too many bytes for memory_mb" in caplog.text
+    with pytest.raises(InvalidRecordError, match="too many bytes for memory_mb"):
+        decode(
+            RawMessage(Channel(1, "/map", "protobuf", None), 5, 5, 0, b"x" * 5000), RecordKind.OBJECT_MAP, None, limits
+        )
     outside_of_chunks = MESSAGE_HEADER.pack(1, 0, 5, 5) + b"x" * 5000
     path = tmp_path / "large.mcap"
     read(tmp_path, file, has_index=False)
@@ -113,7 +119,7 @@ def test_large_messages_are_left_out(file, tmp_path, caplog):
 def test_what_waits_for_its_turn_is_limited(file, tmp_path):
     times = {"message_start_time": 0, "message_end_time": 100}
     assert read(tmp_path, file, chunk=times)[0] == 30
-    with pytest.raises(UnreadableLogError, match=r"overlap in time.*limits\.waiting_mb"):
+    with pytest.raises(UnreadableLogError, match=r"overlap in time.*memory_mb"):
         read(tmp_path, file, limits=ReadingLimits(waiting_mb=0.001), chunk=times)
 
 
@@ -123,7 +129,7 @@ def test_metadata_beyond_the_limit_is_left_out(tmp_path, caplog):
         writer.add_metadata("large", {"a": "1" * 100_000})
     with LogReader(tmp_path / "log.mcap", ReadingLimits(metadata_mb=0.05)) as reader:
         assert reader.metadata() == {"small": {"a": "1"}}
-    assert "limits.metadata_mb" in caplog.text
+    assert "metadata of 0.1 MB is more than" in caplog.text
 
 
 @pytest.mark.parametrize("time_ns", [2**62, 2**64 - 1])

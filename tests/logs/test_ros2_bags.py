@@ -19,11 +19,6 @@ from tests.helpers.ros2_logs import Message, ros2_messages, write_bag
 from tests.helpers.short_drives import drive, keep_until, raw_messages
 from tests.tools.runs import ROOT
 
-BAGS = {
-    "mcap": {},
-    "split": {"files": 2},
-}
-
 
 @pytest.fixture(scope="module")
 def messages() -> list[Message]:
@@ -33,7 +28,7 @@ def messages() -> list[Message]:
 @pytest.fixture(scope="module")
 def bags(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("bags")
-    return {name: write_bag(folder / name, messages, **how) for name, how in BAGS.items()}
+    return {"mcap": write_bag(folder / "mcap", messages), "split": write_bag(folder / "split", messages, files=2)}
 
 
 def contents(path: Path) -> list[tuple[str, int, bytes]]:
@@ -54,11 +49,6 @@ def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
         found = contents(path)
         assert found == expected[: len(found)]
         assert len(found) in (len(expected), len(expected) // 2)
-
-
-def break_bag(bag: Path, tmp_path: Path) -> Path:
-    """A copy of a bag."""
-    return Path(shutil.copytree(bag, tmp_path / "broken"))
 
 
 @pytest.mark.slow
@@ -83,7 +73,7 @@ def test_databases_are_refused_with_the_command_that_converts_them(
 
 
 def test_a_missing_file_is_named(bags: dict[str, Path], tmp_path: Path) -> None:
-    bag = break_bag(bags["split"], tmp_path)
+    bag = Path(shutil.copytree(bags["split"], tmp_path / "bag"))
     (bag / "part_1.mcap").unlink()
     with pytest.raises(UnreadableLogError, match=r"metadata\.yaml names part_1\.mcap, which are not there; copy"):
         LogReader(bag)
@@ -98,7 +88,7 @@ def test_folder_without_metadata_and_metadata_alone_are_refused(bags: dict[str, 
 
 @pytest.mark.parametrize("text", ["a: [1", "a: 3", "a: !!int ''", 'a: "\\Uffffffff"', "a: " + "[" * 3000])
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
-    bag = break_bag(bags["mcap"], tmp_path)
+    bag = Path(shutil.copytree(bags["mcap"], tmp_path / "bag"))
     (bag / "metadata.yaml").write_text(text)
     with pytest.raises(
         UnreadableLogError, match=r"metadata\.yaml is not the metadata of a rosbag2 recording"
@@ -108,10 +98,10 @@ def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str)
 
 
 def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path) -> None:
-    broken = break_bag(bags["split"], tmp_path)
-    path = broken / "part_1.mcap"
+    bag = Path(shutil.copytree(bags["split"], tmp_path / "bag"))
+    path = bag / "part_1.mcap"
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
-    with LogReader(broken) as reader:
+    with LogReader(bag) as reader:
         assert 0 < len(list(reader.messages())) < len(contents(bags["mcap"]))
         assert reader.counters["truncated"] == 1
 

@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 
 from logs.decoders import cdr
-from logs.decoders.record_decoder import MAX_DEFINITIONS, RecordDecoder
+from logs.decoders.decode import MAX_DEFINITIONS, RecordDecoder
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.validation import Refusal
 
@@ -18,13 +18,10 @@ def part(name: str, text: str) -> str:
     return "\n" + "=" * 80 + f"\nMSG: p/{name}\n{text}"
 
 
-def schema(text: str) -> Schema:
-    return Schema(1, "p/msg/T", "ros2msg", text.encode())
-
-
-def refusal(text: str, data: bytes = EMPTY) -> str:
+def refusal(text: str) -> str:
+    channel = Channel(1, "/topic", "cdr", Schema(1, "p/msg/T", "ros2msg", text.encode()))
     with pytest.raises(Refusal) as error:
-        cdr.parse(schema(text), data)
+        cdr.parse(RawMessage(channel, 1, 1, 0, EMPTY))
     return str(error.value)
 
 

@@ -6,7 +6,7 @@ from logs import messages as m
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
 from logs.writer import LogWriter
-from tests.logs.examples import assert_same_record, every_kind, random_detections, random_transform
+from tests.logs.examples import assert_same_record, every_kind, random_detections
 
 
 def write(path, entries):
@@ -61,20 +61,6 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
     assert entry.record.labels == ("tree", "pole")
     assert (entry.record.frame_id, entry.record.stamp_ns) == ("map", 9)
     np.testing.assert_array_equal(entry.record.positions, markers.positions)
-
-
-def test_a_path_for_viewers_has_all_poses(tmp_path):
-    from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
-
-    rng = np.random.default_rng(6)
-    trajectory = m.TrajectoryRecord(3, "map", np.arange(4), np.stack([random_transform(rng) for _ in range(4)]))
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        writer.write_path("/slam/trajectory", trajectory)
-    with LogReader(tmp_path / "log.mcap") as reader:
-        (raw,) = reader.messages()
-    message = PosesInFrame.FromString(raw.data)
-    assert raw.channel.schema_name == "foxglove.PosesInFrame"
-    assert [p.position.x for p in message.poses] == trajectory.T_map_body[:, 0, 3].tolist()
 
 
 def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):

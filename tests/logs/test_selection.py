@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from logs.decoders.registry import kinds_of
+from logs.decoders.decode import kinds_of
 from logs.errors import TopicSelectionError
 from logs.selection import Selection, select_all, select_topics
 from logs.topics import Channel, Schema, TopicInfo
@@ -50,6 +50,7 @@ def test_strongest_topic_is_chosen(kind: str, topics: list[TopicInfo], chosen: s
     [
         (COMMON, r"gives odometry.*/detections \(dslam.ObjectDetections, 10\)"),
         ([], "The log has no topics"),
+        ([ODOM], "no topic gives detections.*name its fields, for example --topic 'detections="),
         ([*COMMON, topic("/tf", TF), topic("/slam/tf", TF)], r"if one of /tf is meant, say --topic odometry=/tf\."),
         ([*COMMON, ODOM, topic("/wheel", ODOMETRY, 8)], r"/odom, /wheel; choose one with --topic odometry=/odom\."),
         ([ODOM, *COMMON, topic("/right", DETECTIONS)], "or use all: --topic detections=/detections,/right"),

@@ -13,25 +13,8 @@ from logs.reader import LogReader
 from logs.selection import Selection
 from logs.storage.placement import put_in_place
 from logs.writer import LogWriter
-from tests.logs.examples import every_kind
 
 ODOMETRY = Selection.of({"/odom": "odometry"})
-
-
-def write_everything(path):
-    with LogWriter(path) as writer:
-        writer.add_metadata("configuration", {"b": "2", "a": "1"})
-        for topic, _, record in every_kind(np.random.default_rng(1)):
-            writer.write(topic, record)
-        for i in range(3000):
-            counters = {f"counter {j}": j for j in range(20)}
-            writer.write("/slam/status", m.StatusRecord(100 + i, "mapping", "info", "", counters))
-
-
-def test_the_same_records_give_the_same_bytes(tmp_path):
-    write_everything(tmp_path / "a.mcap")
-    write_everything(tmp_path / "b.mcap")
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
 def test_final_name_appears_only_when_log_is_whole(tmp_path):

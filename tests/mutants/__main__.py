@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.mutants.mutant import FOLDERS, ROOT, Mutant, sample_mutants
+from tests.mutants.mutant import ROOT, Mutant, sample_mutants
 from tests.mutants.trial import Verdict, copy_repository, run_tests
 
 MIN_CAUGHT = 0.9
@@ -22,13 +22,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--count", type=int, default=60, help="mutants")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
-    parser.add_argument("--folder", action="append", choices=FOLDERS, help="only that one of slam/; repeatable")
-    parser.add_argument("--list", action="store_true", help="print the mutants and run nothing")
     options = parser.parse_args()
-    mutants = sample_mutants(options.count, seed=options.seed, folders=options.folder or FOLDERS)
-    if options.list:
-        print("\n".join(each.name for each in mutants))
-        return 0
+    mutants = sample_mutants(options.count, seed=options.seed)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         return _run(mutants, copy_repository(Path(folder)))
 

@@ -16,16 +16,14 @@ from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.registry import make_index
 from descriptors.training import contrast, trainer
 from descriptors.training.contrast import ContrastTraining
-from descriptors.training.folder import WEIGHTS, Epoch
-from descriptors.training.trainer import Recipe
+from descriptors.training.trainer import WEIGHTS, Epoch, Recipe
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
 
 
 def epoch(number: int, top_5: float) -> Epoch:
-    metrics = {"validation_loss": 0.3 / number, "validation_top_5": top_5}
-    return Epoch(number, 0.2 / number, metrics, 1.5)
+    return {"epoch": number, "train_loss": 0.2 / number, "validation_top_5": top_5, "seconds": 1.5}
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ What single readers refuse is tested with these; here is what only the whole pro
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, Odometry, Transform
-from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
 from tests.tools.runs import Run
 
@@ -35,25 +33,18 @@ class Drive:
 
     changed: Mapping[str, Any] = field(default_factory=dict)
     transforms: tuple[Transform, ...] = ()
-    odometry: tuple[str, ...] = ("/odom",)
-    json: str = ""
 
     def __call__(self, path: Path) -> None:
-        own = Channel(9, "/plants", "json", Schema(9, "Plants", "jsonschema", b"{}"))
         with LogWriter(path) as log:
             for transform in self.transforms:
                 log.write("/tf_static", transform)
             for stamp_ns in range(0, 3 * 10**9, 10**8):
                 T_odom_body = np.eye(4)
                 T_odom_body[0, 3] = stamp_ns * 1e-9
-                for topic in self.odometry:
-                    log.write(topic, Odometry(stamp_ns, T_odom_body))
+                log.write("/odom", Odometry(stamp_ns, T_odom_body))
                 at = np.array([[5.0 - stamp_ns * 1e-9, 2.0, 1.0]])
                 scan = ObjectDetections(stamp_ns, "base_link", at, ("tree",), np.ones(1))
-                if self.json:
-                    log.write_raw(RawMessage(own, stamp_ns, stamp_ns, 0, self.json.encode()))
-                else:
-                    log.write("/objects", replace(scan, **self.changed), stamp_ns)
+                log.write("/objects", replace(scan, **self.changed), stamp_ns)
 
 
 @dataclass(frozen=True)
@@ -74,7 +65,6 @@ def drive(told: str, made: Drive, code: int = 0) -> Case:
     return Case(told, "replay drive.mcap -o out.mcap", {"drive.mcap": made}, code)
 
 
-PLANTS = json.dumps({"plants": [{"kind": "tree", "sure": 0.5, "at": {"x": 5, "y": 2}}]})
 CASES = {
     "stamps in milliseconds": Case(
         "give the stamps in seconds, or name the column by its unit",
@@ -98,8 +88,6 @@ CASES = {
         "not corrected, the trajectory is that of the odometry",
         Drive({"positions": np.zeros((0, 3)), "labels": (), "scores": np.zeros(0)}),
     ),
-    "messages of one's own": drive("name its fields, for example --topic", Drive(json=PLANTS), code=2),
-    "a log without odometry": drive("no topic gives odometry", Drive(odometry=()), code=2),
 }
 
 

@@ -49,16 +49,13 @@ def evaluate(
     """
     chosen = parse_topics(topics)
     check_outputs([picture], [log, reference, calib, map_run])
-    from logs.storage.opening import is_log
     from slam.common.errors import EvaluationError
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
-    from slam.evaluation.inputs.text_reference import TextReference
     from slam.evaluation.report.figures import summarize
     from tools import console
 
-    truth = reference if reference is None or is_log(reference) else TextReference(reference, calib)
-    records = read_records(log, reference=truth, topics=chosen)
+    records = read_records(log, reference=reference, calib=calib, topics=chosen)
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
     evaluation = evaluate(records, map_alignment=None if map_run is None else _locate_map_of(map_run))

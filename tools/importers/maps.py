@@ -81,13 +81,9 @@ def map_of_objects(
 
         objects = read_geojson(file)
     elif suffix == ".ply":
-        from logs.clouds.cloud_files import labelled_cloud, read_points
-        from logs.clouds.map_of_cloud import map_of_cloud
-        from logs.digest import file_sha256
+        from logs.clouds.map_of_cloud import read_cloud_map
 
-        objects = map_of_cloud(
-            labelled_cloud(read_points(file), str(file)), str(file), file_sha256(file), _parsed_names(name)
-        )
+        objects = read_cloud_map(file, _parsed_names(name))
     else:
         from logs.importers.maps.object_table import read_object_table
 

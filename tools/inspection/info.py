@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from logs.messages import LoopClosureRecord
     from logs.summary import LogSummary, TopicSummary
 
+_NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 REPLAYED = "dslam"
 """Metadata of a log that a replay wrote."""
 MAX_LISTED = 40
@@ -68,9 +70,10 @@ def info(
             head + odometry, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows)
         )
     if closures and keyframe is None:
+        decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)
         counts = [
-            {"decision": _decision(c.accepted), "stage": c.stage, "reason": c.reason, "candidates": str(c.count)}
-            for c in summary.closures[:MAX_LISTED]
+            {"decision": decision, "stage": stage, "reason": reason, "candidates": str(count)}
+            for (decision, stage, reason), count in decisions.most_common(MAX_LISTED)
         ]
         console.show("", console.table(counts, texts=("stage", "reason"), title="Loop closures"), "")
     if wanted:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,7 @@ import typer
 from tools.arguments import check_outputs, parse_origin
 
 if TYPE_CHECKING:
-    from logs.messages import ObjectMapRecord, TrajectoryRecord
+    from logs.messages import TrajectoryRecord
     from slam.common.georeference import Georeference
     from slam.evaluation.inputs.records import EvaluationRecords
 
@@ -60,86 +59,74 @@ def export(
     if not any(outputs):
         raise typer.BadParameter("nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv or --geojson.")
     check_outputs(outputs, [log])
+    from slam.evaluation.inputs.records import read_records
     from slam.formats import landmark_tables as tables
     from slam.formats import trajectories as text
     from slam.formats.g2o import write_g2o
+    from slam.library import read_map
     from tools import console
 
-    source = _Source(log, of, origin)
-    if geodetic:
-        text.write_geodetic(geodetic, source.track, source.georeference)
-    if geojson:
-        tables.write_geojson(geojson, source.objects, source.georeference)
-    if tum:
-        text.write_tum(tum, source.track)
-    if kitti:
-        text.write_kitti(kitti, source.track)
-    if csv:
-        tables.write_csv(csv, source.objects)
-    for path in filter(None, (tum, kitti, geodetic)):
-        console.show(f"{path}: {len(source.track.stamps_ns)} poses")
-    for path in filter(None, (csv, geojson)):
-        console.show(f"{path}: {len(source.objects.ids)} landmarks")
+    georeference = _find_georeference(log, origin) if geodetic or geojson else None
+    records = read_records(log)
+    if tum or kitti or geodetic:
+        track = _choose_track(log, records, of)
+        if georeference and geodetic:
+            text.write_geodetic(geodetic, track, georeference)
+        if tum:
+            text.write_tum(tum, track)
+        if kitti:
+            text.write_kitti(kitti, track)
+        for path in filter(None, (tum, kitti, geodetic)):
+            console.show(f"{path}: {len(track.stamps_ns)} poses")
+    if csv or geojson:
+        objects = read_map(log)
+        if georeference and geojson:
+            tables.write_geojson(geojson, objects, georeference)
+        if csv:
+            tables.write_csv(csv, objects)
+        for path in filter(None, (csv, geojson)):
+            console.show(f"{path}: {len(objects.ids)} landmarks")
     if g2o:
-        graph, object_map = source.records.graph, source.records.object_map
-        if graph is None or object_map is None:
+        if records.graph is None or records.object_map is None:
             raise _no_result(log)
-        write_g2o(g2o, graph, object_map)
-        console.show(f"{g2o}: {len(graph.edge_kinds)} edges, without robust kernels, which g2o cannot hold")
+        write_g2o(g2o, records.graph, records.object_map)
+        count = len(records.graph.edge_kinds)
+        console.show(f"{g2o}: {count} edges, without robust kernels, which g2o cannot hold")
 
 
-class _Source:
-    """What is written of a log: each part is read once, where it is needed."""
+def _choose_track(log: Path, records: EvaluationRecords, of: Track) -> TrajectoryRecord:
+    from logs.messages import TrajectoryRecord
+    from slam.common.errors import InputDataError
 
-    def __init__(self, log: Path, of: Track, origin: str | None) -> None:
-        self._log, self._of, self._origin = log, of, origin
+    final = records.trajectory
+    if of == Track.ESTIMATE:
+        if final is None or not len(final.stamps_ns):
+            raise _no_result(log)
+        return final
+    frame, path = {
+        Track.ONLINE: ("map", records.online_path),
+        Track.ODOMETRY: ("odom", records.odometry_path),
+        Track.TRUTH: ("world", records.true_path),
+    }[of]
+    if not len(path):
+        raise InputDataError(f"{log} has no poses of the {of}; choose another with --of")
+    return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
 
-    @cached_property
-    def records(self) -> EvaluationRecords:
-        from slam.evaluation.inputs.records import read_records
 
-        return read_records(self._log)
+def _find_georeference(log: Path, origin: str | None) -> Georeference:
+    """Where the map is: as the option says, else as the log does."""
+    from logs.container.limits import RESULT_LIMITS
+    from logs.reader import LogReader
+    from slam.common.errors import InputDataError
+    from slam.common.georeference import Georeference
 
-    @cached_property
-    def objects(self) -> ObjectMapRecord:
-        from slam.library import read_map
-
-        return read_map(self._log)
-
-    @cached_property
-    def track(self) -> TrajectoryRecord:
-        from logs.messages import TrajectoryRecord
-        from slam.common.errors import InputDataError
-
-        final = self.records.trajectory
-        if self._of == Track.ESTIMATE:
-            if final is None or not len(final.stamps_ns):
-                raise _no_result(self._log)
-            return final
-        frame, path = {
-            Track.ONLINE: ("map", self.records.online_path),
-            Track.ODOMETRY: ("odom", self.records.odometry_path),
-            Track.TRUTH: ("world", self.records.true_path),
-        }[self._of]
-        if not len(path):
-            raise InputDataError(f"{self._log} has no poses of the {self._of}; choose another with --of")
-        return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
-
-    @cached_property
-    def georeference(self) -> Georeference:
-        """Where the map is: as the option says, else as the log does."""
-        from logs.container.limits import RESULT_LIMITS
-        from logs.reader import LogReader
-        from slam.common.errors import InputDataError
-        from slam.common.georeference import Georeference
-
-        if self._origin is not None:
-            return parse_origin(self._origin)
-        with LogReader(self._log, RESULT_LIMITS) as reader:
-            for values in reader.metadata().values():
-                if "georeference" in values:
-                    return Georeference.from_json(values["georeference"])
-        raise InputDataError(f"{self._log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
+    if origin is not None:
+        return parse_origin(origin)
+    with LogReader(log, RESULT_LIMITS) as reader:
+        for values in reader.metadata().values():
+            if "georeference" in values:
+                return Georeference.from_json(values["georeference"])
+    raise InputDataError(f"{log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
 
 
 def _no_result(log: Path) -> Exception:

@@ -10,8 +10,6 @@ from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table, read_table
 from logs.importers.text_files import read_source_text
 
-ID_NAMES = ("id", "object_id", "name")
-"""Names of the column with the id of an object, likeliest first."""
 DEGREES = {"": 1.0, "deg": 1.0}
 
 
@@ -37,15 +35,11 @@ def read_object_table(path: Path) -> MapObjects:
     positions = np.column_stack([*map(table.numbers, plane), heights])
     if latitude is not None:
         check_degrees(str(path), positions)
-    return MapObjects(str(path), positions, find_labels(table), find_ids(table), latitude is not None, source.sha256)
+    cells = zip(table.lines, table.first_texts(("id", "object_id", "name")), strict=True)
+    ids = distinct(cell or f"line {line}" for line, cell in cells)
+    return MapObjects(str(path), positions, find_labels(table), ids, latitude is not None, source.sha256)
 
 
 def find_labels(table: Table) -> tuple[str, ...]:
     """The class (R,) of each row, ``UNLABELLED`` where the table has none."""
     return tuple(cell or UNLABELLED for cell in table.labels())
-
-
-def find_ids(table: Table) -> tuple[str, ...]:
-    """Unique names of rows (R,): those in the table; repeated ones are followed by their place."""
-    cells = zip(table.lines, table.first_texts(ID_NAMES), strict=True)
-    return distinct(cell or f"line {line}" for line, cell in cells)

@@ -9,24 +9,16 @@ import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray
 
-SPACING_TOLERANCE = 0.05
-"""Part of the query spacing by which keyframes may be closer: those placed every 2 m must not be thinned by half."""
-SAME_HEADING_DEG, OPPOSITE_HEADING_DEG = 45.0, 135.0
-"""Angles between the headings of two visits up to which they are the same, and beyond which they are opposite."""
-WINDOW_LANDMARKS = 3
-"""Fewest landmarks of a window: two leave no residual after their alignment."""
-RANGE_M = 30.0
-"""Sensor range for which the lengths of the protocol are given: those of papers, about cars in streets."""
-
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """Thresholds; units are in the names, and lengths (``..._m``) are those usual for cars."""
+    """Thresholds; units are in the names, and lengths (``..._m``) are those of papers about cars in streets, with a
+    sensor range of 30 m.
+    """
 
     max_truth_gap_s: float = 1.5
     revisit_m: float = 100.0
     window_m: float = 50.0
-    match_distance_m: float = 2.0
     least_detections: int = 5
     closure_translation_m: float = 4.0
     closure_rotation_deg: float = 10.0
@@ -40,4 +32,4 @@ class Protocol:
     def for_range(self, sensor_range_m: float) -> Self:
         """The same with all lengths in proportion to a sensor range [m]."""
         lengths = [each.name for each in fields(self) if each.name.endswith("_m")]
-        return replace(self, **{name: sensor_range_m / RANGE_M * getattr(self, name) for name in lengths})
+        return replace(self, **{name: sensor_range_m / 30.0 * getattr(self, name) for name in lengths})

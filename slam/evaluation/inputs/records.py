@@ -32,7 +32,7 @@ from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
-from slam.evaluation.inputs.text_reference import TextReference
+from slam.evaluation.inputs.text_reference import read_text_reference
 from slam.evaluation.report.figures import value_at
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
 
@@ -172,7 +172,8 @@ def _last(records: Sequence[_Record]) -> _Record | None:
 def read_records(
     path: str | os.PathLike[str],
     *,
-    reference: TextReference | str | os.PathLike[str] | None = None,
+    reference: str | os.PathLike[str] | None = None,
+    calib: Path | None = None,
     topics: Mapping[str, str] | None = None,
 ) -> EvaluationRecords:
     """Read an output log in one pass, and the truth from a reference where one is given.
@@ -180,6 +181,7 @@ def read_records(
     Args:
         path: log with the topics under ``/slam/``, and with copies of odometry and truth if it was recorded so.
         reference: log, or file of poses, whose truth replaces that of ``path``, kind by kind.
+        calib: of a file of KITTI's poses, if they are of the left camera.
         topics: record kind -> topic, where odometry or truth are not where they usually are; they apply to the
             reference if there is one, else to the output. Before them stands what the replay used.
 
@@ -192,18 +194,10 @@ def read_records(
     if reference is None:
         return _read(path, topics)
     output = _read(path, None)
-    return output.with_truth_of(_read_reference(reference, topics, output))
-
-
-def _read_reference(
-    reference: TextReference | str | os.PathLike[str], topics: Mapping[str, str] | None, output: EvaluationRecords
-) -> EvaluationRecords:
-    if not isinstance(reference, TextReference):
-        if is_log(Path(reference)):
-            return _read(reference, topics)
-        reference = TextReference(Path(reference))
-    path = output.odometry_path if output.odometry else output.final_path
-    return EvaluationRecords(true_poses=reference.read(path))
+    if is_log(Path(reference)):
+        return output.with_truth_of(_read(reference, topics))
+    odometry = output.odometry_path if output.odometry else output.final_path
+    return output.with_truth_of(EvaluationRecords(true_poses=read_text_reference(Path(reference), calib, odometry)))
 
 
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:

@@ -33,13 +33,7 @@ class PoseSeries:
         return travelled_m(self.T_world_body)
 
     def travelled_at_m(self, at_ns: IntArray) -> FloatArray:
-        """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends.
-
-        Raises:
-            EvaluationError: the series holds no pose.
-        """
-        if len(self.stamps_ns) == 0:
-            raise EvaluationError("no pose, so there is no path to measure along")
+        """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends."""
         origin_ns = self.stamps_ns[0]  # Offsets are exact in float64, epoch nanoseconds are not.
         offsets = np.asarray(at_ns, dtype=np.int64) - origin_ns
         known = (self.stamps_ns - origin_ns).astype(np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,67 +11,63 @@ from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, find_f
 from logs.messages import GroundTruthPose
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 
 
-@dataclass(frozen=True, slots=True)
-class TextReference:
-    """The file at ``path``; ``calib``: of poses in KITTI's format, if they are of the left camera."""
+def read_text_reference(file: Path, calib: Path | None, path: PoseSeries) -> tuple[GroundTruthPose, ...]:
+    """The true poses of the body.
 
-    path: Path
-    calib: Path | None = None
+    Args:
+        file: the poses.
+        calib: of poses in KITTI's format, if they are of the left camera.
+        path: the odometry, or an estimate. Poses in KITTI's format, as many as these, are at its stamps.
 
-    def read(self, path: PoseSeries) -> tuple[GroundTruthPose, ...]:
-        """The true poses of the body.
+    Raises:
+        DatasetError: a file is missing or wrong.
+        EvaluationError: the axes of the poses are not those of the body.
+    """
+    source = read_source_text(file)
+    is_kitti = find_format(source) == TrajectoryFormat.KITTI
+    trajectory = read_trajectory(
+        source,
+        times=_times(source, path) if is_kitti else None,
+        calib=read_source_text(calib) if is_kitti and calib is not None else None,
+    )
+    is_camera = is_kitti and calib is None
+    remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
+    _check_axes(source.name, trajectory, path, remedy)
+    return tuple(GroundTruthPose(stamp_ns, T) for stamp_ns, T in trajectory.poses())
 
-        Args:
-            path: the odometry, or an estimate. Poses in KITTI's format, as many as these, are at its stamps.
 
-        Raises:
-            DatasetError: a file is missing or wrong.
-            EvaluationError: the axes of the poses are not those of the body.
-        """
-        source = read_source_text(self.path)
-        is_kitti = find_format(source) == TrajectoryFormat.KITTI
-        trajectory = read_trajectory(
-            source,
-            times=self._times(source, path) if is_kitti else None,
-            calib=read_source_text(self.calib) if is_kitti and self.calib is not None else None,
+def _times(source: SourceText, path: PoseSeries) -> SourceText:
+    if len(source.lines()) != len(path.stamps_ns):
+        raise EvaluationError(f"{source.name}: poses without stamps, and not one for each message of the odometry")
+    seconds = (f"{at // 10**9}.{at % 10**9:09d}" for at in path.stamps_ns.tolist())
+    return SourceText("the stamps of the odometry", "\n".join(seconds), "")
+
+
+def _check_axes(name: str, truth: Trajectory, path: PoseSeries, remedy: str) -> None:
+    """The robot moves in the same direction of its body by both, on stretches of equal length."""
+    series = PoseSeries(truth.stamps_ns, truth.T_world_body)
+    try:
+        both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
+    except EvaluationError:
+        return  # The comparison reports that they do not overlap.
+    travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
+    rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], 201)))
+    ways = []
+    for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
+        ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
+    moved_m = np.linalg.norm(ways, axis=2)  # (2, stretches)
+    lengths = moved_m[0] * moved_m[1]
+    moved = lengths > 0.0
+    if not moved.any():
+        return
+    cosines = np.sum(ways[0] * ways[1], axis=1)[moved] / lengths[moved]
+    turned_deg = float(np.rad2deg(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
+    # Half of what x, y and z are apart.
+    if turned_deg > 45.0:
+        raise EvaluationError(
+            f"{name}: the direction of travel differs from that of the odometry by {turned_deg:.0f} deg "
+            f"(median), so the axes of these poses are not those of the body; {remedy}"
         )
-        self._check_axes(trajectory, path)
-        stamps_ns = trajectory.stamps.stamps_ns.tolist()
-        return tuple(GroundTruthPose(at, T) for at, T in zip(stamps_ns, trajectory.T_world_body, strict=True))
-
-    def _times(self, source: SourceText, path: PoseSeries) -> SourceText:
-        if len(source.lines()) != len(path.stamps_ns):
-            raise EvaluationError(f"{self.path}: poses without stamps, and not one for each message of the odometry")
-        seconds = (f"{at // 10**9}.{at % 10**9:09d}" for at in path.stamps_ns.tolist())
-        return SourceText("the stamps of the odometry", "\n".join(seconds), "")
-
-    def _check_axes(self, truth: Trajectory, path: PoseSeries) -> None:
-        """The robot moves in the same direction of its body by both, on stretches of equal length."""
-        series = clean_poses(truth.stamps.stamps_ns, truth.T_world_body)
-        try:
-            both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
-        except EvaluationError:
-            return  # The comparison reports that they do not overlap.
-        travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
-        rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], 201)))
-        ways = []
-        for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
-            ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
-        moved_m = np.linalg.norm(ways, axis=2)  # (2, stretches)
-        lengths = moved_m[0] * moved_m[1]
-        moved = lengths > 0.0
-        if not moved.any():
-            return
-        cosines = np.sum(ways[0] * ways[1], axis=1)[moved] / lengths[moved]
-        turned_deg = float(np.rad2deg(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
-        # Half of what x, y and z are apart.
-        if turned_deg > 45.0:
-            is_camera = truth.format == TrajectoryFormat.KITTI and self.calib is None
-            remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
-            raise EvaluationError(
-                f"{self.path}: the direction of travel differs from that of the odometry by {turned_deg:.0f} deg "
-                f"(median), so the axes of these poses are not those of the body; {remedy}"
-            )

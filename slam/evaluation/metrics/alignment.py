@@ -12,9 +12,6 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
 
-STANDSTILL_M = 1e-6
-"""Points that spread less than this (RMS about their mean) are one point."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
@@ -38,7 +35,7 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Alig
     """
     for name, points in (("estimated", points_est), ("true", points_gt)):
         spread = _principal_spreads(points[:, :2])[0]
-        if spread < STANDSTILL_M:
+        if _is_one_point(spread):
             raise EvaluationError(
                 f"the {len(points)} {name} points are within {spread:.3g} m of one another in the plane, "
                 "so no heading can be found; evaluate a drive that moves"
@@ -62,11 +59,15 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
     """
     spreads = [_principal_spreads(points) for points in (points_est, points_gt)]
     # Points on a straight line leave the roll about it open.
-    if any(second < 1e-3 * first or first < STANDSTILL_M for first, second, _ in spreads):
+    if any(second < 1e-3 * first or _is_one_point(first) for first, second, _ in spreads):
         return align_yaw_translation(points_est, points_gt)
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
     return Alignment(make_transform(R, mean_gt - R @ mean_est), "se3")
+
+
+def _is_one_point(spread_m: float) -> bool:
+    return spread_m < 1e-6
 
 
 def _principal_spreads(points: FloatArray) -> FloatArray:

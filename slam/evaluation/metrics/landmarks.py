@@ -5,34 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
-from slam.evaluation.inputs.protocol import WINDOW_LANDMARKS, Protocol
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.evaluation.metrics.association import FALSE_POSITIVE
 from slam.evaluation.metrics.statistics import fraction, percentile
 
-DEFAULT_PROTOCOL = Protocol()
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkMatches:
-    """The confirmed landmarks of a map and the true object of each.
+    """The confirmed landmarks of a map and the true object of each, by the truth of their detections.
 
     landmark_rows (C,) rows of the estimated map; object_rows (C,) rows of the true map, -1 where there is none;
     is_object (C,) bool: the landmark shows an object, though the true map may lack it (a moving one, for instance).
     """
 
-    method: Literal["detections", "nearest"]
     landmark_rows: IntArray
     object_rows: IntArray
     is_object: NDArray[np.bool_]
@@ -56,40 +52,10 @@ def match_by_detections(
         rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
     objects = [landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows]
     return LandmarkMatches(
-        method="detections",
         landmark_rows=rows,
         object_rows=np.array([row_of_object.get(name, -1) for name in objects], dtype=np.int64),
         is_object=np.array([name != FALSE_POSITIVE for name in objects], dtype=np.bool_),
     )
-
-
-def match_by_position(
-    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, T_world_map: FloatArray, *, max_distance_m: float = 2.0
-) -> LandmarkMatches:
-    """Match confirmed landmarks with the nearest true object of the same class, at most ``max_distance_m`` away.
-
-    Used where no detection has a true id. Errors beyond the limit cannot be seen this way, and the class is right by
-    construction.
-
-    Args:
-        map_est: positions in the map frame.
-        map_gt: positions in the world frame.
-        T_world_map: (4, 4), alignment of the whole trajectory.
-        max_distance_m: limit of the match.
-    """
-    rows = confirmed_rows(map_est)
-    positions = apply(T_world_map, map_est.positions[rows])
-    labels_est = np.array(map_est.labels, dtype=np.str_)[rows] if len(rows) else np.zeros(0, dtype=np.str_)
-    labels_gt = np.array(map_gt.labels, dtype=np.str_)
-    object_rows = np.full(len(rows), -1, dtype=np.int64)
-    for label in np.unique(labels_est):
-        ours, theirs = np.flatnonzero(labels_est == label), np.flatnonzero(labels_gt == label)
-        if len(theirs) == 0:
-            continue
-        distance, nearest = cKDTree(map_gt.positions[theirs]).query(positions[ours])
-        near = np.asarray(distance) <= max_distance_m
-        object_rows[ours[near]] = theirs[np.asarray(nearest)[near]]
-    return LandmarkMatches("nearest", rows, object_rows, object_rows >= 0)
 
 
 def compute_windowed_errors_m(
@@ -99,7 +65,7 @@ def compute_windowed_errors_m(
 
     Windows of ``window_m`` start every half window until the path is covered. A landmark belongs to the windows in
     which it was first seen, and has an error in each. In each window yaw and translation are aligned by least squares
-    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than ``WINDOW_LANDMARKS``
+    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than three
     landmarks, or with all of them in one place, are left out.
 
     Args:
@@ -117,7 +83,7 @@ def compute_windowed_errors_m(
     errors_m = [np.zeros(0)]
     for start_m in (stride_m * numbers[is_on_path]).tolist():
         inside = (seen_at_m >= start_m) & (seen_at_m < start_m + window_m)
-        if np.count_nonzero(inside) < WINDOW_LANDMARKS:
+        if np.count_nonzero(inside) < 3:  # two leave no residual after their alignment
             continue
         with suppress(EvaluationError):
             alignment = align_yaw_translation(positions_est[inside], positions_gt[inside])
@@ -129,26 +95,25 @@ def evaluate_landmarks(
     map_est: ObjectMapRecord,
     map_gt: ObjectMapRecord,
     matches: LandmarkMatches,
-    protocol: Protocol = DEFAULT_PROTOCOL,
+    protocol: Protocol,
     *,
-    path_gt: PoseSeries | None = None,
-    T_world_map: FloatArray | None = None,
-    object_detection_counts: Mapping[str, int] | None = None,
+    path_gt: PoseSeries,
+    T_world_map: FloatArray | None,
+    object_detection_counts: Mapping[str, int],
 ) -> dict[str, Any]:
     """Position errors, classes, precision and recall of the confirmed landmarks, by the keys of the JSON.
 
     Errors are those after aligning windows of path, and those after the alignment of the whole trajectory ("global").
-    Fractions without a denominator are None. The class is right by construction where landmarks were matched by it, and
-    ``class_accuracy`` is None.
+    Fractions without a denominator are None.
 
     Args:
         map_est: final map, map frame.
         map_gt: true objects, world frame.
-        matches: from :func:`match_by_detections` or :func:`match_by_position`.
+        matches: from :func:`match_by_detections`.
         protocol: the thresholds.
-        path_gt: true path, which cuts the windows; None leaves the windowed error undefined.
+        path_gt: true path, which cuts the windows; without a pose the windowed error is undefined.
         T_world_map: (4, 4) alignment of the trajectory; None leaves the error in the global frame undefined.
-        object_detection_counts: how often each true object was detected; None leaves recall undefined.
+        object_detection_counts: how often each true object was detected.
 
     Raises:
         EvaluationError: a matched position is not finite.
@@ -159,7 +124,7 @@ def evaluate_landmarks(
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
         raise EvaluationError("the position of a landmark or a true object is not finite")
     windowed_m = global_m = np.zeros(0)
-    if path_gt is not None and len(path_gt):
+    if len(path_gt):
         seen_ns = map_est.first_seen_ns[rows_est]
         known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
         seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)
@@ -167,8 +132,7 @@ def evaluate_landmarks(
         windowed_m = compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, length_m, protocol.window_m)
     if T_world_map is not None:
         global_m = _distances_m(T_world_map, positions_est, positions_gt)
-    counts = object_detection_counts or {}
-    often = {name for name in map_gt.ids if counts.get(name, 0) >= protocol.least_detections}
+    often = {name for name in map_gt.ids if object_detection_counts.get(name, 0) >= protocol.least_detections}
     found = {map_gt.ids[row] for row in rows_gt}
     class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
     confirmed_count = len(matches.landmark_rows)
@@ -177,13 +141,12 @@ def evaluate_landmarks(
         "p95_error_m": percentile(windowed_m, 95.0),
         "max_error_m": percentile(windowed_m, 100.0),
         "global_median_error_m": percentile(global_m, 50.0),
-        "method": matches.method,
         "confirmed_count": confirmed_count,
         "matched_count": len(rows_est),
         "landmarks_per_object": fraction(len(rows_est), len(found)),
         "precision": fraction(int(np.count_nonzero(matches.is_object)), confirmed_count),
         "recall": fraction(len(often & found), len(often)),
-        "class_accuracy": fraction(class_right, len(rows_est)) if matches.method == "detections" else None,
+        "class_accuracy": fraction(class_right, len(rows_est)),
     }
 
 

@@ -20,7 +20,6 @@ from slam.evaluation.place_recognition.revisits import count_stages, find_true_p
 
 EDGES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
 """Probabilities between the bins, and both ends."""
-SURE = 0.99
 
 
 def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
@@ -145,7 +144,7 @@ def describe_reliability(judged: pd.DataFrame) -> dict[str, Any]:
     candidates with posterior odds which no other closure predicted and which the truth decides.
 
     ``bins``: number, mean probability (None without any) and number of right ones between two ``EDGES``;
-    ``sure_count``, ``sure_right``: candidates with a probability of at least :data:`SURE`.
+    ``sure_count``, ``sure_right``: candidates with a probability of at least 0.99.
 
     Args:
         judged: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
@@ -164,5 +163,5 @@ def describe_reliability(judged: pd.DataFrame) -> dict[str, Any]:
         count, right = int(inside.sum()), int(is_right[inside].sum())
         expected = float(probabilities[inside].mean()) if count else None
         bins.append({"from": low, "to": high, "count": count, "expected": expected, "right": right})
-    sure = probabilities >= SURE
+    sure = probabilities >= 0.99
     return {"bins": bins, "sure_count": int(sure.sum()), "sure_right": int(is_right[sure].sum())}

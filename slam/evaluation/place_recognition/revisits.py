@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from logs.closures import rank_stage
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
-from slam.evaluation.inputs.protocol import OPPOSITE_HEADING_DEG, SAME_HEADING_DEG, SPACING_TOLERANCE, Protocol
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.statistics import fraction
 
@@ -50,8 +50,8 @@ def find_true_poses(truth: PoseSeries, at_ns: IntArray, *, max_gap_s: float) -> 
 def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
     """Thin the keyframes to queries, and find those that are near an earlier keyframe after much travel.
 
-    * Queries: keyframes with truth, in the order of time; the first, then each that is at least ``query_spacing_m``,
-      less :data:`~slam.evaluation.inputs.protocol.SPACING_TOLERANCE` of it, of true travel after the query before it.
+    * Queries: keyframes with truth, in the order of time; the first, then each that is at least ``query_spacing_m`` of
+      true travel after the query before it, less 5 %: keyframes placed every 2 m must not be thinned by half.
     * A query is a revisit if any keyframe, thinned out or not, at least ``revisit_m`` of true travel before it lies
       within ``revisit_distance_m`` of it, between true positions in 3-D.
     * Its direction is the angle between the forward (x) axes of the two, the nearest such keyframe standing for all.
@@ -71,12 +71,12 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
     T_world_body = T_world_body[rows]
     travelled_m = truth.travelled_at_m(stamps_ns[rows]) if len(rows) else np.zeros(0)
-    queries = _thin(travelled_m, (1.0 - SPACING_TOLERANCE) * protocol.query_spacing_m)
+    queries = _thin(travelled_m, 0.95 * protocol.query_spacing_m)
     nearest = _find_nearest_earlier(T_world_body[:, :3, 3], travelled_m, queries, protocol)
     forward = T_world_body[:, :3, 0]
     cosines = np.einsum("ij,ij->i", forward[queries], forward[nearest])
     angles_deg = np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0)))
-    number = np.select([angles_deg <= SAME_HEADING_DEG, angles_deg > OPPOSITE_HEADING_DEG], [0, 1], 2)
+    number = np.select([angles_deg <= 45.0, angles_deg > 135.0], [0, 1], 2)
     directions = np.where(nearest >= 0, np.array(DIRECTIONS)[number], "")
     return pd.DataFrame(
         {"keyframe": keyframe_ids[rows][queries], "stamp_ns": stamps_ns[rows][queries], "direction": directions}

@@ -2,60 +2,103 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, interpolate, invert
-from slam.display.map_layers import MapPicture
+from slam.display.map_layers import OTHER_COLOR, Layer, MapPicture, class_layers, count_classes, strokes
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import confirmed_rows
 from slam.evaluation.result import Evaluation
 
+ODOMETRY = "#d97706"
+TRUE_CLOSURE, FALSE_CLOSURE, UNDECIDED_CLOSURE = "#14b8a6", "#ff0000", "#d6249f"
 
-def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title: str = "Object map") -> MapPicture:
+
+def compose_picture(
+    records: EvaluationRecords,
+    evaluation: Evaluation,
+    *,
+    title: str,
+    known: Callable[[FloatArray], FloatArray] | None = None,
+) -> MapPicture:
     """Bring the odometry into the map frame by its first pose, the truth by the alignment of the estimate.
 
     A closure joins the estimated positions of its two keyframes. Without a final trajectory the online poses are drawn.
     Truth that could not be aligned is left out. Paths are broken, by a row of NaN, at discontinuities of the odometry.
     The robot is marked as lost where it lost its place: before the discontinuity, not at its start in a given map.
+
+    Args:
+        records: of the drive.
+        evaluation: of these records.
+        title: of the picture.
+        known: the landmarks (K, 3) of a given map around positions (N, 3), which are drawn in the place of those of the
+            drive.
     """
     # Where a run did not finish, its poses as they were at their time.
     estimate = records.final_path if records.trajectory else records.online_path
     errors = evaluation.estimate or evaluation.online
-    odometry, truth = records.odometry_path, records.true_path
     spans_ns = _discontinuities(records.graph)
-    objects = records.object_map
-    rows = (
-        [row for row in confirmed_rows(objects).tolist() if np.isfinite(objects.positions[row]).all()]
-        if objects
-        else []
+    path = _broken(estimate.stamps_ns, estimate.positions, spans_ns)
+    odometry = _broken(records.odometry_path.stamps_ns, _in_map(records.odometry_path, estimate), spans_ns)
+    truth = np.zeros((0, 3))
+    if errors is not None:
+        aligned = apply(invert(errors.alignment.T_world_map), records.true_path.positions)
+        truth = _broken(records.true_path.stamps_ns, aligned, spans_ns)
+    objects, landmarks, labels = records.object_map, np.zeros((0, 3)), list[str]()
+    if objects is not None:
+        rows = confirmed_rows(objects)
+        rows = rows[np.isfinite(objects.positions[rows]).all(axis=1)]
+        landmarks, labels = objects.positions[rows], [objects.labels[row] for row in rows]
+    if known is not None:
+        around = known(np.concatenate([path, landmarks]))
+        shown = [Layer("landmarks of the map", around, OTHER_COLOR, size=7.0, count=len(around))]
+        labels = []
+    else:
+        shown = [*class_layers(landmarks, labels)]
+    lost, found = _losses(records, evaluation, estimate, spans_ns)
+    true, false, undecided = _closures(evaluation, estimate)
+    whole = next((each for each in (path, truth, odometry) if len(each)), path)
+    driven_m = float(np.nansum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    figures = {
+        "path {:.0f} m": errors.length_m if errors else driven_m or None,
+        count_classes(labels): len(labels) or None,
+        "ATE {:.3f} m": errors.ate_m if errors else None,
+        "odometry alone {:.3f} m": evaluation.odometry.ate_m if evaluation.odometry else None,
+    }
+    return MapPicture(
+        title,
+        "   ·   ".join(text.format(value) for text, value in figures.items() if value is not None),
+        [
+            strokes("loop closures", undecided, UNDECIDED_CLOSURE, 1.2),
+            *shown,
+            Layer("odometry", odometry, ODOMETRY, width=1.6),
+            strokes("true loop closures", true, TRUE_CLOSURE, 1.6),
+            Layer("estimate", path, "#0b5cad", width=2.8),
+            Layer("ground truth", truth, "#6b7280", width=1.2, is_dashed=True),
+            Layer("start", whole[:1], "#16a34a", size=13.0),
+            Layer("end", whole[-1:], "#dc2626", size=13.0, marker="s"),
+            Layer("lost", lost, "#b91c1c", size=13.0, marker="v", count=len(lost)),
+            Layer("found", found, "#15803d", size=13.0, marker="^", count=len(found)),
+            strokes("false loop closures", false, FALSE_CLOSURE, 4.0),
+        ],
     )
+
+
+def _losses(
+    records: EvaluationRecords, evaluation: Evaluation, estimate: PoseSeries, spans_ns: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where the robot lost its place, and where it found it again: (J, 3) m."""
     losses = evaluation.results["relocalization"].get("losses", ())
     noticed_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
     lost_ns = [max((first for first in spans_ns[:, 0].tolist() if first < at), default=at) for at in noticed_ns]
     found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]
-    path = _broken(estimate.stamps_ns, estimate.positions, spans_ns)
-    driven_m = float(np.nansum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    return MapPicture(
-        estimate=path,
-        odometry=_broken(odometry.stamps_ns, _in_map(odometry, estimate), spans_ns),
-        truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns)
-        if errors
-        else np.zeros((0, 3)),
-        lost=_known(positions_at(estimate, lost_ns)),
-        found=_known(positions_at(estimate, found_ns)),
-        landmarks=objects.positions[rows] if objects else np.zeros((0, 3)),
-        labels=tuple(objects.labels[row] for row in rows) if objects else (),
-        title=title,
-        length_m=errors.length_m if errors else driven_m or None,
-        ate_m=errors.ate_m if errors else None,
-        odometry_ate_m=evaluation.odometry.ate_m if evaluation.odometry else None,
-        **_closures(evaluation, estimate),
-    )
+    lost, found = positions_at(estimate, lost_ns), positions_at(estimate, found_ns)
+    return lost[np.isfinite(lost).all(axis=1)], found[np.isfinite(found).all(axis=1)]
 
 
 def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArray:
@@ -68,25 +111,18 @@ def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArra
     return positions
 
 
-def _closures(evaluation: Evaluation, estimate: PoseSeries) -> dict[str, FloatArray]:
-    """Ends of the accepted closures as :class:`MapPicture` takes them."""
-    if evaluation.closures is None:
-        return {}
-    closures = evaluation.closures[evaluation.closures["accepted"]]
+def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ends (C, 2, 3) m of the accepted closures that are true, false and undecided."""
+    closures = evaluation.closures
+    if closures is None:
+        return (np.zeros((0, 2, 3)),) * 3
+    closures = closures[closures["accepted"]]
     ends = np.stack(
         [positions_at(estimate, closures[k].to_numpy()) for k in ("stamp_ns", "reference_stamp_ns")], axis=1
     )
     is_known = np.isfinite(ends).all(axis=(1, 2))
     true, decided = closures["true"].to_numpy(), closures["decided"].to_numpy()
-    return {
-        "true_closures": ends[is_known & true],
-        "false_closures": ends[is_known & decided & ~true],
-        "closures": ends[is_known & ~decided],
-    }
-
-
-def _known(positions: FloatArray) -> FloatArray:
-    return positions[np.isfinite(positions).all(axis=1)]
+    return ends[is_known & true], ends[is_known & decided & ~true], ends[is_known & ~decided]
 
 
 def _in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:

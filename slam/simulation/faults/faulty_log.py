@@ -55,10 +55,8 @@ def apply_faults(log: Recording, faults: Sequence[Fault], *, seed: int) -> None:
         seed: 0 or more.
 
     Raises:
-        SimulationError: the log has not what a fault needs, or the seed is negative.
+        SimulationError: the log has not what a fault needs.
     """
-    if seed < 0:
-        raise SimulationError(f"seed {seed} is negative; give 0 or more")
     times: Counter[str] = Counter()
     for fault in faults:
         name = fault.function.__name__
@@ -93,7 +91,7 @@ def write_faulty(
 
     Raises:
         LogError: the input cannot be read or the output cannot be written.
-        SimulationError: the log has not what a fault needs, or the seed is negative.
+        SimulationError: the log has not what a fault needs.
     """
     with LogReader(source) as reader:
         selection = select_topics(reader.topics(), topics, needed=_NEEDED)
@@ -122,7 +120,7 @@ def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:
     """The messages of the kinds that faults can read, numbered among all of the log."""
     kept = {topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_READ)}
     others = {info.topic for info in reader.topics()} - set(kept)
-    for number, item in enumerate(reader.items(Selection(kept, selection.mappings), times_of=others)):
+    for number, item in enumerate(reader.items(Selection(kept, selection.mappings), copy=others)):
         yield from (Message(item.raw.topic, item.raw.log_time_ns, record, number) for record in item.records)
 
 

@@ -10,12 +10,10 @@ from pydantic import Field
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.simulation.faults.parameters import Share
-from slam.simulation.faults.recording import Message, Recording
+from slam.simulation.faults.recording import Message, Recording, seconds_ns
 
 _Speed = Annotated[float, Field(ge=0.0, le=1e3, description="m/s")]
 _LengthFactor = Annotated[float, Field(ge=1e-6, le=1e6, description="factor")]
-_IN_VIEW_AGAIN_NS = 10_000_000_000
-"""An object that was not seen for so long has gone elsewhere when it comes back."""
 
 
 def objects_moving(log: Recording, share: Share = 0.5, speed_m_s: _Speed = 2.0, *, rng: np.random.Generator) -> None:
@@ -28,7 +26,7 @@ def objects_moving(log: Recording, share: Share = 0.5, speed_m_s: _Speed = 2.0, 
         raise SimulationError("the log holds no true ids (/ground_truth/detections), which this fault needs")
     drawn = rng.random(len(objects))
     moving = {name for name, number in zip(objects, drawn, strict=True) if number < share}
-    frames = log.body_frames()
+    frames, away_ns = log.body_frames(), seconds_ns(10.0)  # an object that comes back later has gone elsewhere
     passes: dict[str, tuple[int, int, FloatArray]] = {}  # when it came, when it was seen last, which way it goes
     pairs = [pair for pair in zip(log.scans, log.scan_poses(), strict=True) if pair[0].truth is not None]
     for scan, T_odom_body in sorted(pairs, key=lambda pair: pair[0].stamp_ns):
@@ -37,8 +35,8 @@ def objects_moving(log: Recording, share: Share = 0.5, speed_m_s: _Speed = 2.0, 
         for row, name in enumerate(scan.ids):
             if name not in moving:
                 continue
-            came_ns, seen_ns, direction = passes.get(name, (0, -_IN_VIEW_AGAIN_NS, np.zeros(3)))
-            if stamp_ns - seen_ns >= _IN_VIEW_AGAIN_NS:
+            came_ns, seen_ns, direction = passes.get(name, (0, -away_ns, np.zeros(3)))
+            if stamp_ns - seen_ns >= away_ns:
                 angle_rad = rng.uniform(-np.pi, np.pi)
                 came_ns, direction = stamp_ns, np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
             passes[name] = (came_ns, stamp_ns, direction)

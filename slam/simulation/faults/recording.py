@@ -156,15 +156,11 @@ class Recording:
         """The first pose after a part of the time of the drive, N where there is none."""
         return int(np.searchsorted(self.stamps_ns, self.stamp_at(fraction)))
 
-    def poses_at(self, stamps_ns: Sequence[int] | IntArray) -> FloatArray:
-        """Poses T_odom_body (M, 4, 4) at the stamps (M,), those of the ends outside of the odometry."""
-        ordered, first = np.unique(self.stamps_ns, return_index=True)
-        at = np.clip(np.asarray(stamps_ns, dtype=np.int64), ordered[0], ordered[-1])
-        return interpolate(ordered, self.poses[first], at)
-
     def scan_poses(self) -> FloatArray:
-        """Poses T_odom_body (S, 4, 4) at the scans."""
-        return self.poses_at([scan.stamp_ns for scan in self.scans])
+        """Poses T_odom_body (S, 4, 4) at the scans, those of the ends outside of the odometry."""
+        ordered, first = np.unique(self.stamps_ns, return_index=True)
+        at = np.array([scan.stamp_ns for scan in self.scans], dtype=np.int64)
+        return interpolate(ordered, self.poses[first], np.clip(at, ordered[0], ordered[-1]))
 
     def redirect(self, row: int, T_jump: FloatArray) -> None:
         """Move the poses from ``row`` on rigidly, by ``T_jump`` (4, 4) in the axes of the body at ``row``."""

@@ -3,7 +3,6 @@ from __future__ import annotations
 import tarfile
 
 import numpy as np
-import pytest
 
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.objects import CloudObjects, find_objects
@@ -25,8 +24,6 @@ def test_points_of_one_instance_are_one_object_however_far_apart() -> None:
     posts = cloud([(80, 3, post(8.0, 2.0)), (80, 3, post(8.0, 5.0)), (80, 4, post(8.0, 5.5)), FAR])
     found = find_objects(posts, NAMES, viewpoint=ORIGIN)
     assert found.instances.tolist() == [3, 4]
-    assert found.sizes[0, 0] == pytest.approx(3.0, abs=0.4)
-    assert found.sizes[0, 2] == pytest.approx(2.9, abs=0.1)
 
 
 def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:

@@ -17,9 +17,9 @@ from logs.messages import (
     Transform,
 )
 from logs.writer import LogWriter
+from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records, read_records
 from slam.evaluation.report.picture import compose_picture
 from tests.slam.evaluation.drives import stamps, winding_path
@@ -94,14 +94,6 @@ def test_all_parts_of_a_complete_log() -> None:
     assert at_json(result, "protocol.revisit_m") == 100.0
 
 
-def test_protocol_thresholds_reach_figures() -> None:
-    protocol = Protocol(least_detections=3, revisit_m=0.5)
-    result = evaluate(collect_records(made_log()), protocol)
-    assert at_json(result, "landmarks.recall") == 1.0
-    assert at_json(result, "associations.possible_count") == 0
-    assert at_json(result, "protocol.revisit_m") == 0.5
-
-
 def test_unmeasured_parts_are_empty_with_reason() -> None:
     log = [(topic, record) for topic, record in made_log() if not topic.startswith("/ground_truth")]
     result = evaluate(collect_records(log))
@@ -121,12 +113,9 @@ def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
 
-def test_landmarks_are_matched_by_position_without_detection_truth() -> None:
-    log = [(t, r) for t, r in made_log() if t != "/ground_truth/detections"]
-    result = evaluate(collect_records(log))
-    assert at_json(result, "landmarks.method") == "nearest"
-    assert at_json(result, "landmarks.matched_count") == 9  # the pole is called a tree
-    assert at_json(result, "landmarks.class_accuracy") is None
+def test_landmarks_need_truth_of_detections() -> None:
+    result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/ground_truth/detections"]))
+    assert at_json(result, "landmarks") == {}
     assert "detections" in result.unavailable["associations"]
 
 
@@ -159,18 +148,21 @@ def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
     assert "--reference" in evaluate(read_records(out)).unavailable["trajectory"]
 
 
+def drawn(records: EvaluationRecords) -> dict[str, FloatArray]:
+    picture = compose_picture(records, evaluate(records), title="map")
+    return {layer.name: layer.positions for layer in picture.layers if len(layer.positions)}
+
+
 def test_the_picture_is_in_the_map_frame() -> None:
-    records = collect_records(made_log())
-    picture = compose_picture(records, evaluate(records))
-    np.testing.assert_allclose(picture.truth, picture.estimate, atol=1e-9)
-    np.testing.assert_allclose(picture.odometry[0], picture.estimate[0], atol=1e-9)
-    np.testing.assert_allclose(picture.true_closures, [picture.estimate[[300, 10]]], atol=1e-9)
-    np.testing.assert_allclose(picture.false_closures, [picture.estimate[[300, 20]]], atol=1e-9)
-    assert len(picture.closures) == 0
-    assert len(picture.labels) == len(picture.landmarks) == 10
-    assert picture.ate_m == pytest.approx(0.0, abs=1e-9)
-    bare = compose_picture(EvaluationRecords(), evaluate(EvaluationRecords()))
-    assert len(bare.estimate) == len(bare.truth) == len(bare.closures) == 0
+    layers = drawn(collect_records(made_log()))
+    path = layers["estimate"]
+    np.testing.assert_allclose(layers["ground truth"], path, atol=1e-9)
+    np.testing.assert_allclose(layers["odometry"][0], path[0], atol=1e-9)
+    np.testing.assert_allclose(layers["true loop closures"][:2], path[[300, 10]], atol=1e-9)
+    np.testing.assert_allclose(layers["false loop closures"][:2], path[[300, 20]], atol=1e-9)
+    assert "loop closures" not in layers
+    assert len(layers["tree"]) == 10
+    assert drawn(EvaluationRecords()) == {}
 
 
 def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_noticed() -> None:
@@ -181,9 +173,9 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
     kept = records.graph.keyframe_ids[50:52].reshape(1, 2)
     jump = {"edge_transforms": np.eye(4)[None], "edge_covariances": np.eye(6)[None], "edge_kinds": ("discontinuity",)}
     records = replace(records, graph=replace(records.graph, edge_keyframe_ids=kept, **jump))
-    picture = compose_picture(records, evaluate(records))
-    np.testing.assert_allclose(picture.lost[0], records.final_path.positions[100], atol=1e-9)
-    np.testing.assert_allclose(picture.found[0], records.final_path.positions[120], atol=1e-9)
+    layers = drawn(records)
+    np.testing.assert_allclose(layers["lost"][0], records.final_path.positions[100], atol=1e-9)
+    np.testing.assert_allclose(layers["found"][0], records.final_path.positions[120], atol=1e-9)
 
 
 def test_odometry_is_taken_from_where_the_replay_took_it(tmp_path: Path) -> None:

@@ -148,14 +148,12 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
         T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0])
         error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
-        protocol = Protocol()
-        is_near = error_m <= protocol.closure_translation_m
         outcome |= {
             "distance_m": float(truth.travelled_at_m(at_ns)[0]),
             "seconds": 1e-9 * (fix.stamp_ns - slam.first_stamp_ns),
             "error_m": error_m,
             "error_deg": error_deg,
-            "is_right": is_near and error_deg <= protocol.closure_rotation_deg,
+            "is_right": bool(Protocol().is_true(np.array(error_m), np.deg2rad(error_deg))),
         }
     return outcome
 

@@ -40,12 +40,8 @@ class KnownMap:
 
         The distortion of the map between distant places has no effect on it.
         """
-        row = self.nearest(T_world_near)
+        row = np.argmin(np.linalg.norm(self.T_world_body_gt[:, :2, 3] - T_world_near[:2, 3], axis=1))
         return np.asarray(self.T_world_body_gt[row] @ invert(self.T_map_body[row]) @ T_map_body)
-
-    def nearest(self, T_world_near: FloatArray) -> int:
-        """Row of the pose of the mapping drive that is nearest in the plane."""
-        return int(np.argmin(np.linalg.norm(self.T_world_body_gt[:, :2, 3] - T_world_near[:2, 3], axis=1)))
 
 
 def known_imported(imported: ImportedMap) -> KnownMap:

@@ -171,7 +171,7 @@ def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: C
     for text in contest.scenarios:
         scenario = parse_scenario(text)
         rng = np.random.default_rng((contest.seed, 1))  # the same paths, whatever the classes
-        queries = draw_path_queries(world.first(smallest), contest.queries, rng=rng, scenario=scenario)
+        queries = draw_path_queries(world.first(smallest), contest.queries, scenario, rng=rng)
         rows.append(
             {**about, "query": text, **asdict(scenario), **_ask(search, objects, tree, queries, scenario.range_m)}
         )

@@ -13,9 +13,6 @@ from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tools.lab.retrieval.labelled_map import LabelledMap
 
-FLIPPING_RADIUS = 100.0
-"""Of hidden-point removal, in distances of the farthest object."""
-
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
@@ -114,7 +111,7 @@ def visible(offsets: FloatArray) -> NDArray[np.bool_]:
     shown = np.ones(len(offsets), dtype=bool)
     if len(offsets) < 3 or not np.all(distances > 0.0):
         return shown
-    radius = FLIPPING_RADIUS * distances.max()
+    radius = 100.0 * distances.max()
     flipped = offsets + 2.0 * (radius - distances)[:, None] * offsets / distances[:, None]
     try:
         hull = ConvexHull(np.vstack([flipped, np.zeros((1, 2))])).vertices

@@ -16,9 +16,6 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import Submap
 from tools.lab.retrieval.labelled_map import LabelledMap
 
-MIN_OBJECTS = 8
-"""A path with fewer objects is no query."""
-
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
@@ -60,36 +57,33 @@ class PathQuery:
 
 
 def draw_path_queries(
-    objects: LabelledMap, count: int, *, rng: np.random.Generator, scenario: Scenario | None = None
+    objects: LabelledMap, count: int, scenario: Scenario, *, rng: np.random.Generator
 ) -> list[PathQuery]:
     """Queries from straight paths that begin at objects of the map, in any direction.
 
     Args:
         objects: the map.
         count: how many queries.
+        scenario: how they differ from the map.
         rng: draws the paths and what is observed.
-        scenario: the default one if None.
 
     Raises:
         SimulationError: objects so sparse that too few paths pass enough of them.
     """
-    scenario = scenario or Scenario()
-    tree = cKDTree(objects.positions[:, :2])
+    tree, fewest = cKDTree(objects.positions[:, :2]), scenario.objects or 8
     drawn: list[PathQuery] = []
     for _ in range(100 * count):
         if len(drawn) == count:
             return drawn
         begin, yaw = objects.positions[int(rng.integers(len(objects)))], rng.uniform(-np.pi, np.pi)
         seen, end = _drive(tree, begin[:2], yaw, scenario, rng)
-        if len(seen) < (scenario.objects or MIN_OBJECTS):
+        if len(seen) < fewest:
             continue
         place = np.array([*end, float(np.median(objects.positions[seen, 2]))])
         T_map_query = transform_from_xyz_yaw(place, yaw)
         local = apply(invert(T_map_query), objects.positions[seen])
         drawn.append(PathQuery(_observe(local, objects.labels[seen], scenario, rng), T_map_query))
-    raise SimulationError(
-        f"too few paths pass {scenario.objects or MIN_OBJECTS} objects within {scenario.range_m:g} m; give a denser map"
-    )
+    raise SimulationError(f"too few paths pass {fewest} objects within {scenario.range_m:g} m; give a denser map")
 
 
 def _drive(

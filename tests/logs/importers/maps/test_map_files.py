@@ -107,6 +107,19 @@ class TestGeoJson:
             with pytest.raises(DatasetError, match=r"not a GeoJSON FeatureCollection .*export the layer again"):
                 read_geojson(cut)
 
+    @pytest.mark.parametrize(
+        "odd",
+        [
+            feature(10**400, 52.0),
+            {**feature(1.0, 2.0), "properties": [1]},
+            {"geometry": {"type": "Point", "coordinates": "ab"}},
+            {**feature(1.0, 2.0), "id": "\ud800"},
+        ],
+    )
+    def test_features_with_other_types_are_refused(self, tmp_path: Path, odd: dict[str, object]) -> None:
+        with pytest.raises(DatasetError, match="not a GeoJSON FeatureCollection"):
+            read_geojson(geojson(tmp_path / "a.geojson", feature(13.0, 52.0), odd))
+
 
 class TestOsm:
     @pytest.fixture
@@ -148,5 +161,5 @@ class TestOsm:
     )
     def test_numbers_that_are_none(self, extract: Path, right: str, wrong: str) -> None:
         extract.write_text(OSM.replace(right, wrong))
-        with pytest.raises(DatasetError, match="no extract of OpenStreetMap"):
+        with pytest.raises(DatasetError, match="not an extract of OpenStreetMap"):
             read_osm(extract)

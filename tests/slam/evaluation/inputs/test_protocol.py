@@ -8,13 +8,13 @@ from dataclasses import asdict
 import pytest
 
 from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.protocol import RANGE_M, Protocol
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 
 
 def test_for_range_scales_only_lengths():
-    assert Protocol().for_range(RANGE_M) == Protocol()
-    small = asdict(Protocol().for_range(0.25 * RANGE_M))
+    assert Protocol().for_range(30.0) == Protocol()
+    small = asdict(Protocol().for_range(7.5))
     for name, value in asdict(Protocol()).items():
         assert small[name] == (0.25 * value if name.endswith("_m") else value)
 
@@ -34,5 +34,5 @@ def test_sensor_range_is_estimated_or_given(estimated, given, expected):
     made = {"configuration": json.dumps({"calibration": {"detection": detection}}), "estimated": estimated}
     records = EvaluationRecords(provenance=made)
     assert records.sensor_range_m == expected
-    revisit_m = 100.0 if expected is None else expected / RANGE_M * 100.0
+    revisit_m = 100.0 if expected is None else expected / 30.0 * 100.0
     assert evaluate(records).results["protocol"]["revisit_m"] == pytest.approx(revisit_m)

@@ -1,18 +1,17 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.landmarks import (
-    compute_windowed_errors_m,
-    evaluate_landmarks,
-    match_by_detections,
-    match_by_position,
-)
+from slam.evaluation.metrics.landmarks import compute_windowed_errors_m, evaluate_landmarks, match_by_detections
 from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import straight_path
 from tests.slam.evaluation.maps import object_map
@@ -30,6 +29,26 @@ def windowed_errors_m(
     positions_est: FloatArray, positions_gt: FloatArray, seen_at_m: FloatArray, path_length_m: float
 ) -> FloatArray:
     return compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, path_length_m, window_m=50.0)
+
+
+def quality(
+    map_est: ObjectMapRecord,
+    map_gt: ObjectMapRecord,
+    shows: dict[str, str],
+    *,
+    counts: dict[str, int] | None = None,
+    T_world_map: FloatArray | None = None,
+) -> dict[str, Any]:
+    matches = match_by_detections(map_est, map_gt, shows)
+    return evaluate_landmarks(
+        map_est,
+        map_gt,
+        matches,
+        Protocol(),
+        path_gt=WALK,
+        T_world_map=T_world_map,
+        object_detection_counts=counts or {},
+    )
 
 
 def test_windowed_errors_ignore_drift_and_measure_noise() -> None:
@@ -81,15 +100,8 @@ def test_quality_by_hand() -> None:
         states=("confirmed",) * 6 + ("tentative",),
     )
     shows = {"0": "o0", "1": "o1", "2": "o2", "3": "o3", "4": "", "5": "moving", "6": "o4"}
-    matches = match_by_detections(map_est, map_gt, shows)
-    result = evaluate_landmarks(
-        map_est,
-        map_gt,
-        matches,
-        path_gt=WALK,
-        T_world_map=np.linalg.inv(T_map_world),
-        object_detection_counts={"o0": 9, "o1": 5, "o2": 4, "o4": 7, "moving": 30},
-    )
+    counts = {"o0": 9, "o1": 5, "o2": 4, "o4": 7, "moving": 30}
+    result = quality(map_est, map_gt, shows, counts=counts, T_world_map=np.linalg.inv(T_map_world))
     assert (result["confirmed_count"], result["matched_count"], result["landmarks_per_object"]) == (6, 4, 1.0)
     assert result["precision"] == 5 / 6
     assert result["recall"] == 2 / 3
@@ -109,28 +121,11 @@ def test_unseen_landmarks_of_prior_map_are_left_out() -> None:
     assert localized.is_object.tolist() == [True, False]
 
 
-def test_match_by_position_respects_class_and_distance() -> None:
-    map_gt = object_map(("a", "b", "c"), np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]]), ("tree", "pole", "tree"))
-    map_est = object_map(
-        ("0", "1", "2", "3"),
-        np.array([[0.9, 0, 0], [0.9, 0, 0], [6.9, 0, 0], [0.0, 0, 0]]),
-        ("tree", "pole", "tree", "car"),
-    )
-    matches = match_by_position(map_est, map_gt, np.eye(4), max_distance_m=2.0)
-    assert matches.object_rows.tolist() == [0, 1, -1, -1]
-    result = evaluate_landmarks(map_est, map_gt, matches, path_gt=WALK, T_world_map=np.eye(4))
-    assert (result["precision"], result["recall"], result["class_accuracy"]) == (0.5, None, None)
-
-
-@pytest.mark.parametrize("method", ["detections", "nearest"])
-def test_an_empty_map(method: str) -> None:
+def test_empty_map() -> None:
     empty = object_map((), np.zeros((0, 3)), ())
     map_gt = object_map(("a",), np.zeros((1, 3)), ("tree",))
     for gt in (map_gt, empty):
-        matches = (
-            match_by_detections(empty, gt, {}) if method == "detections" else match_by_position(empty, gt, np.eye(4))
-        )
-        result = evaluate_landmarks(empty, gt, matches, path_gt=WALK, object_detection_counts={"a": 9})
+        result = quality(empty, gt, {}, counts={"a": 9})
         assert (result["precision"], result["median_error_m"], result["class_accuracy"]) == (None, None, None)
         assert result["recall"] == (0.0 if gt is map_gt else None)
 
@@ -140,12 +135,11 @@ def test_landmarks_first_seen_without_truth_have_no_window() -> None:
     map_gt = object_map(("a", "b", "c"), positions, ("x",) * 3)
     late = np.full(3, 999_000_000_000, dtype=np.int64)
     map_est = object_map(("a", "b", "c"), positions, ("x",) * 3, first_seen_ns=late)
-    matches = match_by_detections(map_est, map_gt, {name: name for name in "abc"})
-    assert evaluate_landmarks(map_est, map_gt, matches, path_gt=WALK)["median_error_m"] is None
+    assert quality(map_est, map_gt, {name: name for name in "abc"})["median_error_m"] is None
 
 
 def test_a_position_that_is_not_finite_is_refused() -> None:
     map_gt = object_map(("a",), np.zeros((1, 3)), ("x",))
     map_est = object_map(("a",), np.full((1, 3), np.nan), ("x",))
     with pytest.raises(EvaluationError, match="finite"):
-        evaluate_landmarks(map_est, map_gt, match_by_detections(map_est, map_gt, {"a": "a"}))
+        quality(map_est, map_gt, {"a": "a"})

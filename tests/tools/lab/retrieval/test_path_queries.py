@@ -22,7 +22,7 @@ def map_of(positions: np.ndarray) -> LabelledMap:
 def test_observed_objects_are_those_of_the_map_but_for_clutter(clutter: float) -> None:
     positions = forest(600, 300.0)
     scenario = Scenario(clutter=clutter, noise_m=0.05)
-    queries = draw_path_queries(map_of(positions), 20, rng=np.random.default_rng(0), scenario=scenario)
+    queries = draw_path_queries(map_of(positions), 20, scenario, rng=np.random.default_rng(0))
     of_map = []
     for query in queries:
         placed = apply(query.T_map_query_gt, query.submap.positions)
@@ -34,7 +34,7 @@ def test_observed_objects_are_those_of_the_map_but_for_clutter(clutter: float) -
 def test_robot_drives_until_it_has_seen_as_many_objects_as_the_scenario_has() -> None:
     positions = forest(600, 600.0)
     few, many = (
-        draw_path_queries(map_of(positions), 5, rng=np.random.default_rng(0), scenario=Scenario(objects=count))
+        draw_path_queries(map_of(positions), 5, Scenario(objects=count), rng=np.random.default_rng(0))
         for count in (10, 40)
     )
     assert {len(query.submap) for query in few} == {10}
@@ -45,7 +45,7 @@ def test_robot_drives_until_it_has_seen_as_many_objects_as_the_scenario_has() ->
 def test_missing_objects_are_not_observed() -> None:
     positions = forest(3000, 500.0)
     counts = [
-        np.mean([len(q.submap) for q in draw_path_queries(map_of(positions), 20, rng=rng, scenario=scenario)])
+        np.mean([len(q.submap) for q in draw_path_queries(map_of(positions), 20, scenario, rng=rng)])
         for rng, scenario in (
             (np.random.default_rng(0), Scenario(missing=0.0)),
             (np.random.default_rng(0), Scenario(missing=0.5)),
@@ -56,4 +56,4 @@ def test_missing_objects_are_not_observed() -> None:
 
 def test_map_too_sparse_for_queries_is_refused() -> None:
     with pytest.raises(SimulationError, match="denser"):
-        draw_path_queries(map_of(forest(50, 5000.0)), 2, rng=np.random.default_rng(0))
+        draw_path_queries(map_of(forest(50, 5000.0)), 2, Scenario(), rng=np.random.default_rng(0))
