@@ -198,7 +198,6 @@ CODECS: Mapping[type, Codec] = {
         observation_redundancies="O?",
     ),
     m.LoopClosureRecord: Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
-    m.RelocalizationRecord: Codec(m.RelocalizationRecord, pb.Relocalization, T_map_body="T?", covariance="6 6?"),
     m.StatusRecord: Codec(m.StatusRecord, pb.Status),
     m.LocalizationRecord: Codec(
         m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"

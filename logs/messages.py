@@ -313,7 +313,6 @@ class LoopClosureRecord:
     accepted: bool
     stage: str
     reason: str
-    retrieval_distance: float = float("inf")
     inlier_count: int = 0
     inlier_fraction: float = 0.0
     score: float = 0.0
@@ -329,19 +328,6 @@ class LoopClosureRecord:
     seed_query_keyframe_id: int | None = None
     represented_by_keyframe_id: int | None = None
     proposer: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RelocalizationRecord:
-    """One attempt to find the robot in a map. ``T_map_body`` is None where there was no fix."""
-
-    stamp_ns: int
-    success: bool
-    reason: str
-    T_map_body: FloatArray | None = None
-    covariance: FloatArray | None = None
-    inlier_count: int = 0
-    score: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -448,7 +434,6 @@ Record = (
     | TrajectoryRecord
     | FactorGraphRecord
     | LoopClosureRecord
-    | RelocalizationRecord
     | StatusRecord
     | LocalizationRecord
     | SceneMarkers

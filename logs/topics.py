@@ -25,7 +25,6 @@ class RecordKind(StrEnum):
     TRAJECTORY = "trajectory"
     FACTOR_GRAPH = "factor_graph"
     LOOP_CLOSURES = "loop_closures"
-    RELOCALIZATIONS = "relocalizations"
     STATUS = "status"
     LOCALIZATION = "localization"
 

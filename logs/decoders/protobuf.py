@@ -160,7 +160,6 @@ DECODERS: dict[str, MessageDecoder] = {
     **_own(m.TrajectoryRecord, RecordKind.TRAJECTORY),
     **_own(m.FactorGraphRecord, RecordKind.FACTOR_GRAPH),
     **_own(m.LoopClosureRecord, RecordKind.LOOP_CLOSURES),
-    **_own(m.RelocalizationRecord, RecordKind.RELOCALIZATIONS),
     **_own(m.StatusRecord, RecordKind.STATUS),
     **_own(m.LocalizationRecord, RecordKind.LOCALIZATION),
 }

@@ -115,14 +115,13 @@ class FactorGraph(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., keyframe_ids: _Optional[_Iterable[int]] = ..., keyframe_stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ..., edge_keyframe_ids: _Optional[_Iterable[int]] = ..., edge_from_to: _Optional[_Iterable[float]] = ..., edge_covariances: _Optional[_Iterable[float]] = ..., edge_kinds: _Optional[_Iterable[str]] = ..., observation_keyframe_ids: _Optional[_Iterable[int]] = ..., observation_landmark_ids: _Optional[_Iterable[str]] = ..., observation_positions: _Optional[_Iterable[float]] = ..., observation_covariances: _Optional[_Iterable[float]] = ..., pose_covariances: _Optional[_Iterable[float]] = ..., observation_redundancies: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class LoopClosure(_message.Message):
-    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "rank", "log_likelihood_ratio", "odometry_penalty", "posterior_log_odds", "best_rival_log_likelihood_ratio", "seed_query_keyframe_id", "represented_by_keyframe_id", "proposer")
+    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "rank", "log_likelihood_ratio", "odometry_penalty", "posterior_log_odds", "best_rival_log_likelihood_ratio", "seed_query_keyframe_id", "represented_by_keyframe_id", "proposer")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     STAGE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
-    RETRIEVAL_DISTANCE_FIELD_NUMBER: _ClassVar[int]
     INLIER_COUNT_FIELD_NUMBER: _ClassVar[int]
     INLIER_FRACTION_FIELD_NUMBER: _ClassVar[int]
     SCORE_FIELD_NUMBER: _ClassVar[int]
@@ -144,7 +143,6 @@ class LoopClosure(_message.Message):
     accepted: bool
     stage: str
     reason: str
-    retrieval_distance: float
     inlier_count: int
     inlier_fraction: float
     score: float
@@ -160,25 +158,7 @@ class LoopClosure(_message.Message):
     seed_query_keyframe_id: int
     represented_by_keyframe_id: int
     proposer: str
-    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., rank: _Optional[int] = ..., log_likelihood_ratio: _Optional[float] = ..., odometry_penalty: _Optional[float] = ..., posterior_log_odds: _Optional[float] = ..., best_rival_log_likelihood_ratio: _Optional[float] = ..., seed_query_keyframe_id: _Optional[int] = ..., represented_by_keyframe_id: _Optional[int] = ..., proposer: _Optional[str] = ...) -> None: ...
-
-class Relocalization(_message.Message):
-    __slots__ = ("stamp_ns", "success", "reason", "map_body", "covariance", "inlier_count", "score")
-    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
-    SUCCESS_FIELD_NUMBER: _ClassVar[int]
-    REASON_FIELD_NUMBER: _ClassVar[int]
-    MAP_BODY_FIELD_NUMBER: _ClassVar[int]
-    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
-    INLIER_COUNT_FIELD_NUMBER: _ClassVar[int]
-    SCORE_FIELD_NUMBER: _ClassVar[int]
-    stamp_ns: int
-    success: bool
-    reason: str
-    map_body: _containers.RepeatedScalarFieldContainer[float]
-    covariance: _containers.RepeatedScalarFieldContainer[float]
-    inlier_count: int
-    score: float
-    def __init__(self, stamp_ns: _Optional[int] = ..., success: bool = ..., reason: _Optional[str] = ..., map_body: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., inlier_count: _Optional[int] = ..., score: _Optional[float] = ...) -> None: ...
+    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., rank: _Optional[int] = ..., log_likelihood_ratio: _Optional[float] = ..., odometry_penalty: _Optional[float] = ..., posterior_log_odds: _Optional[float] = ..., best_rival_log_likelihood_ratio: _Optional[float] = ..., seed_query_keyframe_id: _Optional[int] = ..., represented_by_keyframe_id: _Optional[int] = ..., proposer: _Optional[str] = ...) -> None: ...
 
 class Status(_message.Message):
     __slots__ = ("stamp_ns", "state", "level", "message", "counters")

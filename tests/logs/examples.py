@@ -105,7 +105,6 @@ def every_kind(rng):
                 accepted=True,
                 stage="accepted",
                 reason="",
-                retrieval_distance=0.1,
                 inlier_count=9,
                 inlier_fraction=0.9,
                 score=1.5,
@@ -125,14 +124,8 @@ def every_kind(rng):
         (
             "/slam/closures",
             "loop_closures",
-            m.LoopClosureRecord(23, 7, 4, False, "retrieval", "too far", float("inf")),
+            m.LoopClosureRecord(23, 7, 4, False, "retrieval", "too far"),
         ),
-        (
-            "/slam/relocalization",
-            "relocalizations",
-            m.RelocalizationRecord(24, True, "", random_transform(rng), random_covariance(rng, 6), 8, 0.5),
-        ),
-        ("/slam/relocalization", "relocalizations", m.RelocalizationRecord(25, False, "no candidate")),
         ("/slam/status", "status", m.StatusRecord(26, "mapping", "info", "fine", {"keyframes": 3, "closures": 1})),
     ]
 

@@ -40,7 +40,7 @@ def log(tmp_path):
         ]:
             writer.write(
                 "/slam/closures",
-                m.LoopClosureRecord(query * SECOND, query, reference, stage == "accepted", stage, reason, 0.1),
+                m.LoopClosureRecord(query * SECOND, query, reference, stage == "accepted", stage, reason),
             )
         writer.add_metadata("version", {"dslam": "0"})
     return path

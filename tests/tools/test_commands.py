@@ -48,7 +48,7 @@ def test_info_lists_loop_closures(dslam: Run, tmp_path: Path) -> None:
         for query in range(60):
             stage = "accepted" if query == 50 else "registration"
             record = LoopClosureRecord(
-                10**18 + query * 10**9, query, 0, query == 50, stage, f"{query} of [tree] agree", 0.1, score=np.inf
+                10**18 + query * 10**9, query, 0, query == 50, stage, f"{query} of [tree] agree", score=np.inf
             )
             if query == 50:
                 record = replace(record, log_likelihood_ratio=23.5, odometry_penalty=1.25)

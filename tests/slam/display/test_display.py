@@ -67,9 +67,7 @@ def test_messages_hold_landmarks_submap_path_and_closures():
 
 def test_status_and_closures_are_shown_as_text():
     display = DriveDisplay()
-    closure = LoopClosureRecord(
-        2, 8, 3, accepted=True, stage="accepted", reason="", retrieval_distance=0.0, inserted=True
-    )
+    closure = LoopClosureRecord(2, 8, 3, accepted=True, stage="accepted", reason="", inserted=True)
     updates = (StatusRecord(1, "MAPPING", "info", "first odometry"), closure)
     texts = [record.text for update in updates for _, record in display.show(update)]
     assert texts == ["mapping: first odometry", "loop closed: keyframe 8 with 3"]

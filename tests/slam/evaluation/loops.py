@@ -72,7 +72,6 @@ def closure(
         accepted=stage == "accepted",
         stage=stage,
         reason=reason,
-        retrieval_distance=0.1,
         score=1.0,
         T_reference_query=T_reference_query,
         reference_stamp_ns=at_ns(reference),

@@ -111,7 +111,6 @@ def closure(query: int, reference: int, at: FloatArray, T: FloatArray, covarianc
         accepted=True,
         stage="accepted",
         reason="",
-        retrieval_distance=0.1,
         T_reference_query=T,
         covariance=covariance,
         reference_stamp_ns=int(at[reference]),
