@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import make_transform, transform_from_xyz_yaw
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, spacing_of, turned
+from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, is_positive, seen_by, spacing_of
 
 FACTOR = 1.25
 """By which there is more evidence for another frame: with less, it is a matter of degrees."""
@@ -38,7 +38,9 @@ def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequenc
 
     by_name = {name: distances(scans) for name, scans in found.items()}
     best = max(found, key=lambda name: float(np.sum(evidence(by_name[name]))))
-    return best if is_better(by_name[best], distances(as_they_are), FACTOR) else None
+    # Objects that go along with the body are twice as far apart by the inverse motion in the frame of the odometry.
+    is_sure = is_positive(evidence(by_name[best]) - np.log(2.0))
+    return best if is_sure and is_better(by_name[best], distances(as_they_are), FACTOR) else None
 
 
 def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
@@ -49,7 +51,7 @@ def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
         return np.eye(3)
     pairs = ScanPairs.of(scans, spacing_of(scans))
     turns = _quarter_turns()
-    distances = [pairs.log_distances(turned(pairs.motions, turn)) for turn in turns]
+    distances = [pairs.log_distances(seen_by(make_transform(turn, np.zeros(3)), pairs.motions)) for turn in turns]
     best = int(np.argmax([np.sum(evidence(each)) for each in distances]))
     return turns[best] if is_better(distances[best], distances[0], FACTOR) else np.eye(3)
 

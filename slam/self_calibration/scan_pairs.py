@@ -79,11 +79,9 @@ class ScanPairs:
         return found
 
 
-def turned(motions: FloatArray, R: FloatArray) -> FloatArray:
-    """Motions (P, 4, 4) of a body in the axes of a sensor that R (3, 3) turns into those of the body."""
-    T_body_sensor = np.eye(4)
-    T_body_sensor[:3, :3] = R
-    return np.asarray(T_body_sensor.T @ motions @ T_body_sensor)
+def seen_by(T_body_sensor: FloatArray, motions: FloatArray) -> FloatArray:
+    """Motions (P, 4, 4) of a sensor at a pose (4, 4) on the body, from those of the body."""
+    return np.asarray(invert(T_body_sensor) @ motions @ T_body_sensor)
 
 
 def evidence(distances: FloatArray) -> FloatArray:
@@ -92,19 +90,19 @@ def evidence(distances: FloatArray) -> FloatArray:
 
 
 def is_better(distances: FloatArray, now: FloatArray, factor: float = 1.0) -> bool:
-    """Whether there is more evidence, by the ``factor``, and scans are nearer to one another, by log distances (P, 2),
-    in each half of the pairs.
-    """
-    gains = evidence(distances) - factor * evidence(now), now[:, 0] - distances[:, 0]
-    return all(_is_positive(gain[part::2]) for gain in gains for part in (0, 1))
+    """Whether there is more evidence, by the ``factor``, and scans are nearer together, by log distances (P, 2)."""
+    more = evidence(distances) - factor * evidence(now)
+    return is_positive(more) and is_positive(now[:, 0] - distances[:, 0])
 
 
-def _is_positive(values: FloatArray) -> bool:
-    """Whether the mean of values (P,) is larger than 0 by more than chance and rounding."""
-    if 2 * len(values) < MIN_PAIRS:
+def is_positive(values: FloatArray) -> bool:
+    """Whether the mean of values (P,) is larger than 0 by more than chance and rounding, in each half of the pairs."""
+    if len(values) < MIN_PAIRS:
         return False
-    error = np.std(values) / np.sqrt(len(values))
-    return bool(np.mean(values) > MIN_STANDARD_ERRORS * error + ROUNDING)
+    halves = [values[part::2] for part in (0, 1)]
+    errors = [np.std(half) / np.sqrt(len(half)) for half in halves]
+    least = [MIN_STANDARD_ERRORS * error + ROUNDING for error in errors]
+    return all(np.mean(half) > bound for half, bound in zip(halves, least, strict=True))
 
 
 def spacing_of(scans: Sequence[SurveyScan]) -> float:

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from logs.messages import ObjectDetections, Odometry, Record
 from slam.common.arrays import FloatArray
-from slam.common.calibration import Calibration, DetectionCalibration
+from slam.common.calibration import Calibration, DetectionCalibration, OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
+from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.alignment import MIN_VALUES, find_alignment
 from slam.self_calibration.surveyed_log import SurveyedLog
 from tests.helpers.surveyed_drives import INTERVAL_S, SurveyedDrive
@@ -21,8 +22,14 @@ def found(*logs: SurveyedLog, known: Calibration | None = None) -> dict[str, flo
     return find_alignment(logs, known or Calibration(), list(MIN_VALUES))[0]
 
 
-def log_of(drive: SurveyedDrive, late_s: float = 0.0, R: FloatArray | None = None) -> SurveyedLog:
-    """Detections that are of so much later than their stamps say, in axes that R (3, 3) turns into the body's."""
+def log_of(drive: SurveyedDrive, late_s: float = 0.0, R: FloatArray | None = None, shift_m: float = 0.0) -> SurveyedLog:
+    return SurveyedLog.of(records_of(drive, late_s, R, shift_m))
+
+
+def records_of(drive: SurveyedDrive, late_s: float, R: FloatArray | None, shift_m: float) -> list[Record]:
+    """Detections that are of so much later than their stamps say, of a sensor that sits so far ahead of where it is
+    said to, in axes that R (3, 3) turns into the body's.
+    """
     records: list[Record] = []
     turn = np.eye(3) if R is None else R
     for scan in drive.scans:
@@ -34,12 +41,12 @@ def log_of(drive: SurveyedDrive, late_s: float = 0.0, R: FloatArray | None = Non
                 ObjectDetections(
                     stamp_ns,
                     "base_link",
-                    scan.positions @ turn,
+                    (scan.positions - [shift_m, 0.0, 0.0]) @ turn,
                     labels,
                     np.ones(len(labels)),
                 )
             )
-    return SurveyedLog.of(records)
+    return records
 
 
 @pytest.mark.parametrize("late_s", [0.5, -0.5, 5.0 * INTERVAL_S])
@@ -90,6 +97,20 @@ def test_a_delay_and_an_angle_are_told_apart():
     drive = SurveyedDrive(0, NOISE, scans=600, objects=80)
     values = found(log_of(drive, 0.5, Rotation.from_euler("z", 0.2).as_matrix()))
     assert values == {"delay_s": pytest.approx(0.5, abs=0.02), "yaw_rad": pytest.approx(0.2, abs=0.02)}
+
+
+@pytest.mark.parametrize("scales", [{"length_scale": 0.7}, {"turn_scale": 0.6}])
+def test_nothing_is_found_where_lengths_or_turns_of_the_odometry_explain_more(scales):
+    """A shorter turn looks like a delay where a robot turns to and fro."""
+    wrong = CalibratedOdometry(OdometryCalibration(**scales))
+    records = records_of(SurveyedDrive(0, NOISE, scans=600, objects=80), 0.0, None, 0.0)
+    log = SurveyedLog.of(wrong.correct(each) if isinstance(each, Odometry) else each for each in records)
+    assert found(log) == {}
+
+
+def test_a_sensor_that_sits_elsewhere_has_no_angle():
+    drive = SurveyedDrive(0, NOISE, scans=600, objects=80)
+    assert found(log_of(drive, shift_m=2.0)) == {}
 
 
 def test_a_small_angle_is_suspected_only(monkeypatch):

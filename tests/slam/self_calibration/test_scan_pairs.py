@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.common.geometry import apply, invert
+from slam.common.geometry import apply, invert, make_transform
 from slam.self_calibration.scan_pairs import (
     RESOLVED_SPACINGS,
     ScanPairs,
     _reached,
     evidence,
     is_better,
+    seen_by,
     spacing_of,
-    turned,
 )
 from tests.helpers.surveyed_drives import SurveyedDrive
 
@@ -51,7 +51,9 @@ def test_turning_the_detections_is_turning_the_scans(drive):
     pairs = ScanPairs.of(drive.scans, spacing_of(drive.scans))
     other = [replace(scan, positions=scan.positions @ R.T) for scan in drive.scans]
     expected = ScanPairs(other, pairs.rows, pairs.spacing_m).log_distances(pairs.motions)
-    np.testing.assert_allclose(pairs.log_distances(turned(pairs.motions, R)), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        pairs.log_distances(seen_by(make_transform(R, np.zeros(3)), pairs.motions)), expected, atol=1e-9
+    )
 
 
 def test_motions_have_no_roll_and_pitch(drive):
