@@ -12,6 +12,7 @@ from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, invert
 from slam.self_calibration.frames import better_frame
 from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.scan_pairs import spacing_of
 from slam.self_calibration.survey import Survey, survey
 from slam.self_calibration.surveyed_log import SurveyedLog
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -73,6 +74,17 @@ def test_odometry_that_trembles_while_the_robot_stands_tells_no_frame(drive):
         standing.append(replace(scan, stamp_ns=number * 10**8, T_odom_body=T))
     assert better_frame(standing, {"fixed": [replace(e, positions=apply(invert(e.T_odom_body), e.positions))
                                              for e in standing]}) is None  # fmt: skip
+
+
+def test_objects_that_go_along_with_the_body_roughly_are_in_no_other_frame(drive):
+    """As objects of a narrow view, of which another one is always ahead."""
+    rng, spacing_m = np.random.default_rng(0), spacing_of(drive.scans)
+    ahead = [replace(scan, positions=drive.scans[0].positions + rng.normal(scale=[[s, s, 0.0]], size=(1, 3)),
+                     labels=drive.scans[0].labels) for scan in drive.scans for s in [0.2 * spacing_m]]  # fmt: skip
+    fixed_ahead = [replace(scan, positions=apply(invert(scan.T_odom_body), scan.positions)) for scan in ahead]
+    assert better_frame(ahead, {"fixed": fixed_ahead}) is None
+    assert better_frame(ahead, {"fixed": [replace(e, positions=apply(invert(e.T_odom_body), drive.scans[0].positions))
+                                          for e in ahead]}) == "fixed"  # fmt: skip
 
 
 def test_without_scans_no_frame_is_found():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.common.geometry import apply, invert, make_transform
+from slam.common.geometry import apply, invert, make_transform, yaw_rad
 from slam.self_calibration.scan_pairs import (
     RESOLVED_SPACINGS,
     ScanPairs,
@@ -105,12 +105,19 @@ def test_the_fastest_turns_are_those_of_a_body_that_turns_on_the_spot():
     drive = SurveyedDrive(0, NOISE, scans=2400, objects=80)
     spacing_m = spacing_of(drive.scans)
 
-    def turned_alone(pairs: ScanPairs) -> float:
-        turns = pairs.motions[len(pairs.rows) // 2 :]
-        return float(np.mean(np.linalg.norm(turns[:, :2, 3], axis=1) < 0.3))
+    def turn_rate(*, fastest: bool) -> float:
+        pairs = ScanPairs.of(drive.scans, spacing_m, fastest=fastest)
+        return float(np.mean(np.abs(yaw_rad(pairs.motions)) / np.diff(pairs.rows)[:, 0]))
 
-    fastest = turned_alone(ScanPairs.of(drive.scans, spacing_m))
-    assert fastest > turned_alone(ScanPairs.of(drive.scans, spacing_m, fastest=False))
+    assert turn_rate(fastest=True) > 1.1 * turn_rate(fastest=False)
+
+
+def test_a_body_that_trembles_does_not_travel(drive):
+    rng = np.random.default_rng(0)
+    T = np.tile(np.eye(4), (2000, 1, 1))
+    T[:, :2, 3] = rng.normal(scale=0.05, size=(2000, 2))
+    standing = [replace(drive.scans[0], T_odom_body=each) for each in T]
+    assert len(ScanPairs.of(standing, spacing_of(standing)).rows) == 0
 
 
 def test_few_pairs_tell_nothing():
