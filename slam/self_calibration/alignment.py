@@ -26,9 +26,9 @@ RIVALS = "length_share", "turn_share", "x_spacings", "y_spacings"
 """Other terms that may explain more; shifts of the sensor are in spacings of the objects."""
 FACTORS = dict.fromkeys(MIN_VALUES, 1.03) | {"climb_share": 1.0}
 """By which a term must increase the evidence. A climb explains little of how objects seem to move, but adds up."""
-COARSE, HALVINGS = 0.25, 9
+FIRST_STEP, COARSE, FINE = 0.25, 5, 9
 """The first step of a search, as a share of the median time between the scans of pairs, of 1 rad, or of the way; how
-often it is halved.
+often it is halved until it is known whether the term matters, and after all.
 """
 ROUNDS = 10
 
@@ -46,41 +46,49 @@ def find_alignment(
     """
     distances, seconds = _compared(logs, calibration)
     values, suspected = dict.fromkeys([*MIN_VALUES, *RIVALS], 0.0), _Values()
+
+    def better(candidates: Sequence[str]) -> dict[str, _Values]:
+        """What raises the evidence, by term."""
+        found, now = {}, distances(values)
+        for term in candidates:
+            factor, each = FACTORS.get(term, 1.0), values
+            step = FIRST_STEP * (seconds if term == "delay_s" else 1.0)
+            for first, last in ((0, COARSE), (COARSE + 1, FINE)):
+                each = _search(distances, each, term, step / 2**first, last - first)
+                if not is_better(distances(each), now, factor):
+                    break
+            else:
+                found[term] = each
+        return found
+
     for _ in range(ROUNDS):
-        before = distances(values)
-        better = {}
-        for term in [*terms, *RIVALS]:
-            found = _search(distances, values, term, COARSE * (seconds if term == "delay_s" else 1.0))
-            if is_better(distances(found), before, FACTORS.get(term, 1.0)):
-                better[term] = found
-        small = {term: found for term, found in better.items() if _is_small(term, values[term], found[term])}
-        suspected = {term: found[term] for term, found in small.items()}
-        large = better.keys() - small.keys()
-        best = min(large, key=lambda term: float(np.sum(distances(better[term])[:, 0])), default=RIVALS[0])
-        if best in RIVALS:
+        found = better(terms)
+        large = {term: each for term, each in found.items() if values[term] or abs(each[term]) > MIN_VALUES[term]}
+        suspected = {term: each[term] for term, each in found.items() if term not in large}
+        explaining = large | better(RIVALS) if large else {}
+        nearest = min(explaining, key=lambda term: float(np.sum(distances(explaining[term])[:, 0])), default="")
+        if nearest not in large:
             break
-        values = better[best]
+        values = large[nearest]
     return {term: value for term, value in values.items() if value}, suspected
 
 
-def _is_small(term: str, before: float, found: float) -> bool:
-    """Whether a term that was not found before is too small to be corrected."""
-    return before == 0.0 and abs(found) <= MIN_VALUES.get(term, 0.0)
-
-
-def _search(distances: Callable[[_Values], FloatArray], start: _Values, term: str, step: float) -> _Values:
+def _search(
+    distances: Callable[[_Values], FloatArray], start: _Values, term: str, step: float, halvings: int
+) -> _Values:
     """The values with the one of the term for which there is most evidence, uphill from ``start``."""
-    best = start
-    for _ in range(1 + HALVINGS):
-        centre = None
-        while centre is not best:
+    tried = {start[term]: float(np.sum(evidence(distances(start))))}
+    best = start[term]
+    for _ in range(1 + halvings):
+        centre = np.nan
+        while centre != best:
             centre = best
-            for change in (-step, step):
-                other = centre | {term: centre[term] + change}
-                if np.sum(evidence(distances(other))) > np.sum(evidence(distances(best))):
-                    best = other
+            for value in (centre - step, centre + step):
+                if value not in tried:
+                    tried[value] = float(np.sum(evidence(distances(start | {term: value}))))
+                best = max(best, value, key=tried.__getitem__)
         step /= 2.0
-    return best
+    return start | {term: best} if best != start[term] else start
 
 
 def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Callable[[_Values], FloatArray], float]:
@@ -91,7 +99,6 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
     pairs = [ScanPairs.of(scans, spacing_of(scans), fastest=False) for _, scans in surveyed]
     stamps = [np.array([scan.stamp_ns for scan in scans]) for _, scans in surveyed]
     seconds = [np.diff(each[found.rows])[:, 0] * 1e-9 for each, found in zip(stamps, pairs, strict=True)]
-    known = dict[tuple[float, ...], FloatArray]()
 
     def of_log(number: int, values: _Values) -> FloatArray:
         T_odom_body = surveyed[number][0].poses_at(stamps[number], calibration, values["delay_s"])
@@ -105,9 +112,6 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         return pairs[number].log_distances(seen_by(T_body_sensor, motions))
 
     def distances(values: _Values) -> FloatArray:
-        key = tuple(values.values())
-        if key not in known:
-            known[key] = np.concatenate([np.zeros((0, 2)), *(of_log(number, values) for number in range(len(pairs)))])
-        return known[key]
+        return np.concatenate([np.zeros((0, 2)), *(of_log(number, values) for number in range(len(pairs)))])
 
     return distances, float(np.median(np.concatenate([np.ones(1), *seconds])))

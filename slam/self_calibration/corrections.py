@@ -47,8 +47,6 @@ CHANCE = 0.01
 """Probability by which chance may seem to earn a correction."""
 MIN_GAIN = 0.03
 """Share of the held-out squared motion that a correction must explain."""
-SIGNIFICANT = 6.0
-"""Standard errors from which a term fits the log."""
 MIN_PAIRS = 200
 MAX_PAIRS = 100_000
 """More pairs of detections tell nothing new."""
@@ -73,14 +71,13 @@ class BodyMotion:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The ``value`` of a term without the others, with its standard ``error``; ``gain``: share of the held-out motion
+    """The ``value`` of a term without the others; ``gain``: share of the held-out motion
     that it explains, among all others and by its value there alone, the smaller one; ``is_sure``: whether both are more
     than chance gains.
     """
 
     term: str
     value: float
-    error: float
     gain: float
     is_sure: bool
 
@@ -88,11 +85,6 @@ class Correction:
     def is_earned(self) -> bool:
         """Whether it predicts what is held out, by much and surely, with and without all other terms."""
         return self.is_sure and self.gain >= MIN_GAIN
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether it fits the log; the other terms may predict what is held out as well."""
-        return abs(self.value) > SIGNIFICANT * self.error
 
 
 def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Correction, ...]:
@@ -120,9 +112,8 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
         gain, is_sure = _gain(without, with_all)
         gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
         values = alone[:, number] / scale[number]
-        error = float(np.sqrt((BLOCKS - 1) * np.var(values)))
         gain, is_sure = min(gain, gain_of_part), is_sure and is_sure_of_part
-        found.append(Correction(term, float(values.mean()), error, gain, is_sure))
+        found.append(Correction(term, float(values.mean()), gain, is_sure))
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 

@@ -102,11 +102,10 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     labels = _label_noise(logs, known.with_values(corrected))
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
-    aligned, unaligned = find_alignment(
-        logs, known.with_values(corrected), _unknown(known.with_values(corrected), given)
-    )
+    now = known.with_values(corrected)
+    aligned, unaligned = find_alignment(logs, now, _unknown(now, given))
     delay_s = aligned.pop("delay_s", 0.0)
-    corrected |= _of_sensor(aligned, known.with_values(corrected))
+    corrected |= _of_sensor(aligned, now)
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
@@ -124,7 +123,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         summarize(scans, tracks),
         labels=labels,
         corrected=corrected,
-        suspected=_suspected(found, now) | {k: v for k, v in _of_sensor(unaligned, now).items() if abs(v) > MIN_REST},
+        suspected=_suspected(found, now) | {key: value for key, value in _of_sensor(unaligned, now).items() if value},
         delay_s=delay_s,
         lacks_heading=_lacks_heading(scans, motion.headings),
         detour=detour,
@@ -210,8 +209,9 @@ def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) 
     """The frame and the axes in which objects stand still, as far as they are not those that messages name; what was
     given by hand is kept.
     """
-    orientation = _orientation(logs, known, given)
-    as_they_are, _ = scans_of(logs, known.with_values(orientation))
+    scans, _ = scans_of(logs, known)
+    orientation = _orientation(scans, known, given)
+    as_they_are = scans_of(logs, known.with_values(orientation))[0] if orientation else scans
     if any(given.is_given(f"detection.{name}") for name in FRAMES):
         return orientation
     others = {name: scans_of(logs, known.with_values({f"detection.{name}": True}))[0] for name in FRAMES}
@@ -220,14 +220,13 @@ def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) 
         return orientation
     frame: dict[str, float] = {f"detection.{name}": True}
     # Objects stand still in the odometry frame whatever the axes of the body are.
-    return frame if name == FRAMES[1] else frame | _orientation(logs, known.with_values(frame), given)
+    return frame if name == FRAMES[1] else frame | _orientation(others[name], known, given)
 
 
-def _orientation(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) -> dict[str, float]:
+def _orientation(scans: Sequence[SurveyScan], known: Calibration, given: Calibration) -> dict[str, float]:
     """Angles by which detections must be turned for objects to stand still; empty where angles were given by hand."""
     if _is_turned_by_hand(given) or known.detection.assume_odometry_frame:
         return {}
-    scans, _ = scans_of(logs, known)
     R = find_orientation(scans)
     return {} if np.array_equal(R, np.eye(3)) else _angles(R)
 

@@ -57,17 +57,6 @@ def test_nothing_is_corrected_where_nothing_is_wrong():
     assert earned(tracks(motion), motion) == {}
 
 
-def test_standard_error_is_the_spread_over_noise():
-    motion, exact = weaving(), tracks(weaving(), noise_m=0.0)
-    found = []
-    for seed in range(8):
-        noise_m = np.random.default_rng(seed).normal(0.0, 0.05, exact.points.shape)
-        noisy = replace(exact, points=exact.points + noise_m)
-        found.append(next(each for each in estimate_corrections(noisy, motion) if each.term == "length_share"))
-    spread = np.std([each.value for each in found], ddof=1)
-    assert 0.5 < np.mean([each.error for each in found]) / spread < 2.0
-
-
 def test_a_correction_that_explains_almost_nothing_is_not_made():
     motion = weaving()
     # Significant, 7 standard errors and more, but of a displacement that is noise in the main.

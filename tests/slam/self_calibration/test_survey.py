@@ -254,7 +254,7 @@ def test_a_sensor_that_sits_elsewhere_is_put_there(shift_m):
 
 @pytest.mark.parametrize(("bias_m", "shifts"), [(0.2, {"detection.x_m": 0.5}), (-0.6, {})])
 def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch, bias_m, shifts):
-    shift, bias = Correction("x_m", 0.5, 0.01, 0.2, True), Correction("near_m", bias_m, 0.2, 0.0, False)
+    shift, bias = Correction("x_m", 0.5, 0.2, True), Correction("near_m", bias_m, 0.0, False)
     found = iter([(shift, bias)])
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: next(found, ()))
     surveyed = survey(short_records(), ON_BODY)
@@ -275,7 +275,7 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
 )
 def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, corrections, corrected):
     """Of a term, its value, and whether it explains much."""
-    found = iter([Correction(term, value, 0.001, 0.2 if much else 0.0, True) for term, value, much in corrections])
+    found = iter([Correction(term, value, 0.2 if much else 0.0, True) for term, value, much in corrections])
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: tuple(islice(found, 1)))
     surveyed = survey(short_records(), ON_BODY)
     assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.001)
@@ -290,7 +290,7 @@ def test_survey_applies_the_scales_that_were_given():
 
 def test_nothing_is_corrected_where_objects_seem_to_move_with_the_body(monkeypatch):
     """As in optical axes that nothing tells: a pitch fits besides."""
-    found = Correction("length_share", -0.63, 0.01, 0.64, True), Correction("pitch_rad", 0.37, 0.01, 0.34, True)
+    found = Correction("length_share", -0.63, 0.64, True), Correction("pitch_rad", 0.37, 0.34, True)
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: found)
     surveyed = survey(short_records(), ON_BODY)
     assert surveyed.corrected == {}
