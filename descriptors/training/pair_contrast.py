@@ -93,7 +93,7 @@ def draw_pair_sample(
         asked = find_ends(seen, view.labels, seen_tree, QUERY_PARTNERS, both_ways=True)
         found = _numbers_of(ends, view.objects[asked], len(drawn))
         is_known = (found >= 0) & (drawn.labels[view.objects[asked]] == view.labels[asked]).all(axis=1)
-        rows = rng.permutation(np.flatnonzero(is_known))[:60]  # what a step takes in
+        rows = rng.permutation(np.flatnonzero(is_known))[:60]  # of one training step
         if len(rows):
             queries.append(gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture))
             sigmas.append(np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma)))

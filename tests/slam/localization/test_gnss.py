@@ -21,6 +21,7 @@ from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import read_records
 from slam.formats.trajectories import write_geodetic
 from slam.localization.gnss import GnssPrior, find_georeference
+from slam.object_map.map_io import load_map
 from slam.output_log import LOCATION
 from slam.replay import replay
 from tests.helpers.ros2_logs import encoded, header
@@ -161,3 +162,15 @@ def test_a_drive_with_fixes_tells_where_on_earth_it_was(tmp_path: Path) -> None:
     truth = np.array([pose.T_world_body[:3, 3] for pose in records.true_poses])
     off = TRUE.to_map(places)[:, None] - truth[None]
     assert np.linalg.norm(off, axis=2).min(axis=1).max() < 1.0
+
+
+@pytest.mark.slow
+def test_a_saved_map_with_a_place_on_earth_locates_later_drives(tmp_path: Path) -> None:
+    source = write_log(tmp_path / "in.mcap", with_fixes(drive()))
+    replay(source, tmp_path / "first.mcap", Config(), map_path=tmp_path / "map.mcap")
+    saved = load_map(tmp_path / "map.mcap")
+    placed = replace(saved, metadata={**saved.metadata, "georeference": TRUE.to_json()})
+    for prior_map, is_located in ((saved, False), (placed, True)):
+        replay(source, tmp_path / "second.mcap", Config(), prior_map=prior_map, extend=False)
+        with LogReader(tmp_path / "second.mcap") as reader:
+            assert (LOCATION in {info.topic for info in reader.topics()}) == is_located
