@@ -103,7 +103,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
     now = known.with_values(corrected)
-    aligned, unaligned = find_alignment(logs, now, _unknown(now, given))
+    aligned, unaligned = find_alignment(logs, now, _unknown(given))
     delay_s = aligned.pop("delay_s", 0.0)
     corrected |= _of_sensor(aligned, now)
     for _ in range(ROUNDS):
@@ -130,10 +130,8 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     )
 
 
-def _unknown(now: Calibration, given: Calibration) -> list[str]:
+def _unknown(given: Calibration) -> list[str]:
     """Terms of the alignment that were not given by hand."""
-    if now.detection.assume_odometry_frame:  # objects stand still whatever the sensor is
-        return []
     angles = () if _is_turned_by_hand(given) else ANGLES
     return ["delay_s", *angles, *(() if given.is_given("odometry.climb") else ("climb_share",))]
 

@@ -142,6 +142,15 @@ def test_several_logs_are_surveyed_as_one_drive():
     assert both.travel_m == pytest.approx(2.0 + 4.0)
 
 
+def test_a_log_that_grows_is_surveyed_with_its_new_odometry():
+    records = straight(21)
+    log = SurveyedLog.of(records[:22])
+    assert survey_logs([log]).travel_m == pytest.approx(2.0)
+    for record in records[22:]:
+        log.add(record)
+    assert survey_logs([log]).travel_m == pytest.approx(4.0)
+
+
 def test_too_few_objects_tell_no_noise():
     assert survey(straight(), CONFIG).components is None
 
@@ -240,6 +249,16 @@ def test_a_systematic_error_is_corrected_and_nothing_else(make, wrong, key, righ
     expected = {key: pytest.approx(right, abs=tolerance)} if right else {}
     corrected = survey(make(wrong), ON_BODY).corrected
     assert {name: value for name, value in corrected.items() if value} == expected
+
+
+@pytest.mark.slow
+def test_angles_are_added_to_the_quarter_turn_of_the_sensor():
+    """It hangs upside down, and the body pitches."""
+    flipped = moved(lambda positions: positions * [1.0, -1.0, -1.0], pitched_records(15.0))
+    angles_deg = [survey(flipped, ON_BODY).corrected[f"detection.{name}_deg"] for name in ("roll", "pitch", "yaw")]
+    found = Rotation.from_euler("xyz", angles_deg, degrees=True)
+    right = Rotation.from_euler("y", 15.0, degrees=True) * Rotation.from_euler("x", 180.0, degrees=True)
+    assert np.degrees((found * right.inv()).magnitude()) < 1.5
 
 
 @pytest.mark.slow
