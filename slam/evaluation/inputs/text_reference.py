@@ -50,13 +50,12 @@ def _check_axes(name: str, truth: Trajectory, path: PoseSeries, remedy: str) -> 
     """The robot moves in the same direction of its body by both, on stretches of equal length."""
     series = PoseSeries(truth.stamps_ns, truth.T_world_body)
     try:
-        both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
+        est, gt = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
     except EvaluationError:
         return  # The comparison reports that they do not overlap.
-    travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
-    rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], 201)))
+    rows = np.unique(np.searchsorted(gt.travelled_m, np.linspace(0.0, gt.travelled_m[-1], 201)))
     ways = []
-    for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
+    for T in (est.T_world_body[rows], gt.T_world_body[rows]):
         ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
     moved_m = np.linalg.norm(ways, axis=2)  # (2, stretches)
     lengths = moved_m[0] * moved_m[1]

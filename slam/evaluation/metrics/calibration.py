@@ -17,7 +17,6 @@ from slam.common.geometry import apply, invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import LandmarkMatches
-from slam.evaluation.place_recognition.revisits import find_true_poses
 
 NEEDS = {
     "pose": "keyframes: needs covariances (/slam/graph) and truth, also at the first keyframe, which fixes the map",
@@ -95,7 +94,7 @@ def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries, protocol: Pro
     """``T_map_world`` (4, 4) that lays the truth of the first keyframe on its estimate; None where it has no truth."""
     if graph is None or len(graph.keyframe_ids) == 0:
         return None
-    known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns[:1], max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns[:1], max_gap_s=protocol.max_truth_gap_s)
     return invert(T_world_body[0] @ invert(graph.T_map_body[0])) if known[0] else None
 
 
@@ -104,7 +103,7 @@ def _pose_errors(
 ) -> _Errors | None:
     if len(graph.pose_covariances) == 0:
         return None
-    known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
     known[0] = False
     return pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known]), graph.pose_covariances[known]
 
@@ -124,7 +123,7 @@ def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol)
     if chosen.empty:
         return None
     T_world_reference, T_world_query = (
-        find_true_poses(truth, chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
+        truth.poses_at(chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
         for name in ("reference_stamp_ns", "stamp_ns")
     )
     T_reference_query = np.array([record.T_reference_query for record in chosen["record"]])

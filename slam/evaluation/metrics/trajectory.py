@@ -45,13 +45,13 @@ def evaluate_trajectory(
     Raises:
         EvaluationError: no common time, a single common pose, or no motion; never a NaN.
     """
-    poses = synchronize(estimate, truth, max_gap_s=max_gap_s)
-    alignment = align_path(poses.positions_est, poses.positions_gt)
-    aligned = apply(alignment.T_world_map, poses.positions_est)
-    errors_m = np.linalg.norm(aligned - poses.positions_gt, axis=1)
-    steps_m = np.linalg.norm(np.diff(poses.positions_gt, axis=0), axis=1)
-    is_driven = (np.diff(poses.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
-    translation_percent, rotation_deg_per_100m = compute_relative_error(poses.T_map_body_est, poses.T_world_body_gt)
+    est, gt = synchronize(estimate, truth, max_gap_s=max_gap_s)
+    alignment = align_path(est.positions, gt.positions)
+    aligned = apply(alignment.T_world_map, est.positions)
+    errors_m = np.linalg.norm(aligned - gt.positions, axis=1)
+    steps_m = np.linalg.norm(np.diff(gt.positions, axis=0), axis=1)
+    is_driven = (np.diff(gt.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
+    translation_percent, rotation_deg_per_100m = compute_relative_error(est.T_world_body, gt.T_world_body)
     return TrajectoryErrors(
         ate_m=float(np.sqrt(np.mean(errors_m**2))),
         median_m=float(np.median(errors_m)),
@@ -61,8 +61,8 @@ def evaluate_trajectory(
         rpe_rotation_deg_per_100m=rotation_deg_per_100m,
         alignment=alignment,
         length_m=float(steps_m[is_driven].sum()),
-        duration_s=int(poses.stamps_ns[-1] - poses.stamps_ns[0]) * 1e-9,
-        pose_count=len(poses.stamps_ns),
+        duration_s=int(gt.stamps_ns[-1] - gt.stamps_ns[0]) * 1e-9,
+        pose_count=len(gt),
     )
 
 

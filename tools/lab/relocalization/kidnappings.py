@@ -22,7 +22,7 @@ from logs.topics import RecordKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.common.geometry import interpolate, invert, yaw_rad
+from slam.common.geometry import invert, yaw_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import percentile
@@ -146,7 +146,7 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
     }
     if fix is not None:
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
-        T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0])
+        T_world_body = truth.poses_at(at_ns)[1][0]
         error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
         outcome |= {
             "distance_m": float(truth.travelled_at_m(at_ns)[0]),

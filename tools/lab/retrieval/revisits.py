@@ -26,7 +26,6 @@ from slam.common.geometry import invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.place_recognition.revisits import find_true_poses
 from slam.loop_closure.loop_closer import Outcome
 from slam.object_map.submap import Submap, gravity_frame, recent_submap
 from slam.odometry.keyframe import Keyframe
@@ -117,7 +116,7 @@ class _AskingSlam(Slam):
         """Poses (R, 4, 4) of the query in the local frame, by the earlier keyframes that it truly comes back to."""
         keyframes = self._mapper.keyframes
         stamps_ns = np.array([each.odometry.stamp_ns for each in keyframes], dtype=np.int64)
-        known, T_world_body = find_true_poses(self._truth, stamps_ns, max_gap_s=self._protocol.max_truth_gap_s)
+        known, T_world_body = self._truth.poses_at(stamps_ns, max_gap_s=self._protocol.max_truth_gap_s)
         travelled_m = self._truth.travelled_at_m(stamps_ns)
         apart_m = np.linalg.norm(T_world_body[:, :3, 3] - T_world_body[-1, :3, 3], axis=1)
         near = known & known[-1] & (apart_m <= self._protocol.revisit_distance_m)

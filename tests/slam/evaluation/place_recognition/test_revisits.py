@@ -8,7 +8,7 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
-from slam.evaluation.place_recognition.revisits import DIRECTIONS, find_revisits, find_true_poses
+from slam.evaluation.place_recognition.revisits import DIRECTIONS, find_revisits
 from tests.slam.evaluation.drives import winding_path
 from tests.slam.evaluation.loops import SECOND, THERE_AND_BACK_REVISITS, at_ns, keyframes, series_of, there_and_back
 
@@ -121,7 +121,7 @@ def test_duplicated_stamps_disorder_and_one_pose() -> None:
 def test_true_poses_at_any_times() -> None:
     truth = there_and_back()
     asked = np.array([at_ns(3), at_ns(-1), at_ns(3), at_ns(1) + SECOND // 2], dtype=np.int64)
-    known, T_world_body = find_true_poses(truth, asked, max_gap_s=1.5)
+    known, T_world_body = truth.poses_at(asked, max_gap_s=1.5)
     assert known.tolist() == [True, False, True, True]
     np.testing.assert_allclose(T_world_body[:, 0, 3], [3.0, 0.0, 3.0, 1.5])
-    assert find_true_poses(truth, asked[:0], max_gap_s=1.5)[1].shape == (0, 4, 4)
+    assert truth.poses_at(asked[:0], max_gap_s=1.5)[1].shape == (0, 4, 4)
