@@ -69,11 +69,11 @@ def test_each_track_has_its_poses(
 ) -> None:
     assert dslam("export", mapped, "--of", of, "--tum", tmp_path / "t.txt").code == 0
     expected = {
-        "estimate": lambda: records.trajectory.T_map_body,
-        "online": lambda: np.array([pose.T_map_body for pose in records.online_poses]),
-        "odometry": lambda: np.array([pose.T_odom_body for pose in records.odometry]),
-        "truth": lambda: np.array([pose.T_world_body for pose in records.true_poses]),
-    }[of]()
+        "estimate": records.trajectory.T_map_body,
+        "online": records.online_path.T_world_body,
+        "odometry": records.odometry_path.T_world_body,
+        "truth": records.true_path.T_world_body,
+    }[of]
     np.testing.assert_array_equal(np.loadtxt(tmp_path / "t.txt")[:, 1:4], expected[:, :3, 3])
 
 

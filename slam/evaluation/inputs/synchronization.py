@@ -58,6 +58,9 @@ class PoseSeries:
         return known, T_world_body
 
 
+NO_POSES = PoseSeries(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)))
+
+
 def series_of(stamped_poses: Iterable[tuple[int, FloatArray]]) -> PoseSeries:
     """:func:`clean_poses` of pairs of stamp [ns] and transform (4, 4)."""
     pairs = list(stamped_poses)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.messages import FloatArray, GroundTruthPose
+from logs.messages import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.inputs.text_reference import read_text_reference
@@ -60,9 +60,9 @@ def camera_poses() -> FloatArray:
     return np.asarray(T_CAMERA_BODY @ circle() @ np.linalg.inv(T_CAMERA_BODY))
 
 
-def assert_circle(poses: tuple[GroundTruthPose, ...]) -> None:
-    assert [pose.stamp_ns for pose in poses] == STAMPS_NS.tolist()
-    np.testing.assert_allclose([pose.T_world_body for pose in poses], circle(), atol=1e-9)
+def assert_circle(poses: PoseSeries) -> None:
+    np.testing.assert_array_equal(poses.stamps_ns, STAMPS_NS)
+    np.testing.assert_allclose(poses.T_world_body, circle(), atol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "lines"), [("gt.tum", tum()), ("gt.tum.gz", tum()), ("gt.csv.gz", table())])
