@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic_core import from_json
 
-from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
     DetectionAssociations,
@@ -216,7 +216,7 @@ def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
 def _read_tree(recorded: str) -> dict[str, Any]:
     """The JSON object in a text; empty if the text holds no object."""
     try:
-        tree = parse_json(recorded)
+        tree = from_json(recorded)
     except ValueError:
         return {}
     return tree if isinstance(tree, dict) else {}
