@@ -89,7 +89,7 @@ def test_network_comes_back_with_its_architecture_results_and_history(tmp_path):
     torch.manual_seed(7)
     expected = torch.rand(3)
     torch.manual_seed(7)
-    loaded, weights = load_network(tmp_path / "net")
+    loaded, weights = load_network(tmp_path / "net"), read_weights(tmp_path / "net")
     assert torch.equal(torch.rand(3), expected)  # loading draws no random numbers
     assert (weights.training, weights.seed, weights.metrics) == ({"epochs": 3, "rate": 1e-3}, 5, {"top5": 0.9})
     assert loaded.architecture == architecture
