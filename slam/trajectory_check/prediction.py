@@ -6,8 +6,6 @@ trajectory makes its own map of the detections, and all predict the same scans.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -20,18 +18,6 @@ MAX_SOURCES, MAX_DETECTIONS = 1000, 64
 """Detections around a scan that predict it, and detections of it that are predicted: more would be redundant."""
 RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """The prediction of Q scans by a trajectory.
-
-    ``gains`` (Q,): logarithm of the density of their detections beside that in the field of view of any scan, summed;
-    ``has_sources`` (Q,): whether it places detections of another visit there.
-    """
-
-    gains: FloatArray
-    has_sources: BoolArray
 
 
 class VisitPredictor:
@@ -50,8 +36,13 @@ class VisitPredictor:
         self._shares = np.bincount(self._labels) / max(len(self._labels), 1)
         self._view = _FieldOfView(self._positions, sensor_range_m)
 
-    def predict(self, T_world_body: FloatArray, queries: IntArray) -> Prediction:
-        """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans."""
+    def predict(self, T_world_body: FloatArray, queries: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans.
+
+        Returns:
+            Gains (Q,): logarithm of the density of their detections beside that in the field of view of any scan,
+            summed; and whether the trajectory places detections of another visit there (Q,).
+        """
         R, t = T_world_body[:, :3, :3], T_world_body[:, :3, 3]
         points = np.einsum("nij,nj->ni", R[self._scan_of], self._positions) + t[self._scan_of]
         tree = KDTree(points)
@@ -63,7 +54,7 @@ class VisitPredictor:
             sources = _thinned(near[visit_m > 2.0 * self._range_m], MAX_SOURCES)
             seen = (points[sources] - t[query]) @ R[query]
             gains[place], has_sources[place] = self._gain(query, seen, self._labels[sources])
-        return Prediction(gains, has_sources)
+        return gains, has_sources
 
     def count(self, queries: IntArray) -> IntArray:
         """(Q,) how many detections of each scan are predicted."""
