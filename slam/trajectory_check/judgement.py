@@ -17,8 +17,6 @@ from slam.trajectory_check.prediction import VisitPredictor
 from slam.trajectory_check.sampled_scans import SampledScan
 
 ODOMETRY, ONLINE, FINAL = "odometry", "online", "final"
-MAX_QUERIES = 256
-"""Scans that are predicted, spread evenly over the drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,8 @@ def check_trajectories(
 
     ``sigma_m``: by how much the position of an object differs between two visits.
     """
-    queries = np.unique(np.linspace(0, len(scans) - 1, min(MAX_QUERIES, len(scans))).astype(np.int64))
+    # Evenly spread over the drive; more would tell hardly more.
+    queries = np.unique(np.linspace(0, len(scans) - 1, min(256, len(scans))).astype(np.int64))
     predictor = VisitPredictor(scans, sensor_range_m=sensor_range_m, sigma_m=sigma_m)
     predictions = {name: predictor.predict(T, queries) for name, T in trajectories.items()}
     told = np.any([has_sources for _, has_sources in predictions.values()], axis=0)

@@ -58,9 +58,6 @@ class PoseSeries:
         return known, T_world_body
 
 
-NO_POSES = PoseSeries(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)))
-
-
 def series_of(stamped_poses: Iterable[tuple[int, FloatArray]]) -> PoseSeries:
     """:func:`clean_poses` of pairs of stamp [ns] and transform (4, 4)."""
     pairs = list(stamped_poses)
@@ -83,6 +80,9 @@ def clean_poses(stamps_ns: IntArray, T_world_body: FloatArray) -> PoseSeries:
         raise EvaluationError(f"pose at {stamps_ns[broken[0]]} ns is not finite ({len(broken)} such poses)")
     unique, first = np.unique(stamps_ns, return_index=True)
     return PoseSeries(unique, T_world_body[first])
+
+
+NO_POSES = series_of(())
 
 
 def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> tuple[PoseSeries, PoseSeries]:
