@@ -51,7 +51,7 @@ def assert_alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> None:
 
 def test_each_row_is_that_of_its_constellation_on_its_own(descriptor, constellations):
     vectors = descriptor.describe(constellations)
-    assert vectors.dtype == np.float32
+    assert (vectors.dtype, descriptor.radius_m) == (np.float32, 17.5)
     for row in [*range(0, len(constellations), 23), len(constellations) - 1]:
         assert_alike(vectors[[row]], descriptor.describe(constellations[np.array([row])]))
     assert np.linalg.norm(np.diff(vectors[:40], axis=0), axis=1).min() > 1e-4  # others would have been noticed
@@ -82,10 +82,6 @@ def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descr
             descriptor.describe(constellations)
     for constellations in with_label(5):
         assert descriptor.describe(constellations).shape == (1, 16)
-
-
-def test_radius_is_that_of_the_architecture(descriptor):
-    assert descriptor.radius_m == 17.5
 
 
 def test_candidates_of_the_paper_s_network_are_of_any_class():

@@ -113,6 +113,13 @@ def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
 
+def test_revisits_need_keyframes() -> None:
+    result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/slam/graph"]))
+    assert "/slam/graph" in result.unavailable["closures"]
+    assert at_json(result, "closures.precision") == 0.5
+    assert "recall" not in result.to_json_dict()["closures"]
+
+
 def test_landmarks_need_truth_of_detections() -> None:
     result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/ground_truth/detections"]))
     assert at_json(result, "landmarks") == {}

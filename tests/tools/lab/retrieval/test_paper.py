@@ -36,13 +36,6 @@ def measured(street) -> tuple[pd.DataFrame, list[float]]:
 # The whole.
 
 
-def test_every_method_is_measured_in_every_scenario(measured):
-    result, told = measured
-    expected = [(method, scenario.name) for method in METHODS for scenario in SCENARIOS]
-    assert list(zip(result["method"], result["scenario"], strict=True)) == expected
-    assert told == pytest.approx(np.arange(1, len(expected) + 1) / len(expected))
-
-
 def test_without_noise_the_ceiling_is_one_and_the_good_methods_reach_it(measured):
     cells = measured[0].set_index(["scenario", "method"]).loc[SELF.name]
     assert (cells["ceiling"] == 1.0).all()
