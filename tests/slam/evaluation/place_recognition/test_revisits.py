@@ -4,12 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
 from slam.evaluation.place_recognition.revisits import find_revisits
-from tests.slam.evaluation.drives import winding_path
 from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, keyframes, series_of, there_and_back
 
 
@@ -25,18 +23,6 @@ def out_and_return(far_m: float, back: tuple[float, float, float], heading_deg: 
     """From the origin straight to ``far_m``, then straight to ``back``."""
     xyz = np.array([(0.0, 0.0, 0.0), (far_m, 0.0, 0.0), back])
     return series_of(transform_from_xyz_yaw(xyz, np.deg2rad([0.0, 0.0, heading_deg])))
-
-
-def brute_force(T_world_body: FloatArray, travelled_m: FloatArray) -> list[int]:
-    nearest = []
-    for row in range(len(T_world_body)):
-        distances = {
-            float(np.linalg.norm(T_world_body[row, :3, 3] - T_world_body[other, :3, 3])): other
-            for other in reversed(range(row))
-            if travelled_m[row] - travelled_m[other] >= 100.0
-        }
-        nearest.append(distances[min(distances)] if distances and min(distances) <= 5.0 else -1)
-    return nearest
 
 
 @pytest.mark.parametrize(
@@ -60,18 +46,6 @@ def test_directions(heading_deg: float, direction: str) -> None:
 )
 def test_borders_of_a_revisit(far_m: float, back: tuple[float, float, float], is_revisit: bool) -> None:
     assert is_revisit_of(find(out_and_return(far_m, back), range(3))).tolist() == [False, False, is_revisit]
-
-
-def test_against_a_search_through_all_pairs() -> None:
-    lap = winding_path(150)
-    rng = np.random.default_rng(0)
-    T_world_body = np.concatenate([lap, lap[::-1], lap])
-    T_world_body = T_world_body @ transform_from_xyz_yaw(rng.uniform(-1.0, 1.0, (450, 3)), rng.uniform(-4.0, 4.0, 450))
-    truth = series_of(T_world_body)
-    found = find_revisits(*keyframes(range(450)), truth, Protocol(query_spacing_m=1e-6))
-    expected = brute_force(T_world_body, truth.travelled_m)
-    assert is_revisit_of(found).tolist() == [other >= 0 for other in expected]
-    assert np.count_nonzero(is_revisit_of(found)) > 200
 
 
 def test_queries_are_thinned_but_revisit_any_keyframe() -> None:
