@@ -23,7 +23,7 @@ from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
 from slam.provenance import recorded_config
 from slam.replay import replay
-from slam.sweeps.workers import Death, compute_all
+from slam.sweeps.workers import compute_all
 
 VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
@@ -74,7 +74,7 @@ def map_sessions(
     compute = partial(map_session, folder=folder, config=config)
     outcomes = compute_all(compute, list(waiting.values()), jobs=workers)
     for finished, (log, outcome) in enumerate(outcomes, start=1):
-        if isinstance(outcome, Death):
+        if outcome is None:
             reason = "the process that mapped it died, perhaps for lack of memory; add it again, with fewer --workers"
             outcome = Session(log.sha256, reason)
         sessions[log.sha256] = outcome

@@ -59,10 +59,11 @@ _Record = TypeVar("_Record", bound=Record)
 class EvaluationRecords:
     """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 
-    ``online_path``: the poses as they were at their time; ``provenance``: the metadata of the replay.
+    ``final_path``: empty where the run was not finished; ``online_path``: the poses as they were at their time;
+    ``provenance``: the metadata of the replay.
     """
 
-    trajectory: TrajectoryRecord | None = None
+    final_path: PoseSeries = NO_POSES
     online_path: PoseSeries = NO_POSES
     odometry_path: PoseSeries = NO_POSES
     true_path: PoseSeries = NO_POSES
@@ -79,12 +80,6 @@ class EvaluationRecords:
     def status(self) -> StatusRecord | None:
         """The last status."""
         return _last(self.statuses)
-
-    @property
-    def final_path(self) -> PoseSeries:
-        """The final trajectory; empty where the run was not finished."""
-        final = self.trajectory
-        return NO_POSES if final is None else clean_poses(final.stamps_ns, final.T_map_body)
 
     @property
     def sensor_range_m(self) -> float | None:
@@ -135,8 +130,9 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
                 for kind in OF_ONE_MAP:
                     of_kind[kind].clear()
             of_kind[type(record)].append(record)
+    final = _last(of_kind[TrajectoryRecord])
     return EvaluationRecords(
-        trajectory=_last(of_kind[TrajectoryRecord]),
+        final_path=NO_POSES if final is None else clean_poses(final.stamps_ns, final.T_map_body),
         online_path=series_of((pose.stamp_ns, pose.T_map_body) for pose in of_kind[SlamPose]),
         odometry_path=series_of((pose.stamp_ns, pose.T_odom_body) for pose in of_kind[Odometry]),
         true_path=series_of((pose.stamp_ns, pose.T_world_body) for pose in of_kind[GroundTruthPose]),

@@ -40,7 +40,7 @@ def compose_picture(
             drive.
     """
     # Where a run did not finish, its poses as they were at their time.
-    estimate = records.final_path if records.trajectory else records.online_path
+    estimate = records.final_path or records.online_path
     errors = evaluation.estimate or evaluation.online
     spans_ns = _discontinuities(records.graph)
     path = _broken(estimate.stamps_ns, estimate.positions, spans_ns)

@@ -9,41 +9,41 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
+from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.errors import InputDataError
 from slam.evaluation.inputs.records import read_records
+from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.formats.g2o import write_g2o
 from slam.formats.trajectories import write_kitti, write_tum
 
 
 @pytest.fixture(scope="module")
-def result(noisy_output: Path) -> tuple[TrajectoryRecord, FactorGraphRecord, ObjectMapRecord]:
+def result(noisy_output: Path) -> tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]:
     """Of a drive around the block."""
     records = read_records(noisy_output)
-    assert records.trajectory is not None
     assert records.graph is not None
     assert records.object_map is not None
-    return records.trajectory, records.graph, records.object_map
+    return records.final_path, records.graph, records.object_map
 
 
-Result = tuple[TrajectoryRecord, FactorGraphRecord, ObjectMapRecord]
+Result = tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]
 
 
 def test_tum_comes_back_exactly(result: Result, tmp_path: Path) -> None:
     trajectory, _, _ = result
-    write_tum(tmp_path / "a.tum", trajectory)
+    write_tum(tmp_path / "a.tum", trajectory.stamps_ns, trajectory.T_world_body)
     lines = [line.split(" ") for line in (tmp_path / "a.tum").read_text().splitlines()]
     assert [line[0] for line in lines] == [f"{ns // 10**9}.{ns % 10**9:09d}" for ns in trajectory.stamps_ns.tolist()]
     numbers = np.array([line[1:] for line in lines], dtype=np.float64)
-    np.testing.assert_array_equal(numbers[:, :3], trajectory.T_map_body[:, :3, 3])
+    np.testing.assert_array_equal(numbers[:, :3], trajectory.T_world_body[:, :3, 3])
     R = Rotation.from_quat(numbers[:, 3:]).as_matrix()
-    np.testing.assert_allclose(R, trajectory.T_map_body[:, :3, :3], atol=1e-14)
+    np.testing.assert_allclose(R, trajectory.T_world_body[:, :3, :3], atol=1e-14)
 
 
 def test_kitti_comes_back_exactly(result: Result, tmp_path: Path) -> None:
     trajectory, _, _ = result
-    write_kitti(tmp_path / "a.txt", trajectory)
-    np.testing.assert_array_equal(np.loadtxt(tmp_path / "a.txt").reshape(-1, 3, 4), trajectory.T_map_body[:, :3])
+    write_kitti(tmp_path / "a.txt", trajectory.T_world_body)
+    np.testing.assert_array_equal(np.loadtxt(tmp_path / "a.txt").reshape(-1, 3, 4), trajectory.T_world_body[:, :3])
 
 
 def test_gtsam_reads_the_same_graph_from_g2o(result: Result, tmp_path: Path) -> None:

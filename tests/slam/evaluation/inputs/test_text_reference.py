@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.messages import FloatArray, TrajectoryRecord
+from logs.messages import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.inputs.text_reference import read_text_reference
@@ -30,10 +30,6 @@ def circle(radius_m: float = 10.0) -> FloatArray:
 ODOMETRY = PoseSeries(STAMPS_NS, circle(9.8))
 
 
-def record(T: FloatArray) -> TrajectoryRecord:
-    return TrajectoryRecord(int(STAMPS_NS[-1]), "world", STAMPS_NS, T)
-
-
 def camera_poses() -> FloatArray:
     return np.asarray(T_CAMERA_BODY @ circle() @ np.linalg.inv(T_CAMERA_BODY))
 
@@ -45,7 +41,7 @@ def assert_circle(poses: PoseSeries) -> None:
 
 def test_poses_without_stamps_are_at_those_of_the_odometry(tmp_path: Path) -> None:
     path = tmp_path / "00.txt"
-    write_kitti(path, record(circle()))
+    write_kitti(path, circle())
     assert_circle(read_text_reference(path, None, ODOMETRY))
     with pytest.raises(EvaluationError, match="without stamps"):
         read_text_reference(path, None, PoseSeries(STAMPS_NS[:20], circle()[:20]))
@@ -53,7 +49,7 @@ def test_poses_without_stamps_are_at_those_of_the_odometry(tmp_path: Path) -> No
 
 def test_poses_of_the_camera_need_its_calibration(tmp_path: Path) -> None:
     path, calib = tmp_path / "00.txt", tmp_path / "calib.txt"
-    write_kitti(path, record(camera_poses()))
+    write_kitti(path, camera_poses())
     calib.write_text(f"Tr: {' '.join(map(repr, T_CAMERA_BODY[:3].ravel().tolist()))}\n")
     assert_circle(read_text_reference(path, calib, ODOMETRY))
     with pytest.raises(
@@ -64,7 +60,7 @@ def test_poses_of_the_camera_need_its_calibration(tmp_path: Path) -> None:
 
 def test_axes_are_not_checked_without_common_motion(tmp_path: Path) -> None:
     path = tmp_path / "gt.tum"
-    write_tum(path, record(circle()))
+    write_tum(path, STAMPS_NS, circle())
     assert_circle(read_text_reference(path, None, ODOMETRY))
     assert_circle(read_text_reference(path, None, PoseSeries(STAMPS_NS + 10**15, circle())))
     assert_circle(read_text_reference(path, None, PoseSeries(STAMPS_NS, np.tile(np.eye(4), (len(STAMPS_NS), 1, 1)))))
