@@ -29,8 +29,7 @@ class SampledScan:
 class ScanSample:
     """Scans spread evenly over a drive: all of them, every second once they hold ``MAX_DETECTIONS``, ..."""
 
-    def __init__(self, max_detections: int = MAX_DETECTIONS) -> None:
-        self._max_detections = max_detections
+    def __init__(self) -> None:
         self._stride = 1
         self._offered = 0
         self.scans: list[SampledScan] = []
@@ -43,6 +42,6 @@ class ScanSample:
         if (self._offered - 1) % self._stride:
             return
         self.scans.append(scan)
-        while sum(len(kept.positions) for kept in self.scans) > self._max_detections and len(self.scans) > 1:
+        while sum(len(kept.positions) for kept in self.scans) > MAX_DETECTIONS and len(self.scans) > 1:
             del self.scans[1::2]
             self._stride *= 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,15 +66,11 @@ def evaluate_trajectory(
 
 
 def compute_relative_error(
-    T_map_body_est: FloatArray,
-    T_world_body_gt: FloatArray,
-    *,
-    lengths_m: Sequence[float] = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0),
-    start_step: int = 10,
+    T_map_body_est: FloatArray, T_world_body_gt: FloatArray
 ) -> tuple[float | None, float | None]:
     """Relative pose error as the KITTI odometry benchmark defines it: percent, and degrees per 100 m.
 
-    From every ``start_step``-th pose a stretch reaches to the first pose more than a length further along the true
+    From every tenth pose a stretch reaches to the first pose more than a length, 100 m to 800 m, further along the true
     path. Its error is ``(T_est_first^-1 T_est_last)^-1 (T_gt_first^-1 T_gt_last)``, divided by the nominal length; the
     mean is over all stretches of all lengths. No alignment is needed.
 
@@ -84,16 +79,14 @@ def compute_relative_error(
     Args:
         T_map_body_est: (N, 4, 4), metres.
         T_world_body_gt: (N, 4, 4), metres, of the same times.
-        lengths_m: positive lengths of the stretches.
-        start_step: number of poses from one start to the next, >= 1.
 
     Returns:
         None, None where the drive has no such stretch.
     """
     path_m = travelled_m(T_world_body_gt)
-    starts = np.arange(0, len(path_m), start_step)
-    lengths = np.repeat(np.asarray(lengths_m), len(starts))
-    starts = np.tile(starts, len(lengths_m))
+    starts, lengths = (
+        each.ravel() for each in np.meshgrid(np.arange(0, len(path_m), 10), np.arange(100.0, 801.0, 100.0))
+    )
     ends = np.searchsorted(path_m, path_m[starts] + lengths, side="right")
     is_inside = ends < len(path_m)
     if not is_inside.any():
