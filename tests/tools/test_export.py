@@ -55,6 +55,7 @@ def test_landmarks_and_poses_on_earth(dslam: Run, mapped: Path, records: Evaluat
     features = json.loads(places.read_text())["features"]
     objects = confirmed(records.object_map)
     assert [each["properties"]["label"] for each in features] == list(objects.labels)
+    assert {"label_probability", "sigma_x_m", "first_seen_ns"} < features[0]["properties"].keys()
     found = np.array([each["geometry"]["coordinates"][1::-1] for each in features])
     np.testing.assert_allclose(found, earth.to_geodetic(objects.positions)[:, :2], rtol=0, atol=1e-6)
     path = pd.read_csv(poses)[["latitude_deg", "longitude_deg", "altitude_m"]].to_numpy()
