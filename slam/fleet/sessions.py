@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from logs.digest import content_key
 from logs.errors import LogError
 from logs.storage.placement import write_text
 from slam.common.config import Config
@@ -86,11 +85,6 @@ def map_sessions(
 def session_folder(folder: Path, sha256: str, config: Config) -> Path:
     """Where the session of a log with this digest is, in the folder of a fleet."""
     return folder / "sessions" / content_key(sha256, config.model_dump_json(), VERSION)
-
-
-def content_key(*parts: str) -> str:
-    """A name for what is made from these parts; 64 bits tell any number of logs apart."""
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
 def map_session(log: FleetLog, folder: Path, config: Config) -> Session:
