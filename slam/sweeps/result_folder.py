@@ -13,7 +13,6 @@ from pydantic import TypeAdapter, ValidationError
 from logs.digest import content_key, file_sha256
 from logs.errors import UnwritableLogError
 from logs.storage.placement import write_text
-from slam.evaluation.inputs.protocol import Protocol
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
 
 
@@ -36,9 +35,7 @@ class ResultFolder:
     def path_of(self, task: DriveTask) -> Path:
         """The file of a drive: for people the faults and the seed, for the program the key."""
         made_from = (self._input_sha256, task.topics, task.faults, task.seed, task.variant)
-        key = content_key(
-            *made_from, task.config.model_dump_json(), version("descriptellation-slam"), asdict(Protocol())
-        )
+        key = content_key(*made_from, task.config.model_dump_json(), version("descriptellation-slam"))
         faults = re.sub(r"[^\w.,=+-]", "_", task.faults or "undegraded")[:80]
         return self._cells / f"{faults}_seed{task.seed}_{key}.json"
 

@@ -122,8 +122,8 @@ def run_sweep(
 ) -> Sweep:
     """Degrade, map and evaluate one log again and again.
 
-    A result that ``folder`` holds already, of the same input, faults, seed, configuration, version and protocol, is
-    not computed again; a failure is.
+    A result that ``folder`` holds already, of the same input, faults, seed, configuration and version, is not
+    computed again; a failure is.
 
     Args:
         tasks: of one log.
