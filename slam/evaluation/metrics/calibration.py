@@ -16,7 +16,6 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.landmarks import LandmarkMatches
 
 NEEDS = {
     "pose": "keyframes: needs covariances (/slam/graph) and truth, also at the first keyframe, which fixes the map",
@@ -49,7 +48,7 @@ def evaluate_calibration(
     graph: FactorGraphRecord | None,
     map_est: ObjectMapRecord | None,
     map_gt: ObjectMapRecord | None,
-    matches: LandmarkMatches | None,
+    matches: pd.DataFrame | None,
     judged: pd.DataFrame | None,
     truth: PoseSeries,
     protocol: Protocol,
@@ -109,12 +108,10 @@ def _pose_errors(
 
 
 def _landmark_errors(
-    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, matches: LandmarkMatches, T_map_world: FloatArray
+    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, matches: pd.DataFrame, T_map_world: FloatArray
 ) -> _Errors:
-    matched = matches.object_rows >= 0
-    rows = matches.landmark_rows[matched]
-    errors = map_est.positions[rows] - apply(T_map_world, map_gt.positions[matches.object_rows[matched]])
-    return errors, map_est.covariances[rows]
+    rows, objects = matches.loc[matches["object"] >= 0, ["landmark", "object"]].to_numpy().T
+    return map_est.positions[rows] - apply(T_map_world, map_gt.positions[objects]), map_est.covariances[rows]
 
 
 def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors | None:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from logs.messages import FloatArray
 from slam.common.errors import EvaluationError
+from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.inputs.text_reference import read_text_reference
 from slam.formats.trajectories import write_kitti, write_tum
@@ -21,10 +21,8 @@ T_CAMERA_BODY = np.array([[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, -0.2], [1.0, 0
 def circle(radius_m: float = 10.0) -> FloatArray:
     """Forward along a circle, (30, 4, 4)."""
     angles = np.linspace(0.0, 5.0, len(STAMPS_NS))
-    T = np.tile(np.eye(4), (len(angles), 1, 1))
-    T[:, :3, :3] = Rotation.from_euler("z", angles[:, None]).as_matrix()
-    T[:, :3, 3] = radius_m * np.stack([np.sin(angles), 1.0 - np.cos(angles), np.zeros(len(angles))], axis=1)
-    return T
+    xyz = radius_m * np.stack([np.sin(angles), 1.0 - np.cos(angles), np.zeros(len(angles))], axis=1)
+    return transform_from_xyz_yaw(xyz, angles)
 
 
 ODOMETRY = PoseSeries(STAMPS_NS, circle(9.8))
