@@ -67,16 +67,17 @@ def evaluate_calibration(
         truth: may hold no pose.
         protocol: the thresholds.
     """
-    errors: dict[str, _Errors | None] = {}
+    errors: dict[str, _Errors] = {}
     T_map_world = _tie_first(graph, truth, protocol)
     if graph is not None and T_map_world is not None:
-        errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
+        if len(graph.pose_covariances):
+            errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
         if map_est is not None and map_gt is not None and matches is not None:
             errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
     if judged is not None:
         errors["closure"] = _closure_errors(judged, truth, protocol)
     nothing = (np.zeros((0, 1)), np.zeros((0, 1, 1)))
-    parts = {kind: measure_consistency(*(errors.get(kind) or nothing)) for kind in NEEDS}
+    parts = {kind: measure_consistency(*errors.get(kind, nothing)) for kind in NEEDS}
     figures = {f"{kind}_{name}": value for kind, part in parts.items() for name, value in part.items()}
     return figures, "; ".join(NEEDS[kind] for kind, part in parts.items() if not part["count"])
 
@@ -97,11 +98,7 @@ def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries, protocol: Pro
     return invert(T_world_body[0] @ invert(graph.T_map_body[0])) if known[0] else None
 
 
-def _pose_errors(
-    graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries, protocol: Protocol
-) -> _Errors | None:
-    if len(graph.pose_covariances) == 0:
-        return None
+def _pose_errors(graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries, protocol: Protocol) -> _Errors:
     known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
     known[0] = False
     return pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known]), graph.pose_covariances[known]
@@ -114,15 +111,13 @@ def _landmark_errors(
     return map_est.positions[rows] - apply(T_map_world, map_gt.positions[objects]), map_est.covariances[rows]
 
 
-def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors | None:
+def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors:
     chosen = judged[judged["accepted"] & judged["true"]]
-    chosen = chosen[[record.covariance is not None for record in chosen["record"]]]
-    if chosen.empty:
-        return None
+    chosen = chosen[np.array([record.covariance is not None for record in chosen["record"]], dtype=np.bool_)]
     T_world_reference, T_world_query = (
         truth.poses_at(chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
         for name in ("reference_stamp_ns", "stamp_ns")
     )
-    T_reference_query = np.array([record.T_reference_query for record in chosen["record"]])
-    covariances = np.array([record.covariance for record in chosen["record"]])
+    T_reference_query = np.array([record.T_reference_query for record in chosen["record"]]).reshape(-1, 4, 4)
+    covariances = np.array([record.covariance for record in chosen["record"]]).reshape(-1, 6, 6)
     return pose_errors(T_reference_query, invert(T_world_reference) @ T_world_query), covariances
