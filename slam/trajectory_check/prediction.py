@@ -14,8 +14,8 @@ from slam.trajectory_check.sampled_scans import SampledScan
 
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
-MAX_SOURCES, MAX_DETECTIONS = 1000, 64
-"""Detections around a scan that predict it, and detections of it that are predicted: more would be redundant."""
+MAX_DETECTIONS = 64
+"""Detections of a scan that are predicted: more would be redundant."""
 RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
 
@@ -50,8 +50,8 @@ class VisitPredictor:
         for place, query in enumerate(queries.tolist()):
             near = np.array(tree.query_ball_point(t[query], self._range_m, return_sorted=True), dtype=np.int64)
             visit_m = np.abs(self._travel_m[self._scan_of[near]] - self._travel_m[query])
-            # After two sensor ranges of travel nothing that was in view before need still be.
-            sources = _thinned(near[visit_m > 2.0 * self._range_m], MAX_SOURCES)
+            # After two sensor ranges of travel nothing that was in view before need still be; a thousand tell enough.
+            sources = _thinned(near[visit_m > 2.0 * self._range_m], 1000)
             seen = (points[sources] - t[query]) @ R[query]
             gains[place], has_sources[place] = self._gain(query, seen, self._labels[sources])
         return gains, has_sources
