@@ -54,10 +54,9 @@ def check_trajectories(
     queries = np.unique(np.linspace(0, len(scans) - 1, min(256, len(scans))).astype(np.int64))
     predictor = VisitPredictor(scans, sensor_range_m=sensor_range_m, sigma_m=sigma_m)
     predictions = {name: predictor.predict(T, queries) for name, T in trajectories.items()}
-    told = np.any([has_sources for _, has_sources in predictions.values()], axis=0)
-    counts = np.where(told, predictor.count(queries), 0)
+    counts = np.max([counts for _, counts in predictions.values()], axis=0)
     blocks = np.unique([int(scans[query].travel_m / sensor_range_m) for query in queries], return_inverse=True)[1]
-    if not told.any() or len(np.unique(blocks[told])) < 4:  # their scatter gives the significance
+    if len(np.unique(blocks[counts > 0])) < 4:  # their scatter gives the significance
         return TrajectoryCheck()
     gains = {name: float(sums.sum() / counts.sum()) for name, (sums, _) in predictions.items()}
     if max(gains.values()) <= 0.0:
