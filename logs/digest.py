@@ -1,8 +1,9 @@
-"""SHA-256 of files, to name in an output what it was made from."""
+"""SHA-256, to name in an output what it was made from."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 
 from logs.errors import UnreadableLogError
@@ -20,3 +21,8 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise UnreadableLogError(f"cannot read {os.fspath(path)}: {error.strerror}; check the path") from error
+
+
+def content_key(*parts: object) -> str:
+    """A name for what is made from these parts, which JSON can hold; 64 bits tell any number of results apart."""
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

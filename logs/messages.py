@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.clouds.labelled_cloud import LabelledCloud
 from logs.record_checks import check_objects, check_pose
 
 FloatArray = NDArray[np.float64]
@@ -94,13 +95,11 @@ class DepthImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledScan:
-    """One scan of a LiDAR in ``frame_id``: positions (N, 3) m; classes (N,); instances (N,), 0: none, or None."""
+    """One scan of a LiDAR, in ``frame_id``."""
 
     stamp_ns: int
     frame_id: str
-    positions: FloatArray
-    classes: IntArray
-    instances: IntArray | None = None
+    cloud: LabelledCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,9 +18,9 @@ from logs.decoders.decode import RecordDecoder, kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
 from logs.selection import Selection
-from logs.storage.mcap_file import ChannelInfo, McapFile
+from logs.storage.mcap_file import McapFile
 from logs.storage.opening import find_files, open_file
-from logs.topics import RawMessage, TopicInfo
+from logs.topics import Channel, RawMessage, TopicInfo
 
 
 class LogEntry(NamedTuple):
@@ -98,23 +98,26 @@ class LogReader:
 
     def topics(self) -> list[TopicInfo]:
         """What the log holds, by topic name; a topic with two schemas appears twice."""
-        groups: dict[tuple[str, str, str], list[ChannelInfo]] = {}
+        groups: dict[tuple[str, str, str], list[tuple[McapFile, Channel]]] = {}
         for file in self._open:
-            for info in file.channels():
-                channel = info.channel
-                groups.setdefault((channel.topic, channel.schema_name, channel.message_encoding), []).append(info)
-        return [
-            TopicInfo(
-                topic=topic,
-                schema_name=schema_name,
-                encoding=encoding,
-                message_count=sum(info.message_count for info in infos),
-                kinds=kinds_of(infos[0].channel),
-                first_log_time_ns=min((info.first_ns for info in infos if info.first_ns is not None), default=None),
-                last_log_time_ns=max((info.last_ns for info in infos if info.last_ns is not None), default=None),
+            for channel in file.channels.values():
+                key = channel.topic, channel.schema_name, channel.message_encoding
+                groups.setdefault(key, []).append((file, channel))
+        topics = []
+        for (topic, schema_name, encoding), there in sorted(groups.items()):
+            times_ns = [time_ns for file, channel in there for time_ns in file.span_ns(channel.id)]
+            topics.append(
+                TopicInfo(
+                    topic=topic,
+                    schema_name=schema_name,
+                    encoding=encoding,
+                    message_count=sum(file.message_counts[channel.id] for file, channel in there),
+                    kinds=kinds_of(there[0][1]),
+                    first_log_time_ns=min(times_ns, default=None),
+                    last_log_time_ns=max(times_ns, default=None),
+                )
             )
-            for (topic, schema_name, encoding), infos in sorted(groups.items())
-        ]
+        return topics
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from logs.encoders import definition_of, encode
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record
-from logs.storage.placement import SPECIAL, is_special, partial_path, put_in_place
+from logs.storage.placement import check_replaceable, partial_path, put_in_place
 from logs.topics import RawMessage
 from logs.validation import LAST_NS
 
@@ -45,10 +45,7 @@ class LogWriter:
         self.path = Path(path)
         self._refusals = refusals
         self.partial_path = partial_path(self.path)
-        if self.path.is_dir():
-            raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
-        if is_special(self.path):
-            raise UnwritableLogError(f"cannot write {self.path}: {SPECIAL}")
+        check_replaceable(self.path)
         self._stream = _OutputStream(self.partial_path)
         try:
             # A killed run loses at most the chunk in progress; zstd finds enough to compress in small ones.

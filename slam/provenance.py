@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from logs.container.json_text import parse_json
+from pydantic_core import from_json
+
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
@@ -64,7 +65,7 @@ def recorded_config(metadata: Mapping[str, str]) -> Config:
     """
     try:
         config = Config.model_validate_json(metadata.get("configuration", "{}"))
-        calibration = config.calibration.with_values(parse_json(metadata.get("estimated", "{}")))
+        calibration = config.calibration.with_values(from_json(metadata.get("estimated", "{}")))
         accuracy = Calibration.model_validate_json(metadata.get("accuracy", "{}")).model_dump(exclude_unset=True)
         found = config.model_copy(update={"calibration": calibration.model_copy(update=accuracy)})
         return Config.model_validate(found.model_dump(exclude_unset=True, warnings=False))

@@ -13,7 +13,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 OURS = ("descriptors", "logs", "slam", "tools")
-HEAVY = ("numpy", "scipy", "gtsam", "torch", "matplotlib", "pydantic", "mcap", "google.protobuf", "rich.progress")
 
 
 def sources(*folders: str) -> list[Path]:
@@ -145,32 +144,26 @@ def test_libraries_print_nothing_and_do_not_exit() -> None:
         assert calls.isdisjoint({"print", "exit", "quit"}), path
 
 
-def test_the_command_line_starts_light() -> None:
-    code = (
-        "import sys; from typer.main import get_command; from tools.cli import make_app; get_command(make_app()); "
-        f"print([m for m in {HEAVY!r} if m in sys.modules])"
-    )
-    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"
+def test_descriptors_alone_import_torch() -> None:
+    """Those that need none are tested in tests/descriptors/test_registry.py."""
+    assert importers_of("torch", "slam", "tools", "logs") == set()
 
 
-def test_looking_into_a_log_loads_only_what_reads_it() -> None:
-    heavy = ("torch", "matplotlib", "scipy", "gtsam", "rosbags", "numpy.ma", "slam", "tools.lab")
-    code = (
-        "import sys; from tools.cli import run; run(['info', 'logs/samples/short_drive.mcap']); "
-        f"print([m for m in {heavy!r} if m in sys.modules])"
-    )
+@pytest.mark.parametrize(
+    ("started", "heavy"),
+    [
+        (
+            "from typer.main import get_command; from tools.cli import make_app; get_command(make_app())",
+            "numpy scipy gtsam torch matplotlib pydantic mcap google.protobuf rich.progress",
+        ),
+        (
+            "from tools.cli import run; run(['info', 'logs/samples/short_drive.mcap'])",
+            "torch matplotlib scipy gtsam rosbags numpy.ma slam tools.lab",
+        ),
+    ],
+    ids=["command line", "info"],
+)
+def test_what_is_started_loads_only_what_it_needs(started: str, heavy: str) -> None:
+    code = f"import sys; {started}; print([m for m in {heavy.split()!r} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.splitlines()[-1] == "[]"
-
-
-@pytest.mark.slow
-def test_likelihoods_of_constellations_need_no_torch() -> None:
-    assert importers_of("torch", "slam", "tools", "logs") == set()
-    code = (
-        "import sys; from descriptors.registry import make_index; make_index('descriptellation_lr'); "
-        "make_index('descriptellation_lr'); "
-        "import slam.system; print('torch' in sys.modules)"
-    )
-    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "False"

@@ -91,19 +91,16 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] 
     Outputs are written as NAME.part first, which is therefore taken too.
     """
     from logs.errors import UnwritableLogError
-    from logs.storage.placement import SPECIAL, is_special, partial_path
+    from logs.storage.placement import check_replaceable, partial_path
 
     named = [output for output in outputs if output is not None]
     taken: set[str] = set()
     for output in named:
-        if output.is_dir():
-            raise UnwritableLogError(f"{output} is a folder; give the name of a file to write")
+        check_replaceable(output)
         paths = {os.path.realpath(output), os.path.realpath(partial_path(output))}
         if paths & taken:
             raise UnwritableLogError(f"{output} is given for two outputs (or NAME and NAME.part); give other paths")
         taken |= paths
-        if is_special(output):
-            raise UnwritableLogError(f"cannot write {output}: {SPECIAL}")
         if not output.parent.is_dir():
             raise UnwritableLogError(f"cannot write {output}: there is no folder {output.parent}; make it first")
         for written in (output, partial_path(output)):

@@ -98,11 +98,9 @@ def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) ->
     from descriptors.learned.networks import default_architecture
     from descriptors.training.contrast import ContrastTraining
 
-    config = ContrastTraining(seed=seed)
+    config = ContrastTraining(default_architecture(network), seed=seed)
     if network != LIKELIHOOD:
-        config = replace(
-            config, architecture=default_architecture(network), epochs=100, learning_rate=1e-3, last_rate=1e-5
-        )
+        config = replace(config, epochs=100, learning_rate=1e-3, last_rate=1e-5)
     if is_further:
         rate = 0.1 * config.learning_rate
         config = replace(config, epochs=4, validation_maps=96, learning_rate=rate, last_rate=0.1 * rate)

@@ -14,7 +14,6 @@ from descriptors.class_vectors import class_vectors
 from descriptors.constellation import Constellations
 
 BINS = 61
-CLASS_LENGTH = 64
 
 
 class GosmatchVertex:
@@ -31,5 +30,6 @@ class GosmatchVertex:
         cells = (constellations.owners * BINS + bins) * classes + constellations.labels
         counts = np.bincount(cells, minlength=len(constellations) * BINS * classes)
         histogram = counts.reshape(len(constellations), BINS, classes).astype(np.float32)
-        described = histogram @ class_vectors(constellations.vocabulary, CLASS_LENGTH)
-        return np.asarray(described.reshape(len(constellations), BINS * CLASS_LENGTH), dtype=np.float32)
+        vectors = class_vectors(constellations.vocabulary, length=64)
+        described = (histogram @ vectors).reshape(len(constellations), BINS * vectors.shape[1])
+        return np.asarray(described, dtype=np.float32)

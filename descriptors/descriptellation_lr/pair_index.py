@@ -31,8 +31,6 @@ from descriptors.descriptellation_lr.pairs import (
 
 Words = NDArray[np.uint64]
 
-MAX_ASKED = 240
-"""Pairs of a query that are looked up, those that can tell most. The shortest are often of one object mapped twice."""
 MATCHES_PER_PAIR = 60
 """Likeliest pairs of the map for each pair of the query."""
 STEP_NATS = 1.25
@@ -41,8 +39,6 @@ MAX_STEPS = 7
 """Most steps of an observed object."""
 PAIRS_AT_ONCE = 4096
 """Pairs whose bits are computed, or that are compared with all pairs of a query, at a time."""
-WORDS_AT_ONCE = 8192
-"""Words of pairs of the map that are compared at a time with those of a query: what a cache of a core holds."""
 WORD = 64
 FILLER = np.uint32(0xFFFFFFFF)
 """Classes of what fills the last word."""
@@ -219,9 +215,10 @@ class PairIndex:
         tree = cKDTree(plane[:, :2])
         ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
         pairs = gather_pairs(plane[:, :2], labels, ends, tree, self._likelihood.architecture)
-        if len(ends) <= MAX_ASKED:
+        # So many tell enough. The shortest are often of one object mapped twice.
+        most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:240]
+        if len(most) == len(ends):
             return pairs
-        most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:MAX_ASKED]
         return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
 
     def _windows(self, asked: _Asked) -> Iterator[tuple[IntArray, IntArray, Words]]:
@@ -238,7 +235,8 @@ class PairIndex:
         rows = np.flatnonzero(bounds[:, 1] > bounds[:, 0])
         rows = rows[np.argsort(words[rows], kind="stable")]
         while len(rows):
-            batch = rows[np.cumsum(words[rows]) <= WORDS_AT_ONCE] if words[rows[0]] <= WORDS_AT_ONCE else rows[:1]
+            # So many words of the map are what a cache of a core holds.
+            batch = rows[: max(int(np.count_nonzero(np.cumsum(words[rows]) <= 8192)), 1)]
             rows, width = rows[len(batch) :], int(words[batch[-1]])
             firsts = np.minimum(bounds[batch, 0] // WORD, self.words.shape[1] - width)
             yield batch, firsts, _mask(bounds[batch] - firsts[:, None] * WORD, width)

@@ -10,7 +10,10 @@ import torch
 from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 from descriptors.errors import DescriptorError
-from descriptors.learned.networks import architecture_of, describe_by_network, load_network
+from descriptors.learned.networks import VectorArchitecture, load_network, vectors_of
+
+BATCH = 256
+"""Constellations that are described at a time."""
 
 
 class LearnedDescriptor:
@@ -26,10 +29,9 @@ class LearnedDescriptor:
         Raises:
             WeightsError: the file is missing, damaged or at odds with its architecture.
         """
-        self._network, _ = load_network(path)
-        architecture = architecture_of(self._network)
-        self.name, self.length, self.radius_m = architecture.name, architecture.length, architecture.radius_m
-        self.vocabulary_size = architecture.vocabulary_size
+        self._network = load_network(path)
+        self._architecture: VectorArchitecture = self._network.architecture  # type: ignore[assignment]
+        self.name, self.radius_m = self._architecture.name, self._architecture.radius_m
 
     def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, length).
@@ -38,14 +40,21 @@ class LearnedDescriptor:
             DescriptorError: more classes than the embedding has rows.
         """
         labels = np.concatenate([constellations.labels, constellations.centre_labels])
-        if labels.min(initial=0) < 0 or labels.max(initial=0) >= self.vocabulary_size:
+        if labels.min(initial=0) < 0 or labels.max(initial=0) >= self._architecture.vocabulary_size:
             raise DescriptorError(
-                f"labels {labels.min()} to {labels.max()} in a network for {self.vocabulary_size} classes: merge rare "
-                "classes of the vocabulary, or train with a larger vocabulary_size"
+                f"labels {labels.min()} to {labels.max()} in a network for {self._architecture.vocabulary_size} "
+                "classes: merge rare classes of the vocabulary, or train with a larger vocabulary_size"
             )
+        described = np.zeros((len(constellations), self._architecture.length), dtype=np.float32)
+        # Batches of about equal size need little padding.
+        order = np.argsort(np.diff(constellations.offsets), kind="stable")
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # sums over threads would differ from machine to machine
         try:
-            return describe_by_network(self._network, constellations)
+            with torch.no_grad():
+                for start in range(0, len(order), BATCH):
+                    rows = order[start : start + BATCH]
+                    described[rows] = vectors_of(self._network, constellations[rows], torch.device("cpu")).numpy()
         finally:
             torch.set_num_threads(threads)
+        return described

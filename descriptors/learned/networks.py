@@ -1,4 +1,4 @@
-"""Networks as descriptors: the paper's, and a user's own module as ``file:Class``; how they describe constellations."""
+"""Networks by their architectures: those that ship, and a user's own module as ``file:Class``."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from descriptors.arrays import Float32Array
 from descriptors.constellation import Constellations
 from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
+from descriptors.descriptellation_lr.network import DescriptellationLR
+from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.weights import Weights, make_architecture, read_weights
+from descriptors.learned.weights import make_architecture, read_weights
 from descriptors.own_class import is_own_class, make_own
-
-BATCH = 256
-"""Constellations that are described at a time."""
 
 
 @dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
@@ -31,7 +29,10 @@ class OwnArchitecture:
     radius_m: float = 30.0
 
 
-Architecture = DescriptellationArchitecture | OwnArchitecture
+VectorArchitecture = DescriptellationArchitecture | OwnArchitecture
+"""Of a network that describes constellations by vectors."""
+Architecture = VectorArchitecture | DescriptellationLRArchitecture
+_SHIPPED = {each.name: each for each in (DescriptellationLRArchitecture(), DescriptellationArchitecture())}
 
 
 def default_architecture(name: str) -> Architecture:
@@ -42,15 +43,21 @@ def default_architecture(name: str) -> Architecture:
     """
     if is_own_class(name):
         return OwnArchitecture(name, _make_own_network(name).length)  # type: ignore[arg-type]
-    return _kind(name)()  # type: ignore[call-arg]
+    if name not in _SHIPPED:
+        raise DescriptorError(
+            f"unknown network {name!r}; choose {', '.join(_SHIPPED)}, or a module of your own (module:Class)"
+        )
+    return _SHIPPED[name]
 
 
 def make_network(architecture: Architecture) -> nn.Module:
-    """The network of that architecture, with random weights from torch's generator.
+    """The network of that ``architecture``, which is its attribute, with random weights from torch's generator.
 
     Raises:
         DescriptorError: the module of a user cannot be made.
     """
+    if isinstance(architecture, DescriptellationLRArchitecture):
+        return DescriptellationLR(architecture)
     if isinstance(architecture, DescriptellationArchitecture):
         return Descriptellation(architecture)
     network = _make_own_network(architecture.name)
@@ -58,14 +65,8 @@ def make_network(architecture: Architecture) -> nn.Module:
     return network
 
 
-def architecture_of(network: nn.Module) -> Architecture:
-    """The architecture that a network was made by."""
-    architecture: Architecture = network.architecture  # type: ignore[assignment]
-    return architecture
-
-
-def load_network(path: Path) -> tuple[nn.Module, Weights]:
-    """The network of a file in evaluation mode, and the weights; torch's generator is left alone.
+def load_network(path: Path) -> nn.Module:
+    """The network of a file in evaluation mode; torch's generator is left alone.
 
     Raises:
         WeightsError: no such file, or one that is damaged or at odds with its architecture.
@@ -73,13 +74,13 @@ def load_network(path: Path) -> tuple[nn.Module, Weights]:
     weights = read_weights(path)
     tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in weights.tensors.items()}
     try:
-        architecture = make_architecture(path, _kind(weights.architecture.get("name")), weights.architecture)
+        kind = type(default_architecture(str(weights.architecture.get("name"))))
         with torch.device("meta"):  # neither memory nor random numbers for weights to be replaced
-            network = make_network(architecture)
+            network = make_network(make_architecture(path, kind, weights.architecture))
         network.to_empty(device="cpu").load_state_dict(tensors)
     except (DescriptorError, RuntimeError) as error:
         raise WeightsError(f"{path}: {' '.join(str(error).split())}") from error
-    return network.eval(), weights
+    return network.eval()
 
 
 def vectors_of(network: nn.Module, constellations: Constellations, device: torch.device) -> Tensor:
@@ -88,7 +89,7 @@ def vectors_of(network: nn.Module, constellations: Constellations, device: torch
     Raises:
         DescriptorError: it returns anything else, or numbers that are not finite.
     """
-    architecture = architecture_of(network)
+    architecture: VectorArchitecture = network.architecture  # type: ignore[assignment]
     padded = [tensor.to(device) for tensor in pad_constellations(constellations)]
     try:
         vectors: Tensor = network(*padded)
@@ -102,18 +103,6 @@ def vectors_of(network: nn.Module, constellations: Constellations, device: torch
     if not bool(torch.isfinite(vectors).all()):
         raise DescriptorError(f"{architecture.name}: returns numbers that are not finite")
     return vectors
-
-
-def describe_by_network(network: nn.Module, constellations: Constellations) -> Float32Array:
-    """Vectors (B, length) of a network in evaluation mode, on the CPU."""
-    described = np.zeros((len(constellations), architecture_of(network).length), dtype=np.float32)
-    # Batches of about equal size need little padding.
-    order = np.argsort(np.diff(constellations.offsets), kind="stable")
-    with torch.no_grad():
-        for start in range(0, len(order), BATCH):
-            rows = order[start : start + BATCH]
-            described[rows] = vectors_of(network, constellations[rows], torch.device("cpu")).numpy()
-    return described
 
 
 def pad_constellations(constellations: Constellations) -> tuple[Tensor, Tensor, Tensor]:
@@ -132,14 +121,6 @@ def pad_constellations(constellations: Constellations) -> tuple[Tensor, Tensor, 
     labels[others] = constellations.labels
     labels[:, 0] = constellations.centre_labels
     return torch.from_numpy(positions), torch.from_numpy(labels), torch.from_numpy(present)
-
-
-def _kind(name: object) -> type[DescriptellationArchitecture] | type[OwnArchitecture]:
-    if isinstance(name, str) and is_own_class(name):
-        return OwnArchitecture
-    if name == DescriptellationArchitecture().name:
-        return DescriptellationArchitecture
-    raise DescriptorError(f"unknown network {name!r}; choose descriptellation, or a module of your own (module:Class)")
 
 
 def _make_own_network(name: str) -> nn.Module:

@@ -18,7 +18,7 @@ from descriptors.arrays import IntArray
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError
-from descriptors.learned.networks import Architecture, vectors_of
+from descriptors.learned.networks import Architecture, VectorArchitecture, vectors_of
 from descriptors.training.maps import TrainingMap, draw_map, with_classes_of
 from descriptors.training.pair_contrast import PairSample, draw_pair_sample
 from descriptors.training.views import draw_view
@@ -32,7 +32,7 @@ class ContrastTraining:
     and compares these with ``objects_per_map`` of the map that are of the same classes.
     """
 
-    architecture: DescriptellationLRArchitecture | Architecture = field(default_factory=DescriptellationLRArchitecture)
+    architecture: Architecture = field(default_factory=DescriptellationLRArchitecture)
     epochs: int = 40
     learning_rate: float = 1e-2
     last_rate: float = 3e-4
@@ -98,7 +98,7 @@ def draw_sample(
 
 def _draw_constellations(
     config: ContrastTraining,
-    architecture: Architecture,
+    architecture: VectorArchitecture,
     drawn: TrainingMap,
     *,
     rng: np.random.Generator,

@@ -18,11 +18,9 @@ import pandas as pd
 import torch
 from torch import nn
 
-from descriptors.descriptellation_lr.network import DescriptellationLR
-from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.networks import make_network
-from descriptors.learned.weights import Weights, read_weights, save_weights
+from descriptors.learned.networks import Architecture, load_network, make_network
+from descriptors.learned.weights import Weights, save_weights
 from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
 from descriptors.training.maps import TrainingMap
 from descriptors.training.pair_contrast import PairSample
@@ -68,11 +66,10 @@ class Recipe:
         torch.manual_seed(config.seed)
         try:
             self.device = torch.device(device)
-            self.network = _make_network(config).to(self.device)
+            self.network = _start_network(config.architecture, start).to(self.device)
         except (RuntimeError, AssertionError) as error:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
         if start is not None:
-            _load_tensors(self.network, start)
             self.identity["start"] = hashlib.sha256(start.read_bytes()).hexdigest()
         last, steps = config.last_rate / config.learning_rate, config.epochs * STEPS_PER_EPOCH
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
@@ -167,18 +164,13 @@ def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], Non
     return float(np.mean(losses))
 
 
-def _make_network(config: ContrastTraining) -> nn.Module:
-    if isinstance(config.architecture, DescriptellationLRArchitecture):
-        return DescriptellationLR(config.architecture)
-    return make_network(config.architecture)
-
-
-def _load_tensors(network: nn.Module, start: Path) -> None:
-    tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in read_weights(start).tensors.items()}
-    try:
-        network.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise WeightsError(f"{start}: its architecture is not {network.architecture}") from error
+def _start_network(architecture: Architecture, start: Path | None) -> nn.Module:
+    if start is None:
+        return make_network(architecture)
+    network = load_network(start)
+    if network.architecture != architecture:
+        raise WeightsError(f"{start}: its architecture is not {architecture}")
+    return network
 
 
 def _save_weights(path: Path, recipe: Recipe, epoch: Epoch) -> None:

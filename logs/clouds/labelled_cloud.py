@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.errors import DatasetError
-from logs.messages import FloatArray, IntArray
 
 _PREFIX = "scalar_"
 """CloudCompare puts it before the names of fields."""
@@ -30,9 +29,9 @@ class LabelledCloud:
         DatasetError: numbers of positions, classes and instances that differ.
     """
 
-    positions: FloatArray
-    classes: IntArray
-    instances: IntArray | None = None
+    positions: NDArray[np.float64]
+    classes: NDArray[np.int64]
+    instances: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         counts = [len(self.positions), len(self.classes)]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.clouds.labelled_cloud import labelled_cloud
+from logs.clouds.labelled_cloud import LabelledCloud, labelled_cloud
 from logs.decoders.parts import Context, Records
 from logs.decoders.ros2_detections import place_of
 from logs.decoders.ros2_images import image_rows
@@ -22,7 +22,7 @@ def labelled_scan(message: Any, context: Context) -> Records:
     place = place_of(message.header, context)
     point_step = int(message.point_step)
     if message.height * message.width == 0:
-        return (LabelledScan(*place, np.zeros((0, 3)), np.zeros(0, np.int64)),)
+        return (LabelledScan(*place, LabelledCloud(np.zeros((0, 3)), np.zeros(0, np.int64))),)
     if point_step < 1:
         raise Refusal("lengths disagree", f"points of {point_step} bytes")
     order = ">" if message.is_bigendian else "<"
@@ -35,7 +35,6 @@ def labelled_scan(message: Any, context: Context) -> Records:
         raise Refusal("fields of the points are invalid", str(error)) from error
     points = image_rows(message, int(message.row_step), int(message.width) * point_step).view(kind).ravel()
     try:
-        cloud = labelled_cloud({name: points[name] for name in fields}, "cloud").finite()
+        return (LabelledScan(*place, labelled_cloud({name: points[name] for name in fields}, "cloud").finite()),)
     except DatasetError as error:
         raise Refusal("cloud without labels", str(error)) from error
-    return (LabelledScan(*place, cloud.positions, cloud.classes, cloud.instances),)

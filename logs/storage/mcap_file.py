@@ -5,14 +5,11 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
 
 from mcap import records as mcap_records
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
-from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.mcap_index import (
     DAMAGE,
@@ -23,82 +20,47 @@ from logs.storage.mcap_index import (
     records,
     stream_of,
 )
-from logs.storage.regular_file import open_regular
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelInfo:
-    """A channel and its messages; the first and last log times are None where the file does not tell them."""
-
-    channel: Channel
-    message_count: int
-    first_ns: int | None
-    last_ns: int | None
-
-
-class McapFile:
-    """The MCAP file at ``path``.
+class McapFile(McapIndex):
+    """An MCAP file.
 
     Messages come in the order of log time, those of equal time in the order of the file. A chunk is held in memory only
     while log time passes through it, so memory is that of the chunks that overlap in time; a chunk without messages of
     the wanted topics is not read where the index tells. A file without a usable index (cut off, not closed, unchunked)
     is walked through once when it is opened and then read the same way, as far as it is intact; damaged chunks are left
     out, and so is what is larger than ``limits`` allow.
-
-    Raises:
-        UnreadableLogError: it cannot be read, or is beyond the limits; ``name`` is what the message calls it.
     """
 
-    def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
-        self._name = name
-        self._limits = limits
-        self._timeless_messages = 0
-        try:
-            self._stream = open_regular(path)
-        except OSError as error:
-            raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
-        try:
-            self._index = McapIndex(name, self._stream, limits)
-        except UnreadableLogError:
-            self._stream.close()
-            raise
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
+    _timeless_messages = 0
 
     @property
     def counters(self) -> Mapping[str, int]:
         """``lost_chunks``, ``lost_bytes``, ``truncated`` (1: it ends before its end mark), ``chunks_too_large``; of the
         latest pass over messages ``messages_without_time``.
         """
-        index = self._index
         return {
             "messages_without_time": self._timeless_messages,
-            "lost_chunks": len(index.lost_blocks),
-            "lost_bytes": index.lost_tail_bytes + sum(index.lost_blocks.values()),
-            "truncated": int(not index.is_complete),
-            "chunks_too_large": len(index.oversized),
+            "lost_chunks": len(self.lost_blocks),
+            "lost_bytes": self.lost_tail_bytes + sum(self.lost_blocks.values()),
+            "truncated": int(not self.is_complete),
+            "chunks_too_large": len(self.oversized),
         }
 
-    def channels(self) -> list[ChannelInfo]:
-        """The channels, and what is known of their messages."""
-        counts = self._index.message_counts
-        return [ChannelInfo(c, counts[c.id], *self._span(c.id)) for c in self._index.channels.values()]
-
-    def _span(self, channel_id: int) -> tuple[int, int] | tuple[None, None]:
-        """First and last log time of the blocks that may hold messages of a channel."""
+    def span_ns(self, channel_id: int) -> tuple[int, ...]:
+        """First and last log time of the blocks that may hold messages of a channel; () where it has none."""
         blocks = self._blocks_with({channel_id})
-        if not blocks or not self._index.message_counts[channel_id]:
-            return None, None
+        if not blocks or not self.message_counts[channel_id]:
+            return ()
         return blocks[0].message_start_time, min(max(b.message_end_time for b in blocks), LAST_NS)
 
     def _blocks_with(self, channel_ids: Collection[int]) -> list[ChunkIndex]:
         """The blocks that may hold messages of any of these channels, by their first log time."""
-        blocks = self._index.blocks
-        return [b for b in blocks if not (there := b.message_index_offsets) or not there.keys().isdisjoint(channel_ids)]
+        return [
+            b for b in self.blocks if not (there := b.message_index_offsets) or not there.keys().isdisjoint(channel_ids)
+        ]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time.
@@ -107,7 +69,7 @@ class McapFile:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
         self._timeless_messages = 0
-        wanted = {c.id: c for c in self._index.channels.values() if topics is None or c.topic in topics}
+        wanted = {c.id: c for c in self.channels.values() if topics is None or c.topic in topics}
         waiting = self._blocks_with(wanted)[::-1]
         # (log time, offset of its block) is unique, so that messages are never compared; the next ones stand last.
         heap: list[tuple[int, int, list[RawMessage]]] = []
@@ -139,16 +101,16 @@ class McapFile:
         """Metadata by name; of several under one name the last. What goes beyond the limits is left out."""
         found: dict[str, dict[str, str]] = {}
         left = round(1e6 * self._limits.metadata_mb)
-        for offset in self._index.metadata_offsets:
+        for offset in self.metadata_offsets:
             try:
                 self._stream.seek(offset)
                 _, length = HEADER.unpack(self._stream.read(HEADER.size))
                 if length > left:
-                    self._index.report("metadata", length)
+                    self.report("metadata", length)
                     continue
                 record = mcap_records.Metadata.read(stream_of(self._stream.read(length)))
             except (*DAMAGE, OSError):
-                self._index.lost_blocks[offset] = 0
+                self.lost_blocks[offset] = 0
                 continue
             left -= length
             found[record.name] = record.metadata
@@ -157,7 +119,7 @@ class McapFile:
     def _read(self, block: ChunkIndex, wanted: Mapping[int, Channel]) -> list[RawMessage]:
         """The messages of ``block`` on the channels ``wanted``, the latest first; none if it is damaged."""
         messages, timeless = list[RawMessage](), 0
-        with self._index.noting_damage(block):
+        with self.noting_damage(block):
             content = read_block(self._stream, block, self._limits.chunk_bytes)
             for opcode, begin, end in records(content):
                 if opcode != Opcode.MESSAGE:

@@ -27,6 +27,7 @@ from mcap.stream_reader import StreamReader
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.topics import Channel, Schema
+from logs.validation import LAST_NS
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +40,6 @@ DAMAGE = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struc
 Summary = dict[type, list[Any]]
 """The records of a summary by their type."""
 
-_CHUNK_TIMES = struct.Struct("<QQ")  # first and last log time
 _FOOTER = struct.Struct("<QQI")  # summary start, summary offset start, checksum of all from the summary start to here
 _DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: mcap_records.Schema, Opcode.CHANNEL: mcap_records.Channel}
 
@@ -184,8 +184,9 @@ class McapIndex:
         self.oversized: dict[int, int] = {}
         summary = read_summary(stream)
         if summary is None:
-            self._walk()
-            self.blocks = [block for block in self.blocks if self._is_indexed(block)]
+            for start, end in self._walk():
+                if end > start:
+                    self._index(start, end)
         else:
             self._take_summary(summary)
         self.blocks.sort(key=lambda block: (block.message_start_time, block.chunk_start_offset))
@@ -226,61 +227,62 @@ class McapIndex:
         self.metadata_offsets = [each.offset for each in summary[mcap_records.MetadataIndex]]
         self.blocks = summary[ChunkIndex]
 
-    def _walk(self) -> None:
-        """Find the blocks up to the end of the data, or to where the records stop making sense."""
+    def _walk(self) -> Iterator[tuple[int, int]]:
+        """Begin and end of each block, up to the end of the data or to where the records stop making sense."""
         self.is_complete = False
         size = self._stream.seek(0, os.SEEK_END)
         offset = run_start = len(MAGIC)
-        run_times: list[int] = []
         while not self.is_complete:
             self._stream.seek(offset)
-            head = self._stream.read(HEADER.size + MESSAGE_HEADER.size)
+            head = self._stream.read(HEADER.size)
             if len(head) < HEADER.size:
                 break
-            opcode, length = HEADER.unpack_from(head)
+            opcode, length = HEADER.unpack(head)
             end = offset + HEADER.size + length
             if opcode == 0 or end > size:
                 break
-            is_in_run = opcode in (*_DEFINITIONS, Opcode.MESSAGE) and length <= self._limits.message_bytes
-            if is_in_run and opcode == Opcode.MESSAGE and length >= MESSAGE_HEADER.size:
-                run_times.append(MESSAGE_HEADER.unpack_from(head, HEADER.size)[2])
+            is_of_run = opcode in (*_DEFINITIONS, Opcode.MESSAGE)
+            is_in_run = is_of_run and length <= self._limits.message_bytes
             if not is_in_run or end - run_start > (1 << 20):
-                self._add_block(run_start, end if is_in_run else offset, run_times)
-                run_start, run_times = end, []
-            if opcode == Opcode.CHUNK and len(head) >= HEADER.size + _CHUNK_TIMES.size:
-                self._add_block(offset, end, _CHUNK_TIMES.unpack_from(head, HEADER.size))
+                yield run_start, end if is_in_run else offset
+                run_start = end
+            if opcode == Opcode.CHUNK:
+                yield offset, end
             elif opcode == Opcode.METADATA:
                 self.metadata_offsets.append(offset)
-            elif not is_in_run and opcode in (*_DEFINITIONS, Opcode.MESSAGE):
+            elif is_of_run and not is_in_run:
                 self._note_oversized(offset, end - offset)
             self.is_complete = opcode == Opcode.DATA_END
             offset = end
-        self._add_block(run_start, offset, run_times)
+        yield run_start, offset
         self.lost_tail_bytes = 0 if self.is_complete else size - offset
 
-    def _add_block(self, start: int, end: int, times_ns: list[int] | tuple[int, ...]) -> None:
-        if end == start:
-            return
+    def _index(self, start: int, end: int) -> None:
+        """Add a block with its channels and the numbers of its messages, unless it is damaged or too large."""
         if len(self.blocks) == 500_000:
             raise UnreadableLogError(
                 f"{self._name} has more than {len(self.blocks)} chunks and no index; write it again with larger chunks"
             )
-        times = {"message_start_time": min(times_ns, default=0), "message_end_time": max(times_ns, default=0)}
-        unknown = {"compression": "", "compressed_size": 0, "uncompressed_size": 0, "message_index_length": 0}
-        place = {"chunk_start_offset": start, "chunk_length": end - start, "message_index_offsets": {}}
-        self.blocks.append(ChunkIndex(**times, **unknown, **place))  # type: ignore[arg-type]
-
-    def _is_indexed(self, block: ChunkIndex) -> bool:
-        """Add the channels and the numbers of messages of ``block``, unless it is damaged or too large."""
+        block = ChunkIndex(
+            chunk_start_offset=start,
+            chunk_length=end - start,
+            message_start_time=LAST_NS,
+            message_end_time=0,
+            message_index_offsets={},
+            **dict.fromkeys(("compressed_size", "uncompressed_size", "message_index_length"), 0),
+            compression="",
+        )
         with self.noting_damage(block):
             content = read_block(self._stream, block, self._limits.chunk_bytes)
-            for opcode, begin, end in records(content):
+            for opcode, begin, stop in records(content):
                 if opcode == Opcode.MESSAGE:
-                    self.message_counts[MESSAGE_HEADER.unpack_from(content, begin)[0]] += 1
+                    channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content, begin)
+                    self.message_counts[channel_id] += 1
+                    block.message_start_time = min(block.message_start_time, log_time_ns)
+                    block.message_end_time = max(block.message_end_time, log_time_ns)
                 elif opcode in _DEFINITIONS:
-                    self._add(_DEFINITIONS[opcode].read(stream_of(content[begin:end])))
-            return True
-        return False
+                    self._add(_DEFINITIONS[opcode].read(stream_of(content[begin:stop])))
+            self.blocks.append(block)
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
         if isinstance(definition, mcap_records.Schema):

@@ -55,14 +55,12 @@ def open_file(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Mca
     """
     name = str(path)
     try:
-        with open_regular(path) as stream:
-            magic = stream.read(len(SQLITE_MAGIC))
+        stream = until_closed.enter_context(open_regular(path))
+        magic = stream.read(len(SQLITE_MAGIC))
     except OSError as error:
         raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
     if magic.startswith(MAGIC):
-        file = McapFile(path, name, limits)
-        until_closed.callback(file.close)
-        return file
+        return McapFile(name, stream, limits)
     if magic == SQLITE_MAGIC:
         raise UnreadableLogError(
             f"{name} is a database of rosbag2; convert it by 'rosbags-convert --src {path.resolve().parent} --dst NEW "

@@ -18,6 +18,18 @@ def is_special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
+def check_replaceable(path: Path) -> None:
+    """See that no folder, device, pipe or socket has the name of a file to be written.
+
+    Raises:
+        UnwritableLogError: one has.
+    """
+    if path.is_dir():
+        raise UnwritableLogError(f"{path} is a folder; give the name of a file to write")
+    if is_special(path):
+        raise UnwritableLogError(f"cannot write {path}: {SPECIAL}")
+
+
 def partial_path(path: Path) -> Path:
     """Where the file ``path`` is written until it is finished."""
     return path.with_name(f"{path.name}.part")

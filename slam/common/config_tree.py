@@ -13,8 +13,8 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import from_json
 
-from logs.container.json_text import parse_json
 from logs.storage.regular_file import open_regular
 from slam.common.errors import ConfigurationError
 
@@ -116,7 +116,7 @@ def changes(defaults: BaseModel, text: str) -> list[str]:
     """The values of a recorded configuration, JSON in ``text``, that differ from ``defaults``: "key=value" each."""
     known = dict(_flat(defaults.model_dump(mode="json")))
     try:
-        recorded = dict(_flat(parse_json(text)))
+        recorded = dict(_flat(from_json(text)))
     except (ValueError, AttributeError, RecursionError):
         return ["unreadable"]
     return [

@@ -10,9 +10,9 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic_core import from_json
 from pymap3d import enu2geodetic, geodetic2enu
 
-from logs.container.json_text import parse_json
 from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
 
@@ -64,6 +64,6 @@ class Georeference:
             GeometryError: it is none.
         """
         try:
-            return cls(**{name: float(value) for name, value in parse_json(text).items()})
+            return cls(**{name: float(value) for name, value in from_json(text).items()})
         except (ValueError, TypeError, AttributeError) as error:
             raise GeometryError(f"{text[:60]!r} is not a georeference ({error})") from error

@@ -22,7 +22,7 @@ from slam.evaluation.metrics.association import (
     label_detections,
 )
 from slam.evaluation.metrics.calibration import evaluate_calibration
-from slam.evaluation.metrics.landmarks import LandmarkMatches, evaluate_landmarks, match_by_detections
+from slam.evaluation.metrics.landmarks import evaluate_landmarks, match_by_detections
 from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
@@ -131,7 +131,7 @@ class _Evaluator:
                   not labelled.empty})  # fmt: skip
         return labelled
 
-    def _match_by_detections(self, labelled: pd.DataFrame | None) -> LandmarkMatches | None:
+    def _match_by_detections(self, labelled: pd.DataFrame | None) -> pd.DataFrame | None:
         """Landmarks with their objects by the truth of the detections."""
         map_est, map_gt = self._records.object_map, self._records.true_objects
         if labelled is None or map_est is None or map_gt is None:
@@ -141,7 +141,7 @@ class _Evaluator:
         )
 
     def _evaluate_landmarks(
-        self, labelled: pd.DataFrame | None, matches: LandmarkMatches | None, T_world_map: FloatArray | None
+        self, labelled: pd.DataFrame | None, matches: pd.DataFrame | None, T_world_map: FloatArray | None
     ) -> dict[str, Any]:
         map_est, map_gt = self._records.object_map, self._records.true_objects
         if map_est is None or map_gt is None:

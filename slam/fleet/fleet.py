@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from logs.digest import content_key
 from logs.errors import LogError
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
@@ -20,7 +21,7 @@ from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, load_parts, save_parts, session_part
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
 from slam.fleet.session_config import common_config
-from slam.fleet.sessions import MAP_NAME, VERSION, Session, content_key, map_sessions, session_folder
+from slam.fleet.sessions import MAP_NAME, VERSION, Session, map_sessions, session_folder
 from slam.object_map.map_io import load_map, of_rows
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pydantic_core import from_json
 
-from logs.container.json_text import parse_json
 from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
@@ -90,7 +90,7 @@ def load_parts(folder: Path) -> list[Part]:
     Raises:
         LogError, SavedMapError: one cannot be read.
     """
-    ledger = parse_json((folder / LEDGER_NAME).read_text(encoding="utf-8"))
+    ledger = from_json((folder / LEDGER_NAME).read_text(encoding="utf-8"))
     return [
         Part(
             load_map(_file(folder, rank)),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from logs.digest import content_key
 from logs.errors import LogError
 from logs.storage.placement import write_text
 from slam.common.config import Config
@@ -23,7 +22,7 @@ from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
 from slam.provenance import recorded_config
 from slam.replay import replay
-from slam.sweeps.workers import Death, compute_all
+from slam.sweeps.workers import compute_all
 
 VERSION = version("descriptellation-slam")
 MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
@@ -74,7 +73,7 @@ def map_sessions(
     compute = partial(map_session, folder=folder, config=config)
     outcomes = compute_all(compute, list(waiting.values()), jobs=workers)
     for finished, (log, outcome) in enumerate(outcomes, start=1):
-        if isinstance(outcome, Death):
+        if outcome is None:
             reason = "the process that mapped it died, perhaps for lack of memory; add it again, with fewer --workers"
             outcome = Session(log.sha256, reason)
         sessions[log.sha256] = outcome
@@ -86,11 +85,6 @@ def map_sessions(
 def session_folder(folder: Path, sha256: str, config: Config) -> Path:
     """Where the session of a log with this digest is, in the folder of a fleet."""
     return folder / "sessions" / content_key(sha256, config.model_dump_json(), VERSION)
-
-
-def content_key(*parts: str) -> str:
-    """A name for what is made from these parts; 64 bits tell any number of logs apart."""
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
 def map_session(log: FleetLog, folder: Path, config: Config) -> Session:

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from logs.messages import TrajectoryRecord
 from logs.storage.placement import write_text
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.georeference import Georeference
 
 
-def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
+def write_tum(path: str | Path, stamps_ns: IntArray, T_map_body: FloatArray) -> None:
     """Write ``stamp x y z qx qy qz qw`` a line: seconds with all nine digits of the nanoseconds, metres, body in map.
 
     Numbers other than the stamp are the shortest decimals that read back to the same float64.
@@ -22,26 +21,25 @@ def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    rows = position_and_quaternion(trajectory.T_map_body)
-    stamps = map(_seconds, trajectory.stamps_ns.tolist())
+    rows, stamps = position_and_quaternion(T_map_body), map(_seconds, stamps_ns.tolist())
     write_lines(path, (f"{stamp} {format_numbers(row)}" for stamp, row in zip(stamps, rows, strict=True)))
 
 
-def write_geodetic(path: Path, trajectory: TrajectoryRecord, georeference: Georeference) -> None:
+def write_geodetic(path: Path, stamps_ns: IntArray, T_map_body: FloatArray, georeference: Georeference) -> None:
     """Write a row a pose: time [s], latitude, longitude [deg] and altitude [m] on WGS 84.
 
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    places = georeference.to_geodetic(trajectory.T_map_body[:, :3, 3]).tolist()
+    places = georeference.to_geodetic(T_map_body[:, :3, 3]).tolist()
     rows = [
         f"{_seconds(stamp_ns)},{latitude:.9f},{longitude:.9f},{altitude_m:.3f}"
-        for stamp_ns, (latitude, longitude, altitude_m) in zip(trajectory.stamps_ns.tolist(), places, strict=True)
+        for stamp_ns, (latitude, longitude, altitude_m) in zip(stamps_ns.tolist(), places, strict=True)
     ]
     write_lines(path, ["stamp_s,latitude_deg,longitude_deg,altitude_m", *rows])
 
 
-def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
+def write_kitti(path: str | Path, T_map_body: FloatArray) -> None:
     """Write the upper 3x4 part of each ``T_map_body``, row by row, a pose a line.
 
     The poses are those of the **body** (x forward, y left, z up) in the map, one for each odometry message; KITTI's own
@@ -51,7 +49,7 @@ def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    write_lines(path, (format_numbers(T[:3].ravel()) for T in trajectory.T_map_body))
+    write_lines(path, (format_numbers(T[:3].ravel()) for T in T_map_body))
 
 
 def write_lines(path: str | Path, lines: Iterable[str]) -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import from_json
 
-from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.dslam_codec import take_rows
 from logs.errors import LogError
@@ -227,7 +227,7 @@ def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:
 
 def _drives(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
     try:
-        drives = parse_json(metadata.get("drives", "[]"))
+        drives = from_json(metadata.get("drives", "[]"))
         return tuple(_drive(drive) for drive in drives) or (_drive(metadata),)
     except (ValueError, TypeError, AttributeError) as error:
         raise SavedMapError(f"{path} is damaged (its list of drives cannot be read: {error}); {MAKE_IT}") from error

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import from_json
 from scipy.spatial import cKDTree
 
 from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.registry import shipped_likelihood
-from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.messages import ObjectMapRecord, ScenePoints
 from logs.reader import LogReader
@@ -184,13 +184,13 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
     for name, (kinds, dimensions) in _LAYOUT.items():
         if arrays[name].dtype.kind not in kinds or arrays[name].ndim != dimensions:
             raise ValueError(f"its array {name} is of {arrays[name].dtype} and shape {arrays[name].shape}")
-    grid = parse_json(about["grid"])
+    grid = from_json(about["grid"])
     georeference = about.get("georeference")
     imported = ImportedMap(
         positions=arrays["positions"],
         classes=arrays["classes"],
         ids=arrays["ids"],
-        vocabulary=tuple(parse_json(about["vocabulary"])),
+        vocabulary=tuple(from_json(about["vocabulary"])),
         sigma_m=float(grid["sigma_m"]),
         pairs=PairIndex.of(
             shipped_likelihood(), float(grid["unit_m"]), *(arrays[f"pair_{name}"] for name in _OF_PAIRS)

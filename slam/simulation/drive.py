@@ -102,9 +102,7 @@ def _smooth(xy: FloatArray, sigma_samples: float) -> FloatArray:
         return xy
     # Point reflection about both ends keeps them, and the directions there, where they are.
     pad = min(len(xy) - 1, int(np.ceil(4.0 * sigma_samples)))
-    before = 2.0 * xy[0] - xy[pad:0:-1]
-    after = 2.0 * xy[-1] - xy[-2 : -pad - 2 : -1]
-    padded = np.concatenate([before, xy, after])
+    padded = np.pad(xy, ((pad, pad), (0, 0)), mode="reflect", reflect_type="odd")
     smoothed: FloatArray = gaussian_filter1d(padded, sigma_samples, axis=0, mode="nearest")[pad : pad + len(xy)]
     return smoothed
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from dataclasses import asdict
@@ -11,15 +10,14 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from logs.digest import file_sha256
+from logs.digest import content_key, file_sha256
 from logs.errors import UnwritableLogError
 from logs.storage.placement import write_text
-from slam.evaluation.inputs.protocol import Protocol
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
 
 
 class ResultFolder:
-    """A JSON file for each drive, named by the SHA-256 of all that the result depends on."""
+    """A JSON file for each drive, named by a key of all that the result depends on."""
 
     def __init__(self, path: Path, log: Path) -> None:
         """Make the folder if need be.
@@ -35,20 +33,11 @@ class ResultFolder:
             raise UnwritableLogError(f"cannot write into {self._cells}: {error.strerror}") from error
 
     def path_of(self, task: DriveTask) -> Path:
-        """The file of a drive: for people the faults and the seed, for the program the digest."""
-        content = {
-            "input_sha256": self._input_sha256,
-            "topics": task.topics,
-            "faults": task.faults,
-            "seed": task.seed,
-            "variant": task.variant,
-            "configuration": task.config.model_dump(mode="json"),
-            "version": version("descriptellation-slam"),
-            "protocol": asdict(Protocol()),
-        }
-        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        """The file of a drive: for people the faults and the seed, for the program the key."""
+        made_from = (self._input_sha256, task.topics, task.faults, task.seed, task.variant)
+        key = content_key(*made_from, task.config.model_dump_json(), version("descriptellation-slam"))
         faults = re.sub(r"[^\w.,=+-]", "_", task.faults or "undegraded")[:80]
-        return self._cells / f"{faults}_seed{task.seed}_{digest[:32]}.json"
+        return self._cells / f"{faults}_seed{task.seed}_{key}.json"
 
     def finished(self, task: DriveTask) -> MappedDrive | None:
         """The result of a drive that was mapped before; one that failed or cannot be read is to be tried again."""

@@ -23,7 +23,7 @@ from slam.simulation.faults.registry import FAULTS, parse_faults
 from slam.sweeps.comparison import compare, note_of
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 from slam.sweeps.result_folder import ResultFolder
-from slam.sweeps.workers import Death, compute_all
+from slam.sweeps.workers import DIED, compute_all
 
 _log = logging.getLogger(__name__)
 
@@ -122,8 +122,8 @@ def run_sweep(
 ) -> Sweep:
     """Degrade, map and evaluate one log again and again.
 
-    A result that ``folder`` holds already, of the same input, faults, seed, configuration, version and protocol, is
-    not computed again; a failure is.
+    A result that ``folder`` holds already, of the same input, faults, seed, configuration and version, is not
+    computed again; a failure is.
 
     Args:
         tasks: of one log.
@@ -141,7 +141,7 @@ def run_sweep(
     new = sorted((task for task in tasks if task not in results), key=lambda task: task.seed)
     with closing(compute_all(compute, new, jobs=jobs)) as outcomes:
         for task, outcome in outcomes:
-            result = MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
+            result = outcome or MappedDrive(error=DIED)
             kept.keep(task, result)
             results[task] = result
             _log.info("%s: %s", task.name, result.error or "done")

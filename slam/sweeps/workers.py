@@ -18,17 +18,15 @@ _Task = TypeVar("_Task")
 _Outcome = TypeVar("_Outcome")
 
 
-class Death:
-    """The process ended over its task."""
-
-    def __str__(self) -> str:
-        return "the process ended without a result; check the memory, try fewer jobs"
+DIED = "the process ended without a result; check the memory, try fewer jobs"
 
 
 def compute_all(
     compute: Callable[[_Task], _Outcome], tasks: Sequence[_Task], *, jobs: int
-) -> Generator[tuple[_Task, _Outcome | Death], None, None]:
-    """Each task with its outcome, as they finish. If the generator is closed, tasks that wait are not begun.
+) -> Generator[tuple[_Task, _Outcome | None], None, None]:
+    """Each task with its outcome, None where its process died, as they finish.
+
+    If the generator is closed, tasks that wait are not begun.
 
     Args:
         compute: a function of a module, which raises nothing; it runs on one thread.
@@ -44,12 +42,12 @@ def compute_all(
             threads.shutdown(cancel_futures=True)
 
 
-def _compute_apart(compute: Callable[[_Task], _Outcome], task: _Task) -> _Outcome | Death:
+def _compute_apart(compute: Callable[[_Task], _Outcome], task: _Task) -> _Outcome | None:
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare) as process:
         try:
             return process.submit(compute, task).result()
         except BrokenProcessPool:
-            return Death()
+            return None
 
 
 def _prepare() -> None:

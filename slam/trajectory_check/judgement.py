@@ -17,8 +17,6 @@ from slam.trajectory_check.prediction import VisitPredictor
 from slam.trajectory_check.sampled_scans import SampledScan
 
 ODOMETRY, ONLINE, FINAL = "odometry", "online", "final"
-MAX_QUERIES = 256
-"""Scans that are predicted, spread evenly over the drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,21 +50,21 @@ def check_trajectories(
 
     ``sigma_m``: by how much the position of an object differs between two visits.
     """
-    queries = np.unique(np.linspace(0, len(scans) - 1, min(MAX_QUERIES, len(scans))).astype(np.int64))
+    # Evenly spread over the drive; more would tell hardly more.
+    queries = np.unique(np.linspace(0, len(scans) - 1, min(256, len(scans))).astype(np.int64))
     predictor = VisitPredictor(scans, sensor_range_m=sensor_range_m, sigma_m=sigma_m)
     predictions = {name: predictor.predict(T, queries) for name, T in trajectories.items()}
-    told = np.any([prediction.has_sources for prediction in predictions.values()], axis=0)
-    counts = np.where(told, predictor.count(queries), 0)
+    counts = np.max([counts for _, counts in predictions.values()], axis=0)
     blocks = np.unique([int(scans[query].travel_m / sensor_range_m) for query in queries], return_inverse=True)[1]
-    if not told.any() or len(np.unique(blocks[told])) < 4:  # their scatter gives the significance
+    if len(np.unique(blocks[counts > 0])) < 4:  # their scatter gives the significance
         return TrajectoryCheck()
-    gains = {name: float(prediction.gains.sum() / counts.sum()) for name, prediction in predictions.items()}
+    gains = {name: float(sums.sum() / counts.sum()) for name, (sums, _) in predictions.items()}
     if max(gains.values()) <= 0.0:
         return TrajectoryCheck()
     better = [
         name
-        for name, prediction in predictions.items()
-        if gains[name] > 0.0 and _is_better(prediction.gains - predictions[FINAL].gains, counts, blocks)
+        for name, (sums, _) in predictions.items()
+        if gains[name] > 0.0 and _is_better(sums - predictions[FINAL][0], counts, blocks)
     ]
     return TrajectoryCheck(gains, max(better, key=gains.__getitem__, default=None), int(counts.sum()))
 

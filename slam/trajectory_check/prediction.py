@@ -6,32 +6,16 @@ trajectory makes its own map of the detections, and all predict the same scans.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import KDTree
 
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.trajectory_check.sampled_scans import SampledScan
 
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
-MAX_SOURCES, MAX_DETECTIONS = 1000, 64
-"""Detections around a scan that predict it, and detections of it that are predicted: more would be redundant."""
 RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """The prediction of Q scans by a trajectory.
-
-    ``gains`` (Q,): logarithm of the density of their detections beside that in the field of view of any scan, summed;
-    ``has_sources`` (Q,): whether it places detections of another visit there.
-    """
-
-    gains: FloatArray
-    has_sources: BoolArray
 
 
 class VisitPredictor:
@@ -50,35 +34,37 @@ class VisitPredictor:
         self._shares = np.bincount(self._labels) / max(len(self._labels), 1)
         self._view = _FieldOfView(self._positions, sensor_range_m)
 
-    def predict(self, T_world_body: FloatArray, queries: IntArray) -> Prediction:
-        """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans."""
+    def predict(self, T_world_body: FloatArray, queries: IntArray) -> tuple[FloatArray, IntArray]:
+        """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans.
+
+        Returns:
+            Gains (Q,): logarithm of the density of their detections beside that in the field of view of any scan,
+            summed; and how many (Q,) are predicted, 0 where the trajectory places no detection of another visit there.
+        """
         R, t = T_world_body[:, :3, :3], T_world_body[:, :3, 3]
         points = np.einsum("nij,nj->ni", R[self._scan_of], self._positions) + t[self._scan_of]
         tree = KDTree(points)
-        gains, has_sources = np.zeros(len(queries)), np.zeros(len(queries), dtype=np.bool_)
+        gains, counts = np.zeros(len(queries)), np.zeros(len(queries), dtype=np.int64)
         for place, query in enumerate(queries.tolist()):
             near = np.array(tree.query_ball_point(t[query], self._range_m, return_sorted=True), dtype=np.int64)
             visit_m = np.abs(self._travel_m[self._scan_of[near]] - self._travel_m[query])
-            # After two sensor ranges of travel nothing that was in view before need still be.
-            sources = _thinned(near[visit_m > 2.0 * self._range_m], MAX_SOURCES)
+            # After two sensor ranges of travel nothing that was in view before need still be; a thousand tell enough.
+            sources = _thinned(near[visit_m > 2.0 * self._range_m], 1000)
             seen = (points[sources] - t[query]) @ R[query]
-            gains[place], has_sources[place] = self._gain(query, seen, self._labels[sources])
-        return Prediction(gains, has_sources)
+            gains[place], counts[place] = self._gain(query, seen, self._labels[sources])
+        return gains, counts
 
-    def count(self, queries: IntArray) -> IntArray:
-        """(Q,) how many detections of each scan are predicted."""
-        return np.minimum(np.diff(self._starts)[queries], MAX_DETECTIONS)
+    def _gain(self, query: int, seen: FloatArray, labels: IntArray) -> tuple[float, int]:
+        """Gain, and number of detections that are predicted.
 
-    def _gain(self, query: int, seen: FloatArray, labels: IntArray) -> tuple[float, bool]:
-        """Gain by sources ``seen`` (M, 3) m in the frame of the body, of the classes ``labels`` (M,).
-
+        The sources ``seen`` (M, 3) m are in the frame of the body, of the classes ``labels`` (M,).
         Each source is expected in view as often as detections are there. The kernel has the same weight for all orders
         of magnitude between the noise and the sensor range, so that a smaller error always predicts better.
         """
         expected = self._view.density(seen)
         if not expected.sum() > 0.0:
-            return 0.0, False
-        chosen = _thinned(np.arange(self._starts[query], self._starts[query + 1]), MAX_DETECTIONS)
+            return 0.0, 0
+        chosen = _thinned(np.arange(self._starts[query], self._starts[query + 1]), 64)  # more would be redundant
         positions = self._positions[chosen]
         offsets = self._view.project(positions)[:, None] - self._view.project(seen)
         squares = np.einsum("dmi,dmi->dm", offsets, offsets)
@@ -87,7 +73,7 @@ class VisitPredictor:
         kernels = np.where(self._labels[chosen][:, None] == labels, kernels, 0.0)
         chance = self._view.density(positions) * self._shares[self._labels[chosen]]
         ratios = kernels @ expected / (expected.sum() * np.maximum(chance, np.finfo(np.float64).tiny))
-        return float(np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum()), True
+        return float(np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum()), len(chosen)
 
 
 class _FieldOfView:

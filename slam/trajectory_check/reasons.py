@@ -7,11 +7,6 @@ from collections.abc import Mapping
 from slam.common.calibration import Calibration
 from slam.trajectory_check.judgement import FINAL, ONLINE, TrajectoryCheck
 
-MIN_SPACING_SIGMAS = 4.0
-"""Objects that are closer together than so many standard deviations of a detection are confused."""
-MOVING_SHARE = 0.1
-"""Share of the objects that seem to move above which they are probably confused with one another."""
-
 
 def explain(
     check: TrajectoryCheck, moving_share: float, counters: Mapping[str, int], calibration: Calibration
@@ -46,11 +41,12 @@ def _signs_of_confusion(moving_share: float, counters: Mapping[str, int], calibr
     detection, spacing_m = calibration.detection, calibration.objects.spacing_m
     across_m = detection.base_sigma_m + detection.sigma_per_m * detection.sensor_range_m
     sigma_m = across_m * max(detection.range_sigma_ratio, 1.0)
-    if spacing_m < MIN_SPACING_SIGMAS * sigma_m:
+    # Objects that are closer together than four standard deviations of a detection are confused.
+    if spacing_m < 4.0 * sigma_m:
         signs.append(
             f"objects of a class are {spacing_m:.1f} m apart, and detections at the sensor range err by {sigma_m:.1f} m"
         )
-    if moving_share > MOVING_SHARE:
+    if moving_share > 0.1:  # more than what is moved between two drives
         signs.append(f"{100.0 * moving_share:.0f} % of the objects seem to move")
     if corrected := counters.get("odometry_corrected"):
         signs.append(f"they corrected the odometry {corrected} times")

@@ -29,17 +29,10 @@ class SampledScan:
 class ScanSample:
     """Scans spread evenly over a drive: all of them, every second once they hold ``MAX_DETECTIONS``, ..."""
 
-    def __init__(self, max_detections: int = MAX_DETECTIONS) -> None:
-        self._max_detections = max_detections
+    def __init__(self) -> None:
         self._stride = 1
         self._offered = 0
-        self._detections = 0
-        self._scans: list[SampledScan] = []
-
-    @property
-    def scans(self) -> tuple[SampledScan, ...]:
-        """The kept scans, in their order."""
-        return tuple(self._scans)
+        self.scans: list[SampledScan] = []
 
     def add(self, scan: SampledScan) -> None:
         """Keep the next scan of the drive if it is due; one without detections never is."""
@@ -48,9 +41,7 @@ class ScanSample:
         self._offered += 1
         if (self._offered - 1) % self._stride:
             return
-        self._scans.append(scan)
-        self._detections += len(scan.positions)
-        while self._detections > self._max_detections and len(self._scans) > 1:
-            self._scans = self._scans[::2]
+        self.scans.append(scan)
+        while sum(len(kept.positions) for kept in self.scans) > MAX_DETECTIONS and len(self.scans) > 1:
+            del self.scans[1::2]
             self._stride *= 2
-            self._detections = sum(len(kept.positions) for kept in self._scans)

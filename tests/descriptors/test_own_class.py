@@ -116,6 +116,7 @@ def test_network_of_the_page_is_trained_and_its_weights_describe(mine: Path) -> 
         ("length = 3\n    def forward(self, p, l, m): return p @ l", "fails"),
         ("def forward(self, p, l, m): return p", "no length"),
         ("weights = None\n    length = 3", "no weights"),
+        ("pass\n\nNet = dict", "is not a torch.nn.Module"),
     ],
 )
 def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: str, message: str) -> None:
@@ -126,9 +127,3 @@ def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: 
     )
     with pytest.raises(DescriptorError, match=rf"^mine:Net: .*{message}"):
         train(small_training("mine:Net"), mine / "out", threads=1)
-
-
-def test_class_that_is_no_network_is_refused(mine: Path) -> None:
-    (mine / "mine.py").write_text("class Net:\n    length = 3\n")
-    with pytest.raises(DescriptorError, match=r"mine:Net: is not a torch.nn.Module"):
-        small_training("mine:Net")

@@ -8,21 +8,18 @@ import sys
 import numpy as np
 import pytest
 
-from descriptors.constellation import Constellations, gather_constellations
+from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.index import Matches, VectorIndex
 from descriptors.registry import DESCRIPTOR_NAMES, PAPER, make_descriptor, make_index
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
 # Of these, the vectors of unlike objects may be as near as those of like ones.
 VAGUE = ("random",)
-BY_NUMPY = tuple(name for name in DESCRIPTOR_NAMES if name not in (PAPER, "random", "descriptellation_lr"))
 
 VECTORS = tuple(name for name in DESCRIPTOR_NAMES if name != "descriptellation_lr")
 every_name = pytest.mark.parametrize("name", VECTORS)
-every_exact_name = pytest.mark.parametrize("name", BY_NUMPY)
 
 
 def added(index: VectorIndex, positions: FloatArray, labels: IntArray) -> None:
@@ -32,11 +29,6 @@ def added(index: VectorIndex, positions: FloatArray, labels: IntArray) -> None:
 def searched(index: VectorIndex, positions: FloatArray, labels: IntArray, k: int) -> Matches:
     constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
     return index.search(constellations, k, np.ones(len(index), dtype=bool))
-
-
-def assert_alike(a: np.ndarray, b: np.ndarray) -> None:
-    """Row by row, up to the rounding of rings."""
-    assert (np.linalg.norm(a - b, axis=1) <= 1e-4 * np.linalg.norm(b, axis=1)).all()
 
 
 @every_name
@@ -80,40 +72,6 @@ def test_index_holds_objects_at_one_place(name):
     matches = searched(spot, np.full((5, 3), 7.0), np.array([0, 0, 1, 2, 2]), 5)
     if name != PAPER:  # which compares objects of all classes
         np.testing.assert_array_equal(matches.queries, [0, 0, 1, 1, 2, 3, 3, 4, 4])
-
-
-@every_exact_name
-def test_yaw_translation_and_order_of_the_objects_change_nothing(name):
-    positions, labels = scattered(60, seed=11)
-    order = np.random.default_rng(0).permutation(60)
-    moved = apply(transform_from_xyz_yaw(np.array([120.0, -75.0, 4.0]), -2.0), positions)
-    before, after = (describe(make_descriptor(name), where, labels) for where in (positions, moved))
-    shuffled = describe(make_descriptor(name), positions[order], labels[order])
-    assert_alike(after, before)
-    assert_alike(shuffled, before[order])
-
-
-@every_exact_name
-def test_vector_depends_on_its_constellation_alone_and_on_the_first_classes(name):
-    positions, labels = scattered(600, seed=19, side_m=250.0)
-    descriptor = make_descriptor(name)
-    constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=descriptor.radius_m)
-    together = descriptor.describe(constellations)
-    for row in (0, 63, 64, 255, 256, 512, 599):
-        assert_alike(descriptor.describe(constellations[np.array([row])]), together[[row]])
-    grown = describe(descriptor, positions, labels, (*VOCABULARY, "fountain", "wall"))
-    assert_alike(grown[:, : together.shape[1]], together)
-    assert not grown[:, together.shape[1] :].any()
-
-
-class Own:
-    """A descriptor of a user: how many neighbours there are."""
-
-    name = "own"
-    radius_m = 20.0
-
-    def describe(self, constellations: Constellations) -> np.ndarray:
-        return np.diff(constellations.offsets)[:, None].astype(np.float32)
 
 
 @pytest.mark.parametrize(

@@ -112,5 +112,5 @@ def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_pa
 
 def test_network_that_does_not_exist_is_refused():
     assert default_architecture("descriptellation") == DescriptellationArchitecture()
-    with pytest.raises(DescriptorError, match=r"unknown network 'transformer'; choose descriptellation"):
+    with pytest.raises(DescriptorError, match=r"unknown network 'transformer'; choose descriptellation_lr, d"):
         default_architecture("transformer")

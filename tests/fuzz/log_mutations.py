@@ -15,6 +15,8 @@ from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes
 from tests.fuzz.mcap_file import McapFile, odd_layout, write_file
 
 _TIMES = (0, 1, 2**31, 2**62, 2**63 - 1, 2**63, 2**64 - 1)
+_ENCODINGS = ("protobuf", "cdr", "json", "ros2msg", "ros2idl", "jsonschema", "")
+_WORDS = (b"string[1000000000]", b"uint8[]", b"std_msgs/Header", b"geometry_msgs/Pose[]", b"x", b"=")
 
 
 def mutate_log(file: McapFile, rng: np.random.Generator) -> bytes:
@@ -103,15 +105,10 @@ def _times(file: McapFile, rng: np.random.Generator) -> None:
 
 
 def _order(file: McapFile, rng: np.random.Generator) -> None:
-    match int(rng.integers(4)):
-        case 0:
-            file.messages = [file.messages[i] for i in rng.permutation(len(file.messages))]
-        case 1:
-            file.messages = file.messages[::-1]
-        case 2:
-            file.messages += [file.messages[i] for i in _some(file, rng)[:200]]
-        case _:
-            file.messages += [file.messages[i] for i in _some(file, rng)[:1]] * 100
+    every = range(len(file.messages))
+    some = _some(file, rng)
+    orders = (rng.permutation(every), every[::-1], [*every, *some[:200]], [*every, *some[:1] * 100])
+    file.messages = [file.messages[i] for i in orders[int(rng.integers(len(orders)))]]
 
 
 def _drop(file: McapFile, rng: np.random.Generator) -> None:
@@ -119,47 +116,25 @@ def _drop(file: McapFile, rng: np.random.Generator) -> None:
     file.messages = [m for i, m in enumerate(file.messages) if i not in gone]
 
 
-def _topics(file: McapFile, rng: np.random.Generator) -> None:
-    if not file.channels:
+def _definitions(file: McapFile, rng: np.random.Generator) -> None:
+    """Another value in one field of a channel or of a schema, which may be there under another number, too."""
+    table: dict[int, Any] = file.channels if rng.random() < 0.5 else file.schemas
+    if not table:
         return
-    id = int(rng.choice(list(file.channels)))
-    schema, topic, encoding = file.channels[id]
-    match int(rng.integers(5)):
-        case 0:
-            topic = str(rng.choice(np.array(TEXTS, dtype=object)))
-        case 1:
-            topic = str(rng.choice([t for _, t, _ in file.channels.values()]))
-        case 2:
-            schema = int(rng.choice([0, 1, 2, 3, 65535]))
-        case 3:
-            encoding = str(rng.choice(["protobuf", "cdr", "json", ""]))
-        case _:
-            new = int(rng.choice([0, 65535, 77]))
-            file.channels[new] = (schema, topic + "2", encoding)
-            return
-    file.channels[id] = (schema, topic, encoding)
-
-
-def _schemas(file: McapFile, rng: np.random.Generator) -> None:
-    if not file.schemas:
-        return
-    id = int(rng.choice(list(file.schemas)))
-    name, encoding, data = file.schemas[id]
-    match int(rng.integers(4)):
-        case 0:
-            name = str(rng.choice([n for n, _, _ in file.schemas.values()]))
-        case 1:
-            encoding = str(rng.choice(["protobuf", "ros2msg", "ros2idl", "jsonschema", ""]))
-        case 2 if encoding == "ros2msg":
-            words = data.decode(errors="replace").split(" ")
-            word = str(
-                rng.choice(["string[1000000000]", "uint8[]", "std_msgs/Header", "geometry_msgs/Pose[]", "x", "="])
-            )
-            words[int(rng.integers(len(words)))] = word
-            data = " ".join(words).encode()
-        case _:
-            data = mutate_bytes(data, rng)
-    file.schemas[id] = (name, encoding, data)
+    number = int(rng.choice(list(table)))
+    values = list(table[number])
+    place = int(rng.integers(len(values)))
+    match values[place]:
+        case int():
+            values[place] = int(rng.choice([0, 1, 2, 3, 65535]))
+        case str():
+            others = [each[place] for each in table.values()]
+            values[place] = str(rng.choice(np.array([*TEXTS, *_ENCODINGS, *others], dtype=object)))
+        case bytes() as text:
+            words = text.split(b" ")
+            words[int(rng.integers(len(words)))] = bytes(rng.choice(_WORDS))
+            values[place] = b" ".join(words) if rng.random() < 0.5 else mutate_bytes(text, rng)
+    table[int(rng.choice([*[number] * 4, 0, 77, 65535]))] = tuple(values)
 
 
 def _metadata(file: McapFile, rng: np.random.Generator) -> None:
@@ -176,4 +151,4 @@ def _metadata(file: McapFile, rng: np.random.Generator) -> None:
         file.metadata.clear()
 
 
-_CHANGES = (*[_payloads] * 4, _times, _order, _drop, _topics, _schemas, _metadata)
+_CHANGES = (*[_payloads] * 4, _times, _order, _drop, *[_definitions] * 2, _metadata)

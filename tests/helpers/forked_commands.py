@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pkgutil
 import sys
 import traceback
 import warnings
@@ -11,7 +12,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from tests.tools.runs import ROOT
 from tools import cli
+
+PACKAGES = ("descriptors", "logs", "slam", "tools")
 
 CRASHED = 99
 """Exit code of a child whose error passed by the command line."""
@@ -21,22 +25,12 @@ OUT, ERR = "stdout.txt", "stderr.txt"
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where files are made: outputs are flushed to the disk before they get their names, which takes longer than the rest
 of most commands."""
-_IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "logs.summary",
-             "slam.display.map_picture", "rich.table",
-             "matplotlib.pyplot", "slam.object_map.map_io", "tools.console",
-             "descriptors.learned.descriptor",
-             "descriptors.training.contrast", "slam.simulation.faults.registry",
-             "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",
-             "osmium",
-             "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.sweeps.comparison",
-             "slam.sweeps.sweep",
-             "tools.evaluation.evaluate", "logs.clouds.map_of_cloud",
-             "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 
 
 def import_commands() -> None:
     """Import what the commands import when they are called, as far as it is installed."""
-    for module in _IMPORTED:
+    ours = [each.name for name in PACKAGES for each in pkgutil.walk_packages([str(ROOT / name)], f"{name}.")]
+    for module in (*ours, "osmium", "multiprocessing.pool", "encodings.idna", "_strptime"):
         with contextlib.suppress(ImportError, OSError):
             __import__(module)
     cli.make_app()

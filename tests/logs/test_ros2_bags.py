@@ -42,15 +42,6 @@ def test_files_of_a_bag_are_read_as_one(bags: dict[str, Path]) -> None:
         assert reader.counters == {}
 
 
-def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
-    for name, pattern in (("mcap", "*.mcap"), ("split", "*_0.mcap")):
-        (path,) = bags[name].glob(pattern)
-        expected = contents(bags["mcap"])
-        found = contents(path)
-        assert found == expected[: len(found)]
-        assert len(found) in (len(expected), len(expected) // 2)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("has_definitions", [True, False])
 def test_databases_are_refused_with_the_command_that_converts_them(

@@ -165,8 +165,8 @@ def test_clouds_with_classes() -> None:
     points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("label", "<u4"), ("id", "|u1")])
     points["x"], points["label"], points["id"] = [1.0, np.nan, 3.0], [80, 80, 71], [5, 6, 0]
     (record,) = decoded("sensor_msgs/msg/PointCloud2", cloud(points))
-    assert (record.stamp_ns, record.frame_id, record.positions[:, 0].tolist()) == (SECOND, "lidar", [1.0, 3.0])
-    assert (record.classes.tolist(), record.instances.tolist()) == ([80, 71], [5, 0])
+    assert (record.stamp_ns, record.frame_id, record.cloud.positions[:, 0].tolist()) == (SECOND, "lidar", [1.0, 3.0])
+    assert (record.cloud.classes.tolist(), record.cloud.instances.tolist()) == ([80, 71], [5, 0])
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):
         for time in times.tolist():
             writer.write("/odom", m.Odometry(1_000_000 + time, np.eye(4)), log_time_ns=time)
     with LogReader(tmp_path / "log.mcap") as reader:
-        assert len(reader._open[0]._index.blocks) > 1  # type: ignore[attr-defined]
+        assert len(reader._open[0].blocks) > 1  # type: ignore[attr-defined]
         entries = list(reader.records(Selection.of({"/odom": "odometry"})))
     assert [entry.log_time_ns for entry in entries] == list(range(6000))
     assert [entry.record.stamp_ns for entry in entries] == list(range(1_000_000, 1_006_000))

@@ -90,15 +90,6 @@ def test_detections_whose_lengths_disagree_are_refused(change):
         decode(raw(pb.ObjectDetections(stamp_ns=1, **fields)), "detections")
 
 
-def test_covariances_of_fewer_poses_than_there_are_are_refused():
-    poses = pb.FactorGraph(keyframe_ids=[0, 1], keyframe_stamps_ns=[1, 2], map_body=np.tile(np.eye(4)[:3].ravel(), 2))
-    (record,) = decode(raw(poses), "factor_graph")
-    assert record.pose_covariances.shape == (0, 6, 6)
-    poses.pose_covariances.extend(np.eye(6).ravel())
-    with pytest.raises(InvalidRecordError, match="pose_covariances"):
-        decode(raw(poses), "factor_graph")
-
-
 @pytest.mark.parametrize("first", [2.0, -1.0])
 def test_stored_matrix_that_is_no_rotation_is_refused(first):
     message = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=[first, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0])

@@ -34,7 +34,7 @@ def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
     assert 0.0 < latency_s["p50"] <= latency_s["p99"] <= latency_s["max"]
     poses = [record.stamp_ns for _, record, _ in published if isinstance(record, SlamPose)]
     written = read_records(tmp_path / "out.mcap")
-    assert [each.stamp_ns for each in written.online_poses] == poses
+    assert written.online_path.stamps_ns.tolist() == poses
     assert written.status is not None
     assert written.status.message == final.status.message
     assert {"/tf", "/slam/map", "/slam/status"} <= {topic for topic, _, _ in published}

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from logs.messages import ObjectDetections, Odometry
+from logs.messages import ObjectDetections, Odometry, Transform
 from logs.writer import LogWriter
+from tests.helpers.poses import pose_at
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
@@ -36,14 +38,26 @@ def assert_refused(result: Result, *told: str, code: int = 2) -> None:
         assert text in result.err
 
 
-def write_log(
-    path: Path, *, odometry: tuple[str, ...] = ("/odom",), detections: tuple[str, ...] = ("/objects",)
+def write_drive(
+    path: Path,
+    *,
+    odometry: tuple[str, ...] = ("/odom",),
+    detections: tuple[str, ...] = ("/objects",),
+    transforms: tuple[Transform, ...] = (),
+    delay_ns: int = 0,
+    **changed: Any,
 ) -> Path:
+    """Three seconds on which a tree is passed; of its scans the stamps are late, and other fields ``changed``."""
     with LogWriter(path) as writer:
-        for stamp_ns in range(0, 10**9, 10**8):
+        for transform in transforms:
+            writer.write("/tf_static", transform)
+        for stamp_ns in range(0, 3 * 10**9, 10**8):
+            x_m = 1e-9 * stamp_ns
             for topic in odometry:
-                writer.write(topic, Odometry(stamp_ns, np.eye(4)))
+                writer.write(topic, Odometry(stamp_ns, pose_at(x_m)))
+            scan = ObjectDetections(
+                stamp_ns + delay_ns, "base_link", np.array([[5.0 - x_m, 2.0, 1.0]]), ("tree",), np.ones(1)
+            )
             for topic in detections:
-                record = ObjectDetections(stamp_ns, "base_link", np.array([[5.0, 0.0, 0.0]]), ("tree",), np.ones(1))
-                writer.write(topic, record)
+                writer.write(topic, replace(scan, **changed), stamp_ns)
     return path

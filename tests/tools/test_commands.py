@@ -18,27 +18,21 @@ from tools import console
 pytestmark = pytest.mark.slow
 
 
-def test_a_drive_is_simulated_mapped_and_evaluated(dslam: Run, tmp_path: Path) -> None:
-    drive, output, picture = tmp_path / "drive.mcap", tmp_path / "map.mcap", tmp_path / "map.png"
+def test_a_drive_is_simulated_mapped_and_looked_into(dslam: Run, tmp_path: Path) -> None:
+    drive, output = tmp_path / "drive.mcap", tmp_path / "map.mcap"
     made = dslam("simulate", drive, "--seed", 2, "--length", 100, "--set", "sensor.dropout=0.2")
     assert made.code == 0
     assert "street-grid (seed 2)" in " ".join(made.out.split())
-    changed = ("--set", "keyframe.distance_m=3", "--set", "calibrate=false")
-    replayed = dslam("replay", drive, "-o", output, "--picture", picture, *changed)
+    replayed = dslam("replay", drive, "-o", output, "--set", "keyframe.distance_m=3", "--set", "calibrate=false")
     assert (replayed.code, replayed.err) == (0, "")  # no progress where there is no terminal
     assert "confirmed" in replayed.out
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    evaluated = dslam("evaluate", output)
-    lines = [line.split()[0] for line in evaluated.out.splitlines() if line[:1].isalpha()]
-    assert lines[:6] == ["trajectory", "landmarks", "associations", "closures", "relocalization", "calibration"]
-    assert not list(tmp_path.glob("*.part"))
-    told = dslam("info", output, "--closures").out
+    told = " ".join(dslam("info", output, "--closures").out.split())
     for text in (
         "changed_settings calibrate=false, keyframe.distance_m=3",
         "landmarks_confirmed",
         "map of another log",
     ):
-        assert text in " ".join(told.split())
+        assert text in told
 
 
 def test_info_lists_loop_closures(dslam: Run, tmp_path: Path) -> None:

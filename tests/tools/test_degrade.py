@@ -7,7 +7,7 @@ from pathlib import Path
 
 from logs.reader import LogReader
 from slam.simulation.faults.registry import FAULTS
-from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
+from tests.tools.runs import SAMPLE, Run, assert_refused, write_drive
 
 DETECTIONS = 3313
 
@@ -35,7 +35,7 @@ def test_list_has_every_fault_with_its_meaning(dslam: Run) -> None:
 
 def test_refusals(dslam: Run, tmp_path: Path) -> None:
     """Values that are not allowed are tested in tests/slam/simulation/faults."""
-    log, output = write_log(tmp_path / "log.mcap", detections=("/left", "/right")), tmp_path / "out.mcap"
+    log, output = write_drive(tmp_path / "log.mcap", detections=("/left", "/right")), tmp_path / "out.mcap"
     degrade = ("degrade", SAMPLE, "-o", output)
     assert_refused(dslam(*degrade), "no fault was given", "--fault dropout")
     several = ("degrade", log, "-o", output, "--fault", "dropout=1")
@@ -43,4 +43,4 @@ def test_refusals(dslam: Run, tmp_path: Path) -> None:
     assert_refused(dslam(*several[:3], log, *several[4:]), "is the input")
     assert not output.exists()
     result = dslam(*several, "--topic", "detections=/left", "--json")
-    assert json.loads(result.out)["detections_before"] == 10
+    assert json.loads(result.out)["detections_before"] == 30

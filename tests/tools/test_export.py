@@ -55,10 +55,11 @@ def test_landmarks_and_poses_on_earth(dslam: Run, mapped: Path, records: Evaluat
     features = json.loads(places.read_text())["features"]
     objects = confirmed(records.object_map)
     assert [each["properties"]["label"] for each in features] == list(objects.labels)
+    assert {"label_probability", "sigma_x_m", "first_seen_ns"} < features[0]["properties"].keys()
     found = np.array([each["geometry"]["coordinates"][1::-1] for each in features])
     np.testing.assert_allclose(found, earth.to_geodetic(objects.positions)[:, :2], rtol=0, atol=1e-6)
     path = pd.read_csv(poses)[["latitude_deg", "longitude_deg", "altitude_m"]].to_numpy()
-    np.testing.assert_allclose(earth.to_map(path), records.trajectory.T_map_body[:, :3, 3], atol=2e-3)
+    np.testing.assert_allclose(earth.to_map(path), records.final_path.positions, atol=2e-3)
     assert_refused(dslam("export", mapped, "--geodetic", poses), "--origin")
     assert_refused(dslam("export", mapped, "--geojson", places, "--origin", "north"), "LAT,LON")
 
@@ -69,12 +70,12 @@ def test_each_track_has_its_poses(
 ) -> None:
     assert dslam("export", mapped, "--of", of, "--tum", tmp_path / "t.txt").code == 0
     expected = {
-        "estimate": lambda: records.trajectory.T_map_body,
-        "online": lambda: np.array([pose.T_map_body for pose in records.online_poses]),
-        "odometry": lambda: np.array([pose.T_odom_body for pose in records.odometry]),
-        "truth": lambda: np.array([pose.T_world_body for pose in records.true_poses]),
-    }[of]()
-    np.testing.assert_array_equal(np.loadtxt(tmp_path / "t.txt")[:, 1:4], expected[:, :3, 3])
+        "estimate": records.final_path,
+        "online": records.online_path,
+        "odometry": records.odometry_path,
+        "truth": records.true_path,
+    }[of]
+    np.testing.assert_array_equal(np.loadtxt(tmp_path / "t.txt")[:, 1:4], expected.positions)
 
 
 def test_the_layout_shows_topics_that_a_map_has(dslam: Run, mapped: Path, tmp_path: Path) -> None:

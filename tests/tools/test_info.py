@@ -8,36 +8,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.messages import ObjectDetections, Odometry, Transform
+from logs.messages import Transform
 from logs.summary import summarize
-from logs.writer import LogWriter
 from slam.place_recognition.imported_map import make_imported_map, save_imported_map
-from tests.tools.runs import Run
+from tests.tools.runs import Run, write_drive
 from tools.inspection.frames import find_faults, list_edges
 
 
-def write_drive(path: Path, *, sensor: str = "/lidar", delay_ns: int = 0, mount: str = "base_link") -> Path:
-    with LogWriter(path) as log:
-        log.write("/tf_static", Transform(0, mount, "lidar", np.eye(4)))
-        for stamp_ns in range(0, 10**9, 10**8):
-            log.write("/odom", Odometry(stamp_ns, np.eye(4)))
-            at_ns = stamp_ns + delay_ns
-            log.write("/objects", ObjectDetections(at_ns, sensor, np.ones((1, 3)), ("tree",), np.ones(1)), stamp_ns)
-    return path
+def lidar_on(mount: str) -> tuple[Transform, ...]:
+    return (Transform(0, mount, "lidar", np.eye(4)),)
 
 
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({}, ""),
-        ({"sensor": "odom"}, ""),  # an Odometry message is an edge
-        ({"sensor": "camera"}, "/objects is in the frame camera, which no transform connects with base_link"),
-        ({"mount": "torso"}, "/objects is in the frame lidar, which no transform connects with base_link"),
-        ({"delay_ns": 10**15}, "/objects and /odom are 999999.1 s apart: not on one clock"),
+        ({"frame_id": "/lidar", "transforms": lidar_on("base_link")}, ""),
+        ({"frame_id": "odom"}, ""),  # an Odometry message is an edge
+        ({"frame_id": "camera"}, "is in the frame camera, which no transform connects with base_link"),
+        (
+            {"frame_id": "/lidar", "transforms": lidar_on("torso")},
+            "is in the frame lidar, which no transform connects with base_link",
+        ),
+        ({"delay_ns": 10**15}, "and /odom are 999997.1 s apart: not on one clock"),
     ],
 )
 def test_find_faults_names_frames_and_clocks(tmp_path: Path, changes: dict[str, object], fault: str) -> None:
-    assert find_faults(summarize(write_drive(tmp_path / "log.mcap", **changes))) == ([fault] if fault else [])
+    found = find_faults(summarize(write_drive(tmp_path / "log.mcap", **changes)))
+    assert found == ([f"/objects {fault}"] if fault else [])
 
 
 def test_info_of_a_map_of_a_fleet_counts_its_landmarks_and_has_no_duration(dslam: Run, tmp_path: Path) -> None:
@@ -51,5 +48,5 @@ def test_info_of_a_map_of_a_fleet_counts_its_landmarks_and_has_no_duration(dslam
 
 
 def test_pairs_of_frames(tmp_path: Path) -> None:
-    log = write_drive(tmp_path / "log.mcap")
+    log = write_drive(tmp_path / "log.mcap", transforms=lidar_on("base_link"))
     assert list_edges(summarize(log).topics) == ["base_link -> lidar  (/tf_static)", "odom -> base_link  (/odom)"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
+from tests.tools.runs import SAMPLE, Run, assert_refused, write_drive
 
 
 @pytest.mark.parametrize("command", [("info",), ("replay", "-o", "out.mcap"), ("evaluate",), ("export", "--csv", "a")])
@@ -23,7 +23,7 @@ def test_input_that_is_no_log(
 
 def test_topics_that_fit_twice(dslam: Run, tmp_path: Path) -> None:
     output = ("-o", tmp_path / "out.mcap")
-    log = write_log(tmp_path / "log.mcap", odometry=("/visual", "/wheels"))
+    log = write_drive(tmp_path / "log.mcap", odometry=("/visual", "/wheels"))
     assert_refused(dslam("replay", log, *output), "/visual, /wheels", "--topic odometry=/visual")
     assert_refused(dslam("replay", log, *output, "--topic", "/wheels"), "KIND=/TOPIC")
     assert dslam("replay", log, *output, "--topic", "odometry=/wheels").code == 0
@@ -54,7 +54,7 @@ def test_outputs_that_cannot_be(dslam: Run, tmp_path: Path) -> None:
 
 def test_output_that_is_the_input(dslam: Run, tmp_path: Path) -> None:
     """Also under another name, or as NAME.part, which is written first."""
-    log = write_log(tmp_path / "log.mcap.part")
+    log = write_drive(tmp_path / "log.mcap.part")
     before = log.read_bytes()
     (tmp_path / "link.mcap").symlink_to(log)
     for output in (log, tmp_path / "link.mcap", tmp_path / "log.mcap"):
@@ -91,7 +91,7 @@ def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> No
     assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
     assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
     assert_refused(dslam("export", SAMPLE), "--tum")
-    reference = write_log(tmp_path / "reference.mcap")
+    reference = write_drive(tmp_path / "reference.mcap")
     assert_refused(dslam("evaluate", mapped, "--reference", reference), "the reference holds no truth")
 
 

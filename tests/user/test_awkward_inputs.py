@@ -6,16 +6,16 @@ What single readers refuse is tested with these; here is what only the whole pro
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from logs.messages import ObjectDetections, Odometry, Transform
-from logs.writer import LogWriter
-from tests.tools.runs import Run
+from logs.messages import Transform
+from tests.tools.runs import Run, write_drive
 
 pytestmark = pytest.mark.slow
 
@@ -28,32 +28,12 @@ PLACES = "lat,lon,label\n60.1,24.9,tree\n60.1001,24.9,tree\n60.1,24.9002,pole\n6
 
 
 @dataclass(frozen=True)
-class Drive:
-    """Odometry and a tree at 5 m in each scan, of which some things are ``changed``."""
-
-    changed: Mapping[str, Any] = field(default_factory=dict)
-    transforms: tuple[Transform, ...] = ()
-
-    def __call__(self, path: Path) -> None:
-        with LogWriter(path) as log:
-            for transform in self.transforms:
-                log.write("/tf_static", transform)
-            for stamp_ns in range(0, 3 * 10**9, 10**8):
-                T_odom_body = np.eye(4)
-                T_odom_body[0, 3] = stamp_ns * 1e-9
-                log.write("/odom", Odometry(stamp_ns, T_odom_body))
-                at = np.array([[5.0 - stamp_ns * 1e-9, 2.0, 1.0]])
-                scan = ObjectDetections(stamp_ns, "base_link", at, ("tree",), np.ones(1))
-                log.write("/objects", replace(scan, **self.changed), stamp_ns)
-
-
-@dataclass(frozen=True)
 class Case:
     """``told`` is printed by the ``command``; ``code``: 0 if the input is read."""
 
     told: str
     command: str
-    files: Mapping[str, str | Callable[[Path], None]]
+    files: Mapping[str, str | Callable[[Path], object]]
     code: int = 0
 
 
@@ -61,8 +41,8 @@ def places(told: str, text: str, *options: str, code: int = 0) -> Case:
     return Case(told, " ".join(["import map map.mcap --file objects.csv", *options]), {"objects.csv": text}, code)
 
 
-def drive(told: str, made: Drive, code: int = 0) -> Case:
-    return Case(told, "replay drive.mcap -o out.mcap", {"drive.mcap": made}, code)
+def drive(told: str, *, code: int = 0, **made: Any) -> Case:
+    return Case(told, "replay drive.mcap -o out.mcap", {"drive.mcap": partial(write_drive, **made)}, code)
 
 
 CASES = {
@@ -78,15 +58,18 @@ CASES = {
     "three objects": places("needs at least four", MAP.rpartition("6,8")[0], code=2),
     "a frame that is connected with another": drive(
         "(frames that belong together: base_link; lidar, mount)",
-        Drive({"frame_id": "lidar"}, (Transform(0, "lidar", "mount", np.eye(4)),)),
         code=2,
+        frame_id="lidar",
+        transforms=(Transform(0, "lidar", "mount", np.eye(4)),),
     ),
     "detections in the map of another program": drive(
-        "30 scans with 30 objects", Drive({"frame_id": "map"}, (Transform(0, "map", "odom", np.eye(4)),))
+        "30 scans with 30 objects", frame_id="map", transforms=(Transform(0, "map", "odom", np.eye(4)),)
     ),
     "no objects": drive(
         "not corrected, the trajectory is that of the odometry",
-        Drive({"positions": np.zeros((0, 3)), "labels": (), "scores": np.zeros(0)}),
+        positions=np.zeros((0, 3)),
+        labels=(),
+        scores=np.zeros(0),
     ),
 }
 

@@ -56,7 +56,7 @@ def evaluate(
     from tools import console
 
     records = read_records(log, reference=reference, calib=calib, topics=chosen)
-    if records.trajectory is None and not records.online_poses:
+    if not (records.final_path or records.online_path):
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
     evaluation = evaluate(records, map_alignment=None if map_run is None else _locate_map_of(map_run))
     if picture is not None:

@@ -90,9 +90,7 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     is_mapped = REPLAYED in summary.metadata
     listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
     if not is_mapped:
-        edges = frames.list_edges(summary.topics)
-        more = [f"and {len(edges) - MAX_LISTED} more"] * (len(edges) > MAX_LISTED)
-        listed["frames"] = "\n".join([*edges[:MAX_LISTED], *more])
+        listed["frames"] = "\n".join(_first(frames.list_edges(summary.topics)))
         listed["not placed"] = "\n".join(frames.find_faults(summary))
     of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
     faults = [
@@ -130,8 +128,13 @@ def _classes(summary: LogSummary) -> str:
             counts = Counter(read_map(summary.path).labels).most_common()
         except (InputDataError, LogError):
             counts = []
-    more = [f"and {len(counts) - MAX_LISTED} more classes"] if len(counts) > MAX_LISTED else []
-    return ", ".join([*(f"{name} {count}" for name, count in counts[:MAX_LISTED]), *more])
+    return ", ".join(_first([f"{name} {count}" for name, count in counts], " classes"))
+
+
+def _first(listed: list[str], what: str = "") -> list[str]:
+    """The first of a list, and how many more there are."""
+    more = [f"and {len(listed) - MAX_LISTED} more{what}"] if len(listed) > MAX_LISTED else []
+    return listed[:MAX_LISTED] + more
 
 
 def _selected(summary: LogSummary) -> dict[str, list[str]]:

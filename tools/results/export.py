@@ -11,9 +11,9 @@ import typer
 from tools.arguments import check_outputs, parse_origin
 
 if TYPE_CHECKING:
-    from logs.messages import TrajectoryRecord
     from slam.common.georeference import Georeference
     from slam.evaluation.inputs.records import EvaluationRecords
+    from slam.evaluation.inputs.synchronization import PoseSeries
 
 
 class Track(StrEnum):
@@ -71,13 +71,13 @@ def export(
     if tum or kitti or geodetic:
         track = _choose_track(log, records, of)
         if georeference and geodetic:
-            text.write_geodetic(geodetic, track, georeference)
+            text.write_geodetic(geodetic, track.stamps_ns, track.T_world_body, georeference)
         if tum:
-            text.write_tum(tum, track)
+            text.write_tum(tum, track.stamps_ns, track.T_world_body)
         if kitti:
-            text.write_kitti(kitti, track)
+            text.write_kitti(kitti, track.T_world_body)
         for path in filter(None, (tum, kitti, geodetic)):
-            console.show(f"{path}: {len(track.stamps_ns)} poses")
+            console.show(f"{path}: {len(track)} poses")
     if csv or geojson:
         objects = read_map(log)
         if georeference and geojson:
@@ -94,23 +94,19 @@ def export(
         console.show(f"{g2o}: {count} edges, without robust kernels, which g2o cannot hold")
 
 
-def _choose_track(log: Path, records: EvaluationRecords, of: Track) -> TrajectoryRecord:
-    from logs.messages import TrajectoryRecord
+def _choose_track(log: Path, records: EvaluationRecords, of: Track) -> PoseSeries:
     from slam.common.errors import InputDataError
 
-    final = records.trajectory
-    if of == Track.ESTIMATE:
-        if final is None or not len(final.stamps_ns):
-            raise _no_result(log)
-        return final
-    frame, path = {
-        Track.ONLINE: ("map", records.online_path),
-        Track.ODOMETRY: ("odom", records.odometry_path),
-        Track.TRUTH: ("world", records.true_path),
+    path = {
+        Track.ESTIMATE: records.final_path,
+        Track.ONLINE: records.online_path,
+        Track.ODOMETRY: records.odometry_path,
+        Track.TRUTH: records.true_path,
     }[of]
-    if not len(path):
-        raise InputDataError(f"{log} has no poses of the {of}; choose another with --of")
-    return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
+    if not path:
+        missing = InputDataError(f"{log} has no poses of the {of}; choose another with --of")
+        raise _no_result(log) if of == Track.ESTIMATE else missing
+    return path
 
 
 def _find_georeference(log: Path, origin: str | None) -> Georeference:

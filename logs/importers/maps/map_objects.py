@@ -10,9 +10,6 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.messages import FloatArray
 
-MAX_DEGREES = (90.0, 180.0)
-"""Of latitude and longitude."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapObjects:
@@ -52,11 +49,11 @@ def check_degrees(source: str, geodetic: FloatArray) -> None:
     """
     if not len(geodetic):
         raise DatasetError(f"{source} holds no objects; give at least four")
-    plane = np.abs(geodetic[:, :2])
-    wrong = ~(plane <= MAX_DEGREES).all(axis=1)
+    plane, limits = np.abs(geodetic[:, :2]), (90.0, 180.0)
+    wrong = ~(plane <= limits).all(axis=1)
     if wrong.any():
         row = int(wrong.argmax())
-        is_swapped = (plane[:, ::-1] <= MAX_DEGREES).all()
+        is_swapped = (plane[:, ::-1] <= limits).all()
         raise DatasetError(
             f"{source}: latitude {geodetic[row, 0]:g}, longitude {geodetic[row, 1]:g} of object {row + 1} are not "
             f"degrees; {'they are swapped: exchange the columns' if is_swapped else 'these are metres or another unit'}"

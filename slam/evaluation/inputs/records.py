@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic_core import from_json
 
-from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
     DetectionAssociations,
@@ -31,7 +31,7 @@ from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
-from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
+from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries, clean_poses, series_of
 from slam.evaluation.inputs.text_reference import read_text_reference
 from slam.evaluation.report.figures import value_at
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
@@ -59,13 +59,14 @@ _Record = TypeVar("_Record", bound=Record)
 class EvaluationRecords:
     """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 
+    ``final_path``: empty where the run was not finished; ``online_path``: the poses as they were at their time;
     ``provenance``: the metadata of the replay.
     """
 
-    trajectory: TrajectoryRecord | None = None
-    online_poses: tuple[SlamPose, ...] = ()
-    odometry: tuple[Odometry, ...] = ()
-    true_poses: tuple[GroundTruthPose, ...] = ()
+    final_path: PoseSeries = NO_POSES
+    online_path: PoseSeries = NO_POSES
+    odometry_path: PoseSeries = NO_POSES
+    true_path: PoseSeries = NO_POSES
     associations: tuple[DetectionAssociations, ...] = ()
     detection_truths: tuple[DetectionTruth, ...] = ()
     object_map: ObjectMapRecord | None = None
@@ -79,27 +80,6 @@ class EvaluationRecords:
     def status(self) -> StatusRecord | None:
         """The last status."""
         return _last(self.statuses)
-
-    @property
-    def final_path(self) -> PoseSeries:
-        """The final trajectory; empty where the run was not finished."""
-        final = self.trajectory
-        return series_of(()) if final is None else clean_poses(final.stamps_ns, final.T_map_body)
-
-    @property
-    def online_path(self) -> PoseSeries:
-        """The poses as they were at their time."""
-        return series_of((pose.stamp_ns, pose.T_map_body) for pose in self.online_poses)
-
-    @property
-    def odometry_path(self) -> PoseSeries:
-        """The odometry alone."""
-        return series_of((pose.stamp_ns, pose.T_odom_body) for pose in self.odometry)
-
-    @property
-    def true_path(self) -> PoseSeries:
-        """The truth."""
-        return series_of((pose.stamp_ns, pose.T_world_body) for pose in self.true_poses)
 
     @property
     def sensor_range_m(self) -> float | None:
@@ -120,17 +100,17 @@ class EvaluationRecords:
         Raises:
             EvaluationError: the other log has no truth at all.
         """
-        if not (reference.true_poses or reference.detection_truths or reference.true_objects):
+        if not (reference.true_path or reference.detection_truths or reference.true_objects):
             raise EvaluationError(
                 "the reference holds no truth: no pose on /ground_truth, no topic /ground_truth/detections or "
                 "/ground_truth/objects; name the one that holds it with --topic ground_truth=/name"
             )
         return replace(
             self,
-            true_poses=reference.true_poses or self.true_poses,
+            true_path=reference.true_path or self.true_path,
             detection_truths=reference.detection_truths or self.detection_truths,
             true_objects=reference.true_objects or self.true_objects,
-            odometry=self.odometry or reference.odometry,
+            odometry_path=self.odometry_path or reference.odometry_path,
         )
 
 
@@ -150,11 +130,12 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
                 for kind in OF_ONE_MAP:
                     of_kind[kind].clear()
             of_kind[type(record)].append(record)
+    final = _last(of_kind[TrajectoryRecord])
     return EvaluationRecords(
-        trajectory=_last(of_kind[TrajectoryRecord]),
-        online_poses=tuple(of_kind[SlamPose]),
-        odometry=tuple(of_kind[Odometry]),
-        true_poses=tuple(of_kind[GroundTruthPose]),
+        final_path=NO_POSES if final is None else clean_poses(final.stamps_ns, final.T_map_body),
+        online_path=series_of((pose.stamp_ns, pose.T_map_body) for pose in of_kind[SlamPose]),
+        odometry_path=series_of((pose.stamp_ns, pose.T_odom_body) for pose in of_kind[Odometry]),
+        true_path=series_of((pose.stamp_ns, pose.T_world_body) for pose in of_kind[GroundTruthPose]),
         associations=tuple(of_kind[DetectionAssociations]),
         detection_truths=tuple(of_kind[DetectionTruth]),
         object_map=_last(estimated_maps),
@@ -196,8 +177,8 @@ def read_records(
     output = _read(path, None)
     if is_log(Path(reference)):
         return output.with_truth_of(_read(reference, topics))
-    odometry = output.odometry_path if output.odometry else output.final_path
-    return output.with_truth_of(EvaluationRecords(true_poses=read_text_reference(Path(reference), calib, odometry)))
+    true_path = read_text_reference(Path(reference), calib, output.odometry_path or output.final_path)
+    return output.with_truth_of(EvaluationRecords(true_path=true_path))
 
 
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
@@ -231,7 +212,7 @@ def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
 def _read_tree(recorded: str) -> dict[str, Any]:
     """The JSON object in a text; empty if the text holds no object."""
     try:
-        tree = parse_json(recorded)
+        tree = from_json(recorded)
     except ValueError:
         return {}
     return tree if isinstance(tree, dict) else {}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import interpolate, travelled_m
 
@@ -39,24 +39,23 @@ class PoseSeries:
         known = (self.stamps_ns - origin_ns).astype(np.float64)
         return np.asarray(np.interp(offsets.astype(np.float64), known, self.travelled_m))
 
+    def poses_at(self, at_ns: IntArray, *, max_gap_s: float = np.inf) -> tuple[BoolArray, FloatArray]:
+        """Poses at any times, in any order, interpolated within the span of the series.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SynchronizedPoses:
-    """Estimate and truth at the same M stamps: stamps_ns (M,), T_map_body_est and T_world_body_gt (M, 4, 4)."""
+        Strictly between two poses that are more than ``max_gap_s`` apart none is known; at the stamp of a pose it is.
 
-    stamps_ns: IntArray
-    T_map_body_est: FloatArray
-    T_world_body_gt: FloatArray
-
-    @property
-    def positions_est(self) -> FloatArray:
-        """Estimated positions (M, 3), metres, map frame."""
-        return self.T_map_body_est[:, :3, 3]
-
-    @property
-    def positions_gt(self) -> FloatArray:
-        """True positions (M, 3), metres, world frame."""
-        return self.T_world_body_gt[:, :3, 3]
+        Returns:
+            Whether the pose is known (M,), and T_world_body (M, 4, 4), the identity where it is not.
+        """
+        T_world_body = np.tile(np.eye(4), (len(at_ns), 1, 1))
+        if not len(self):
+            return np.zeros(len(at_ns), dtype=np.bool_), T_world_body
+        after = np.searchsorted(self.stamps_ns, at_ns).clip(0, len(self) - 1)
+        gaps_ns = self.stamps_ns[after] - self.stamps_ns[(after - 1).clip(0)]
+        known = (self.stamps_ns[after] == at_ns) | (gaps_ns <= np.rint(max_gap_s * 1e9))
+        known &= (at_ns >= self.stamps_ns[0]) & (at_ns <= self.stamps_ns[-1])
+        T_world_body[known] = interpolate(self.stamps_ns, self.T_world_body, at_ns[known])
+        return known, T_world_body
 
 
 def series_of(stamped_poses: Iterable[tuple[int, FloatArray]]) -> PoseSeries:
@@ -83,31 +82,24 @@ def clean_poses(stamps_ns: IntArray, T_world_body: FloatArray) -> PoseSeries:
     return PoseSeries(unique, T_world_body[first])
 
 
-def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> SynchronizedPoses:
-    """Interpolate the truth at every stamp of the estimate where truth is known.
+NO_POSES = series_of(())
 
-    A stamp outside the truth's span has none; neither has one strictly between two truth poses that are more than
-    ``max_gap_s`` apart. A stamp that a truth pose shares is always used.
+
+def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> tuple[PoseSeries, PoseSeries]:
+    """The estimate and the truth at the stamps of the estimate at which the truth is known, as ``poses_at`` has it.
 
     Raises:
         EvaluationError: no stamp of the estimate has truth; the message gives both spans.
     """
-    if len(estimate.stamps_ns) == 0 or len(truth.stamps_ns) == 0:
-        missing = "estimated pose" if len(estimate.stamps_ns) == 0 else "true pose"
-        raise EvaluationError(f"no {missing} to compare")
-    stamps = estimate.stamps_ns
-    inside = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
-    after = np.searchsorted(truth.stamps_ns, stamps, side="left").clip(0, len(truth.stamps_ns) - 1)
-    gaps_ns = truth.stamps_ns[after] - truth.stamps_ns[(after - 1).clip(0)]
-    known = inside & ((truth.stamps_ns[after] == stamps) | (gaps_ns <= round(max_gap_s * 1e9)))
+    if not len(estimate) or not len(truth):
+        raise EvaluationError(f"no {'true' if len(estimate) else 'estimated'} pose to compare")
+    stamps_ns = estimate.stamps_ns
+    known, T_world_body = truth.poses_at(stamps_ns, max_gap_s=max_gap_s)
     if not known.any():
         raise EvaluationError(
-            f"none of {len(stamps)} estimated poses in [{stamps[0]}, {stamps[-1]}] ns has truth, which spans "
+            f"none of {len(stamps_ns)} estimated poses in [{stamps_ns[0]}, {stamps_ns[-1]}] ns has truth, which spans "
             f"[{truth.stamps_ns[0]}, {truth.stamps_ns[-1]}] ns with gaps of at most {max_gap_s:g} s bridged; "
             "give the ground truth of this drive, with the same clock"
         )
-    return SynchronizedPoses(
-        stamps[known],
-        estimate.T_world_body[known],
-        interpolate(truth.stamps_ns, truth.T_world_body, stamps[known]),
-    )
+    found = stamps_ns[known]
+    return PoseSeries(found, estimate.T_world_body[known]), PoseSeries(found, T_world_body[known])

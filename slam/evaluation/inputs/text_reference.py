@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from logs.importers.text_files import SourceText, read_source_text
-from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, find_format, read_trajectory
-from logs.messages import GroundTruthPose
+from logs.importers.trajectory_files import TrajectoryFormat, find_format, read_trajectory
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 
 
-def read_text_reference(file: Path, calib: Path | None, path: PoseSeries) -> tuple[GroundTruthPose, ...]:
+def read_text_reference(file: Path, calib: Path | None, path: PoseSeries) -> PoseSeries:
     """The true poses of the body.
 
     Args:
@@ -35,8 +34,9 @@ def read_text_reference(file: Path, calib: Path | None, path: PoseSeries) -> tup
     )
     is_camera = is_kitti and calib is None
     remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
-    _check_axes(source.name, trajectory, path, remedy)
-    return tuple(GroundTruthPose(stamp_ns, T) for stamp_ns, T in trajectory.poses())
+    truth = PoseSeries(trajectory.stamps_ns, trajectory.T_world_body)
+    _check_axes(source.name, truth, path, remedy)
+    return truth
 
 
 def _times(source: SourceText, path: PoseSeries) -> SourceText:
@@ -46,17 +46,15 @@ def _times(source: SourceText, path: PoseSeries) -> SourceText:
     return SourceText("the stamps of the odometry", "\n".join(seconds), "")
 
 
-def _check_axes(name: str, truth: Trajectory, path: PoseSeries, remedy: str) -> None:
+def _check_axes(name: str, truth: PoseSeries, path: PoseSeries, remedy: str) -> None:
     """The robot moves in the same direction of its body by both, on stretches of equal length."""
-    series = PoseSeries(truth.stamps_ns, truth.T_world_body)
     try:
-        both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
+        est, gt = synchronize(path, truth, max_gap_s=Protocol().max_truth_gap_s)
     except EvaluationError:
         return  # The comparison reports that they do not overlap.
-    travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
-    rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], 201)))
+    rows = np.unique(np.searchsorted(gt.travelled_m, np.linspace(0.0, gt.travelled_m[-1], 201)))
     ways = []
-    for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
+    for T in (est.T_world_body[rows], gt.T_world_body[rows]):
         ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
     moved_m = np.linalg.norm(ways, axis=2)  # (2, stretches)
     lengths = moved_m[0] * moved_m[1]

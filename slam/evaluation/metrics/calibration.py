@@ -16,8 +16,6 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.landmarks import LandmarkMatches
-from slam.evaluation.place_recognition.revisits import find_true_poses
 
 NEEDS = {
     "pose": "keyframes: needs covariances (/slam/graph) and truth, also at the first keyframe, which fixes the map",
@@ -50,7 +48,7 @@ def evaluate_calibration(
     graph: FactorGraphRecord | None,
     map_est: ObjectMapRecord | None,
     map_gt: ObjectMapRecord | None,
-    matches: LandmarkMatches | None,
+    matches: pd.DataFrame | None,
     judged: pd.DataFrame | None,
     truth: PoseSeries,
     protocol: Protocol,
@@ -69,16 +67,17 @@ def evaluate_calibration(
         truth: may hold no pose.
         protocol: the thresholds.
     """
-    errors: dict[str, _Errors | None] = {}
+    errors: dict[str, _Errors] = {}
     T_map_world = _tie_first(graph, truth, protocol)
     if graph is not None and T_map_world is not None:
-        errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
+        if len(graph.pose_covariances):
+            errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
         if map_est is not None and map_gt is not None and matches is not None:
             errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
     if judged is not None:
         errors["closure"] = _closure_errors(judged, truth, protocol)
     nothing = (np.zeros((0, 1)), np.zeros((0, 1, 1)))
-    parts = {kind: measure_consistency(*(errors.get(kind) or nothing)) for kind in NEEDS}
+    parts = {kind: measure_consistency(*errors.get(kind, nothing)) for kind in NEEDS}
     figures = {f"{kind}_{name}": value for kind, part in parts.items() for name, value in part.items()}
     return figures, "; ".join(NEEDS[kind] for kind, part in parts.items() if not part["count"])
 
@@ -95,38 +94,30 @@ def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries, protocol: Pro
     """``T_map_world`` (4, 4) that lays the truth of the first keyframe on its estimate; None where it has no truth."""
     if graph is None or len(graph.keyframe_ids) == 0:
         return None
-    known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns[:1], max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns[:1], max_gap_s=protocol.max_truth_gap_s)
     return invert(T_world_body[0] @ invert(graph.T_map_body[0])) if known[0] else None
 
 
-def _pose_errors(
-    graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries, protocol: Protocol
-) -> _Errors | None:
-    if len(graph.pose_covariances) == 0:
-        return None
-    known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
+def _pose_errors(graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries, protocol: Protocol) -> _Errors:
+    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
     known[0] = False
     return pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known]), graph.pose_covariances[known]
 
 
 def _landmark_errors(
-    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, matches: LandmarkMatches, T_map_world: FloatArray
+    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, matches: pd.DataFrame, T_map_world: FloatArray
 ) -> _Errors:
-    matched = matches.object_rows >= 0
-    rows = matches.landmark_rows[matched]
-    errors = map_est.positions[rows] - apply(T_map_world, map_gt.positions[matches.object_rows[matched]])
-    return errors, map_est.covariances[rows]
+    rows, objects = matches.loc[matches["object"] >= 0, ["landmark", "object"]].to_numpy().T
+    return map_est.positions[rows] - apply(T_map_world, map_gt.positions[objects]), map_est.covariances[rows]
 
 
-def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors | None:
+def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors:
     chosen = judged[judged["accepted"] & judged["true"]]
-    chosen = chosen[[record.covariance is not None for record in chosen["record"]]]
-    if chosen.empty:
-        return None
+    chosen = chosen[np.array([record.covariance is not None for record in chosen["record"]], dtype=np.bool_)]
     T_world_reference, T_world_query = (
-        find_true_poses(truth, chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
+        truth.poses_at(chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
         for name in ("reference_stamp_ns", "stamp_ns")
     )
-    T_reference_query = np.array([record.T_reference_query for record in chosen["record"]])
-    covariances = np.array([record.covariance for record in chosen["record"]])
+    T_reference_query = np.array([record.T_reference_query for record in chosen["record"]]).reshape(-1, 4, 4)
+    covariances = np.array([record.covariance for record in chosen["record"]]).reshape(-1, 6, 6)
     return pose_errors(T_reference_query, invert(T_world_reference) @ T_world_query), covariances

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
@@ -21,41 +20,29 @@ from slam.evaluation.metrics.association import FALSE_POSITIVE
 from slam.evaluation.metrics.statistics import fraction, percentile
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LandmarkMatches:
-    """The confirmed landmarks of a map and the true object of each, by the truth of their detections.
-
-    landmark_rows (C,) rows of the estimated map; object_rows (C,) rows of the true map, -1 where there is none;
-    is_object (C,) bool: the landmark shows an object, though the true map may lack it (a moving one, for instance).
-    """
-
-    landmark_rows: IntArray
-    object_rows: IntArray
-    is_object: NDArray[np.bool_]
-
-
 def match_by_detections(
     map_est: ObjectMapRecord,
     map_gt: ObjectMapRecord,
     landmark_object_ids: Mapping[str, str],
     *,
     has_prior_map: bool = False,
-) -> LandmarkMatches:
+) -> pd.DataFrame:
     """Match confirmed landmarks by the true object of their detections.
 
     A landmark without detections with truth shows no object. With ``has_prior_map`` landmarks without detections are
     left out: they are of earlier drives.
+
+    Returns:
+        A row a landmark: ``landmark``, its row in the estimated map; ``object``, the row in the true map, -1 where
+        there is none; ``is_object``: it shows an object, though the true map may lack it (a moving one, for instance).
     """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
     rows = confirmed_rows(map_est)
     if has_prior_map:
         rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
-    objects = [landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows]
-    return LandmarkMatches(
-        landmark_rows=rows,
-        object_rows=np.array([row_of_object.get(name, -1) for name in objects], dtype=np.int64),
-        is_object=np.array([name != FALSE_POSITIVE for name in objects], dtype=np.bool_),
-    )
+    shown = pd.Series([landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows], dtype=object)
+    objects = np.array([row_of_object.get(name, -1) for name in shown], dtype=np.int64)
+    return pd.DataFrame({"landmark": rows, "object": objects, "is_object": shown != FALSE_POSITIVE})
 
 
 def compute_windowed_errors_m(
@@ -94,7 +81,7 @@ def compute_windowed_errors_m(
 def evaluate_landmarks(
     map_est: ObjectMapRecord,
     map_gt: ObjectMapRecord,
-    matches: LandmarkMatches,
+    matches: pd.DataFrame,
     protocol: Protocol,
     *,
     path_gt: PoseSeries,
@@ -118,8 +105,7 @@ def evaluate_landmarks(
     Raises:
         EvaluationError: a matched position is not finite.
     """
-    matched = matches.object_rows >= 0
-    rows_est, rows_gt = matches.landmark_rows[matched], matches.object_rows[matched]
+    rows_est, rows_gt = matches.loc[matches["object"] >= 0, ["landmark", "object"]].to_numpy().T
     positions_est, positions_gt = map_est.positions[rows_est], map_gt.positions[rows_gt]
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
         raise EvaluationError("the position of a landmark or a true object is not finite")
@@ -135,16 +121,15 @@ def evaluate_landmarks(
     often = {name for name in map_gt.ids if object_detection_counts.get(name, 0) >= protocol.least_detections}
     found = {map_gt.ids[row] for row in rows_gt}
     class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
-    confirmed_count = len(matches.landmark_rows)
     return {
         "median_error_m": percentile(windowed_m, 50.0),
         "p95_error_m": percentile(windowed_m, 95.0),
         "max_error_m": percentile(windowed_m, 100.0),
         "global_median_error_m": percentile(global_m, 50.0),
-        "confirmed_count": confirmed_count,
+        "confirmed_count": len(matches),
         "matched_count": len(rows_est),
         "landmarks_per_object": fraction(len(rows_est), len(found)),
-        "precision": fraction(int(np.count_nonzero(matches.is_object)), confirmed_count),
+        "precision": fraction(int(matches["is_object"].sum()), len(matches)),
         "recall": fraction(len(often & found), len(often)),
         "class_accuracy": fraction(class_right, len(rows_est)),
     }

@@ -14,7 +14,6 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import fraction, percentile
-from slam.evaluation.place_recognition.revisits import find_true_poses
 
 LOST = "LOST"
 MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
@@ -122,7 +121,7 @@ def _error(placed: PlacedPose | None, truth: PoseSeries, protocol: Protocol) -> 
     if placed is None:
         return None
     stamp_ns, T_world_body = placed
-    known, T_world_body_gt = find_true_poses(truth, np.array([stamp_ns]), max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body_gt = truth.poses_at(np.array([stamp_ns]), max_gap_s=protocol.max_truth_gap_s)
     T_error = invert(T_world_body_gt[0]) @ T_world_body
     return np.array([np.linalg.norm(T_error[:3, 3]), rotation_angle_rad(T_error)]) if known[0] else None
 
@@ -141,7 +140,7 @@ def _place_by_closure(
     if made is None or made.T_reference_query is None:
         return None
     at_ns = np.array([made.reference_stamp_ns])
-    known, T_world_reference = find_true_poses(truth, at_ns, max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_reference = truth.poses_at(at_ns, max_gap_s=protocol.max_truth_gap_s)
     return (made.stamp_ns, T_world_reference[0] @ made.T_reference_query) if known[0] else None
 
 

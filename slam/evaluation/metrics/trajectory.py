@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,13 +44,13 @@ def evaluate_trajectory(
     Raises:
         EvaluationError: no common time, a single common pose, or no motion; never a NaN.
     """
-    poses = synchronize(estimate, truth, max_gap_s=max_gap_s)
-    alignment = align_path(poses.positions_est, poses.positions_gt)
-    aligned = apply(alignment.T_world_map, poses.positions_est)
-    errors_m = np.linalg.norm(aligned - poses.positions_gt, axis=1)
-    steps_m = np.linalg.norm(np.diff(poses.positions_gt, axis=0), axis=1)
-    is_driven = (np.diff(poses.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
-    translation_percent, rotation_deg_per_100m = compute_relative_error(poses.T_map_body_est, poses.T_world_body_gt)
+    est, gt = synchronize(estimate, truth, max_gap_s=max_gap_s)
+    alignment = align_path(est.positions, gt.positions)
+    aligned = apply(alignment.T_world_map, est.positions)
+    errors_m = np.linalg.norm(aligned - gt.positions, axis=1)
+    steps_m = np.linalg.norm(np.diff(gt.positions, axis=0), axis=1)
+    is_driven = (np.diff(gt.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
+    translation_percent, rotation_deg_per_100m = compute_relative_error(est.T_world_body, gt.T_world_body)
     return TrajectoryErrors(
         ate_m=float(np.sqrt(np.mean(errors_m**2))),
         median_m=float(np.median(errors_m)),
@@ -61,21 +60,17 @@ def evaluate_trajectory(
         rpe_rotation_deg_per_100m=rotation_deg_per_100m,
         alignment=alignment,
         length_m=float(steps_m[is_driven].sum()),
-        duration_s=int(poses.stamps_ns[-1] - poses.stamps_ns[0]) * 1e-9,
-        pose_count=len(poses.stamps_ns),
+        duration_s=int(gt.stamps_ns[-1] - gt.stamps_ns[0]) * 1e-9,
+        pose_count=len(gt),
     )
 
 
 def compute_relative_error(
-    T_map_body_est: FloatArray,
-    T_world_body_gt: FloatArray,
-    *,
-    lengths_m: Sequence[float] = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0),
-    start_step: int = 10,
+    T_map_body_est: FloatArray, T_world_body_gt: FloatArray
 ) -> tuple[float | None, float | None]:
     """Relative pose error as the KITTI odometry benchmark defines it: percent, and degrees per 100 m.
 
-    From every ``start_step``-th pose a stretch reaches to the first pose more than a length further along the true
+    From every tenth pose a stretch reaches to the first pose more than a length, 100 m to 800 m, further along the true
     path. Its error is ``(T_est_first^-1 T_est_last)^-1 (T_gt_first^-1 T_gt_last)``, divided by the nominal length; the
     mean is over all stretches of all lengths. No alignment is needed.
 
@@ -84,16 +79,14 @@ def compute_relative_error(
     Args:
         T_map_body_est: (N, 4, 4), metres.
         T_world_body_gt: (N, 4, 4), metres, of the same times.
-        lengths_m: positive lengths of the stretches.
-        start_step: number of poses from one start to the next, >= 1.
 
     Returns:
         None, None where the drive has no such stretch.
     """
     path_m = travelled_m(T_world_body_gt)
-    starts = np.arange(0, len(path_m), start_step)
-    lengths = np.repeat(np.asarray(lengths_m), len(starts))
-    starts = np.tile(starts, len(lengths_m))
+    starts, lengths = (
+        each.ravel() for each in np.meshgrid(np.arange(0, len(path_m), 10), np.arange(100.0, 801.0, 100.0))
+    )
     ends = np.searchsorted(path_m, path_m[starts] + lengths, side="right")
     is_inside = ends < len(path_m)
     if not is_inside.any():

@@ -11,40 +11,14 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from logs.closures import rank_stage
-from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.common.errors import EvaluationError
+from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
+from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import fraction
 
 DIRECTIONS = ("same", "opposite", "crossing")
 NO_TRUE_CANDIDATE = "no true candidate"
 ASSOCIATION = "association"
-
-
-def find_true_poses(truth: PoseSeries, at_ns: IntArray, *, max_gap_s: float) -> tuple[BoolArray, FloatArray]:
-    """True poses at any times, by the rules of :func:`slam.evaluation.inputs.synchronization.synchronize`.
-
-    Args:
-        truth: may hold no pose.
-        at_ns: (M,) int64, in any order and with repetitions; M may be 0.
-        max_gap_s: a longer gap of the truth is not bridged.
-
-    Returns:
-        Whether the truth is known (M,), and T_world_body (M, 4, 4), the identity where it is not.
-    """
-    T_world_body = np.tile(np.eye(4), (len(at_ns), 1, 1))
-    unique = np.unique(at_ns)
-    try:
-        poses = synchronize(
-            PoseSeries(unique, np.broadcast_to(np.eye(4), (len(unique), 4, 4))), truth, max_gap_s=max_gap_s
-        )
-    except EvaluationError:
-        return np.zeros(len(at_ns), dtype=np.bool_), T_world_body
-    rows = np.searchsorted(poses.stamps_ns, at_ns).clip(0, len(poses.stamps_ns) - 1)
-    known = poses.stamps_ns[rows] == at_ns
-    T_world_body[known] = poses.T_world_body_gt[rows[known]]
-    return known, T_world_body
 
 
 def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
@@ -66,7 +40,7 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
         A row a query, in the order of time: ``keyframe`` (id), ``stamp_ns``, and ``direction``, one of
         :data:`DIRECTIONS`, "" where it is no revisit.
     """
-    known, T_world_body = find_true_poses(truth, stamps_ns, max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body = truth.poses_at(stamps_ns, max_gap_s=protocol.max_truth_gap_s)
     rows = np.flatnonzero(known)
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
     T_world_body = T_world_body[rows]

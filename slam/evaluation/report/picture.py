@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, interpolate, invert
+from slam.common.geometry import apply, invert
 from slam.display.map_layers import OTHER_COLOR, Layer, MapPicture, class_layers, count_classes, strokes
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
@@ -40,7 +40,7 @@ def compose_picture(
             drive.
     """
     # Where a run did not finish, its poses as they were at their time.
-    estimate = records.final_path if records.trajectory else records.online_path
+    estimate = records.final_path or records.online_path
     errors = evaluation.estimate or evaluation.online
     spans_ns = _discontinuities(records.graph)
     path = _broken(estimate.stamps_ns, estimate.positions, spans_ns)
@@ -97,18 +97,10 @@ def _losses(
     noticed_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
     lost_ns = [max((first for first in spans_ns[:, 0].tolist() if first < at), default=at) for at in noticed_ns]
     found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]
-    lost, found = positions_at(estimate, lost_ns), positions_at(estimate, found_ns)
-    return lost[np.isfinite(lost).all(axis=1)], found[np.isfinite(found).all(axis=1)]
-
-
-def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArray:
-    """Positions (M, 3), metres, at any times (M,); NaN where the path does not reach."""
-    at_ns = np.asarray(at_ns, dtype=np.int64)
-    positions = np.full((len(at_ns), 3), np.nan)
-    if len(path):
-        inside = (at_ns >= path.stamps_ns[0]) & (at_ns <= path.stamps_ns[-1])
-        positions[inside] = interpolate(path.stamps_ns, path.T_world_body, at_ns[inside])[:, :3, 3]
-    return positions
+    (is_lost, T_lost), (is_found, T_found) = (
+        estimate.poses_at(np.array(at_ns, np.int64)) for at_ns in (lost_ns, found_ns)
+    )
+    return T_lost[is_lost, :3, 3], T_found[is_found, :3, 3]
 
 
 def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -117,10 +109,9 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray,
     if closures is None:
         return (np.zeros((0, 2, 3)),) * 3
     closures = closures[closures["accepted"]]
-    ends = np.stack(
-        [positions_at(estimate, closures[k].to_numpy()) for k in ("stamp_ns", "reference_stamp_ns")], axis=1
-    )
-    is_known = np.isfinite(ends).all(axis=(1, 2))
+    is_query, T_query = estimate.poses_at(closures["stamp_ns"].to_numpy())
+    is_reference, T_reference = estimate.poses_at(closures["reference_stamp_ns"].to_numpy())
+    ends, is_known = np.stack([T_query[:, :3, 3], T_reference[:, :3, 3]], axis=1), is_query & is_reference
     true, decided = closures["true"].to_numpy(), closures["decided"].to_numpy()
     return ends[is_known & true], ends[is_known & decided & ~true], ends[is_known & ~decided]
 

@@ -32,14 +32,12 @@ class ScanObjects:
         return self._found[key]
 
     def _objects(self, scan: LabelledScan, body_frame: str) -> ObjectDetections:
-        from logs.clouds.labelled_cloud import LabelledCloud
         from logs.clouds.objects import find_objects
 
-        numbers = [number for number in np.unique(scan.classes).tolist() if number]
+        numbers = [number for number in np.unique(scan.cloud.classes).tolist() if number]
         names = {number: str(number) for number in numbers if self._labels.name(str(number)) != DROPPED}
         T_body_sensor = self._frames.find(body_frame, scan.frame_id, scan.stamp_ns)
         # The cosine of the tilt is 1 for a level frame and 0 for an optical one.
         is_upright = T_body_sensor is None or abs(float(T_body_sensor[2, 2])) > 0.7
-        cloud = LabelledCloud(scan.positions, scan.classes, scan.instances)
-        objects = find_objects(cloud, names, viewpoint=np.zeros(3), upright=is_upright)
+        objects = find_objects(scan.cloud, names, viewpoint=np.zeros(3), upright=is_upright)
         return objects.detections(scan.stamp_ns, scan.frame_id)

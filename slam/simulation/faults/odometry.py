@@ -39,7 +39,7 @@ def odometry_jumps(log: Recording, count: Number = 10, distance_m: Metres = 1.5,
 def odometry_wild(log: Recording, distance_m: Metres = 1000.0, *, rng: np.random.Generator) -> None:
     """One message at half time is M away and turned at random; the next one is right again."""
     direction_rad, turn_rad = rng.uniform(-np.pi, np.pi, 2).tolist()
-    poses, row = log.poses, _half_row(log)
+    poses, row = log.poses, log.row_at(0.5)
     poses[row] = poses[row] @ _shift(distance_m, direction_rad) @ _turn(turn_rad)
     log.poses = poses
 
@@ -81,7 +81,7 @@ def wheel_slip(log: Recording, factor: Factor = 1.5, seconds: Duration = 5.0) ->
 
 def odometry_restart(log: Recording) -> None:
     """Its poses restart at the origin at half time, as after a restart of the node."""
-    poses, row = log.poses, _half_row(log)
+    poses, row = log.poses, log.row_at(0.5)
     poses[row:] = invert(poses[row]) @ poses[row:]
     log.poses = poses
 
@@ -99,11 +99,6 @@ def odometry_yaw_noise(log: Recording, sigma: _YawNoise = 0.005, *, rng: np.rand
     errors = sigma * _root_m(steps) * rng.standard_normal(len(steps))
     steps[:, :3, :3] = steps[:, :3, :3] @ _turn(errors)[:, :3, :3]
     log.steps = steps
-
-
-def _half_row(log: Recording) -> int:
-    """The first pose after half of the time of the drive, the last one where there is none."""
-    return min(log.row_at(0.5), len(log.odometry) - 1)
 
 
 def _root_m(steps: FloatArray) -> FloatArray:

@@ -153,8 +153,8 @@ class Recording:
         self.poses = np.array(poses)
 
     def row_at(self, fraction: float) -> int:
-        """The first pose after a part of the time of the drive, N where there is none."""
-        return int(np.searchsorted(self.stamps_ns, self.stamp_at(fraction)))
+        """The first pose after a part of the time of the drive, the last one where there is none."""
+        return min(int(np.searchsorted(self.stamps_ns, self.stamp_at(fraction))), len(self.odometry) - 1)
 
     def scan_poses(self) -> FloatArray:
         """Poses T_odom_body (S, 4, 4) at the scans, those of the ends outside of the odometry."""
@@ -165,9 +165,8 @@ class Recording:
     def redirect(self, row: int, T_jump: FloatArray) -> None:
         """Move the poses from ``row`` on rigidly, by ``T_jump`` (4, 4) in the axes of the body at ``row``."""
         poses = self.poses
-        if row < len(poses):
-            # The transpose, as the inverse of a rotation, would double its rounding with each of many jumps.
-            poses[row:] = poses[row] @ T_jump @ np.linalg.inv(poses[row]) @ poses[row:]
+        # The transpose, as the inverse of a rotation, would double its rounding with each of many jumps.
+        poses[row:] = poses[row] @ T_jump @ np.linalg.inv(poses[row]) @ poses[row:]
         self.poses = poses
 
     def restamp_scans(self, new_stamp_ns: Callable[[int], int]) -> None:

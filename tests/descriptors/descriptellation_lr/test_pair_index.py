@@ -38,6 +38,10 @@ def view(positions: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return rows, positions[rows] @ turn.T + 1e4 + rng.normal(0.0, 0.2, (len(rows), 2))
 
 
+def search(index: PairIndex, seen: np.ndarray, labels: np.ndarray, **given: np.ndarray) -> PairMatches:
+    return index.search(seen, labels, sigmas_m=np.full(len(seen), SIGMA_M), **given)
+
+
 def share_right(matches: PairMatches, rows: np.ndarray, best: int) -> float:
     return float((rows[matches.queries[:best]] == matches.entries[:best]).all(axis=1).mean())
 
@@ -81,19 +85,19 @@ def test_view_finds_its_pairs_in_another_frame_and_not_when_mirrored(classes: in
     positions, labels = town(classes=classes)
     index = indexed(positions, labels)
     rows, seen = view(positions)
-    matches = index.search(seen, labels[rows], sigmas_m=np.full(len(rows), SIGMA_M))
+    matches = search(index, seen, labels[rows])
     assert share_right(matches, rows, 15) > 0.8
     assert (np.diff(matches.nats) <= 0.0).all()
-    mirrored = index.search(seen * [1.0, -1.0], labels[rows], sigmas_m=np.full(len(rows), SIGMA_M))
+    mirrored = search(index, seen * [1.0, -1.0], labels[rows])
     assert mirrored.nats.max(initial=-np.inf) < matches.nats.max()
 
 
 def test_pairs_of_other_classes_do_not_match() -> None:
     positions, labels = town(classes=2)
     rows, seen = view(positions)
-    matches = indexed(positions, labels).search(seen, labels[rows], sigmas_m=np.full(len(rows), SIGMA_M))
+    matches = search(indexed(positions, labels), seen, labels[rows])
     np.testing.assert_array_equal(labels[rows][matches.queries], labels[matches.entries])
-    assert not len(indexed(positions, labels).search(seen, labels[rows] + 2, sigmas_m=np.full(len(rows), SIGMA_M)).nats)
+    assert not len(search(indexed(positions, labels), seen, labels[rows] + 2).nats)
 
 
 def test_index_that_grows_finds_what_one_made_at_once_finds() -> None:
@@ -110,7 +114,7 @@ def test_index_that_grows_finds_what_one_made_at_once_finds() -> None:
             centres=np.arange(start, start + 50),
         )
     rows, seen = view(positions, seed=3)
-    matches = grown.search(seen, labels[rows], sigmas_m=np.full(len(rows), SIGMA_M))
+    matches = search(grown, seen, labels[rows])
     assert share_right(matches, rows, 15) > 0.8
 
 
@@ -119,9 +123,7 @@ def test_only_allowed_objects_match() -> None:
     rows, seen = view(positions)
     allowed = np.ones(len(positions), dtype=bool)
     allowed[rows] = False
-    matches = indexed(positions, labels).search(
-        seen, labels[rows], sigmas_m=np.full(len(rows), SIGMA_M), allowed=allowed
-    )
+    matches = search(indexed(positions, labels), seen, labels[rows], allowed=allowed)
     assert len(matches.nats)
     assert allowed[matches.entries].all()
 
@@ -132,7 +134,7 @@ def test_arrays_make_the_same_index_and_those_of_another_version_are_refused() -
     arrays = index.words, index.ends, index.lengths, index.classes
     again = PairIndex.of(shipped_likelihood(), index.unit_m or 0.0, *arrays)
     rows, seen = view(positions)
-    first, second = (each.search(seen, labels[rows], sigmas_m=np.full(len(rows), SIGMA_M)) for each in (index, again))
+    first, second = (search(each, seen, labels[rows]) for each in (index, again))
     np.testing.assert_array_equal(first.entries, second.entries)
     assert len(again) == len(index)
     with pytest.raises(ValueError, match="another version"):
@@ -144,7 +146,7 @@ def test_arrays_make_the_same_index_and_those_of_another_version_are_refused() -
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_query_or_map_of_hardly_any_objects_is_no_error(count: int) -> None:
     positions, labels = town(60)
-    matches = indexed(positions, labels).search(positions[:count], labels[:count], sigmas_m=np.full(count, SIGMA_M))
+    matches = search(indexed(positions, labels), positions[:count], labels[:count])
     assert matches.queries.shape[1] == 2
     few = PairIndex(shipped_likelihood())
     few.add(positions[:count], labels[:count])
@@ -154,16 +156,14 @@ def test_query_or_map_of_hardly_any_objects_is_no_error(count: int) -> None:
 def test_pair_with_nothing_around_it_matches_pairs_of_its_length() -> None:
     positions = np.array([[0.0, 0.0], [5.0, 0.0], [1e3, 0.0], [1e3 + 9.0, 0.0], [0.0, 1e3], [7.0, 1e3]])
     labels = np.zeros(6, dtype=np.int64)
-    index = PairIndex(shipped_likelihood(), 7.0)
-    index.add(positions, labels)
-    matches = index.search(positions[2:4], labels[2:4], sigmas_m=np.full(2, SIGMA_M))
-    assert {tuple(sorted(pair)) for pair in matches.entries.tolist()} == {(2, 3)}
-    grown = PairIndex(shipped_likelihood(), 7.0)
+    whole, grown = PairIndex(shipped_likelihood(), 7.0), PairIndex(shipped_likelihood(), 7.0)
+    whole.add(positions, labels)
     for first in (0, 2, 4):
         numbers = np.where(np.arange(6) // 2 == first // 2, np.arange(6), -1)
         grown.add(positions, labels, numbers=numbers, centres=np.array([first, first + 1]))
-    matches = grown.search(positions[2:4], labels[2:4], sigmas_m=np.full(2, SIGMA_M))
-    assert {tuple(sorted(pair)) for pair in matches.entries.tolist()} == {(2, 3)}
+    for index in (whole, grown):
+        matches = search(index, positions[2:4], labels[2:4])
+        assert {tuple(sorted(pair)) for pair in matches.entries.tolist()} == {(2, 3)}
 
 
 @pytest.mark.parametrize(("noise_m", "is_found"), [(0.1, False), (1.0, True)])

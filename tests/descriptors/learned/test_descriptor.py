@@ -14,9 +14,9 @@ from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
-from descriptors.learned.descriptor import LearnedDescriptor
-from descriptors.learned.networks import BATCH, load_network, make_network, pad_constellations
-from descriptors.learned.weights import Weights, save_weights
+from descriptors.learned.descriptor import BATCH, LearnedDescriptor
+from descriptors.learned.networks import load_network, make_network, pad_constellations
+from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.registry import make_index, shipped_weights
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.trainer import Recipe
@@ -51,7 +51,7 @@ def assert_alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> None:
 
 def test_each_row_is_that_of_its_constellation_on_its_own(descriptor, constellations):
     vectors = descriptor.describe(constellations)
-    assert vectors.dtype == np.float32
+    assert (vectors.dtype, descriptor.radius_m) == (np.float32, 17.5)
     for row in [*range(0, len(constellations), 23), len(constellations) - 1]:
         assert_alike(vectors[[row]], descriptor.describe(constellations[np.array([row])]))
     assert np.linalg.norm(np.diff(vectors[:40], axis=0), axis=1).min() > 1e-4  # others would have been noticed
@@ -84,10 +84,6 @@ def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descr
         assert descriptor.describe(constellations).shape == (1, 16)
 
 
-def test_radius_is_that_of_the_architecture(descriptor):
-    assert descriptor.radius_m == 17.5
-
-
 def test_candidates_of_the_paper_s_network_are_of_any_class():
     positions, labels = scattered(30, seed=2)
     index = make_index("descriptellation")
@@ -114,8 +110,9 @@ def test_centre_comes_first_then_the_neighbours_then_nothing(constellations):
 
 
 def test_shipped_network_finds_views_of_maps_that_it_was_not_trained_on():
-    network, weights = load_network(shipped_weights("descriptellation"))
-    assert weights.metrics["validation_top_k"] >= 0.981
+    path = shipped_weights("descriptellation")
+    network = load_network(path)
+    assert read_weights(path).metrics["validation_top_k"] >= 0.981
     recipe = Recipe(ContrastTraining(architecture=DescriptellationArchitecture()))
     recipe.network.load_state_dict(network.state_dict())
     trained, untrained = recipe.validate(), Recipe(recipe.config).validate()

@@ -58,30 +58,6 @@ def path(tmp_path) -> Path:
     return path
 
 
-@pytest.fixture
-def likelihood(tmp_path) -> Path:
-    path = tmp_path / "lr.safetensors"
-    save_weights(path, weights_of(DescriptellationLR()))
-    return path
-
-
-def refuses(
-    load: Callable[[Path], object],
-    path: Path,
-    message: str,
-    change: Callable[[Tensors], object] | None = None,
-    **values: object,
-) -> None:
-    """Loads a file of weights, but not with tensors and fields of the architecture changed."""
-    load(path)
-    weights = read_weights(path)
-    if change:
-        change(weights.tensors)
-    save_weights(path, weights.model_copy(update={"architecture": weights.architecture | values}))
-    with pytest.raises(WeightsError, match=rf"{path.name}: .*{message}"):
-        load(path)
-
-
 def test_network_comes_back_with_its_architecture_results_and_history(tmp_path):
     architecture = DescriptellationArchitecture(length=24)
     network = trained(architecture)
@@ -89,7 +65,7 @@ def test_network_comes_back_with_its_architecture_results_and_history(tmp_path):
     torch.manual_seed(7)
     expected = torch.rand(3)
     torch.manual_seed(7)
-    loaded, weights = load_network(tmp_path / "net")
+    loaded, weights = load_network(tmp_path / "net"), read_weights(tmp_path / "net")
     assert torch.equal(torch.rand(3), expected)  # loading draws no random numbers
     assert (weights.training, weights.seed, weights.metrics) == ({"epochs": 3, "rate": 1e-3}, 5, {"top5": 0.9})
     assert loaded.architecture == architecture
@@ -139,37 +115,47 @@ def test_other_metadata_are_refused(path: Path, texts: Mapping[str, str], messag
 
 
 @pytest.mark.parametrize(
-    ("change", "values", "message"),
+    ("load", "change", "values", "message"),
     [
-        (lambda tensors: tensors.pop("fusion.0.bias"), {}, r"Missing key.*fusion\.0\.bias"),
-        (lambda tensors: tensors.update(extra=np.zeros(3)), {}, r"Unexpected key.*extra"),
-        (lambda tensors: tensors.update({"fusion.0.bias": np.zeros(9)}), {}, r"fusion\.0\.bias.*\[9\].*\[8\]"),
-        (None, {"channels": 16}, r"backbone\.0.*\[8,.*\[16,"),
-        (None, {"channels": -1}, "negative"),
-        (None, {"name": "transformer"}, r"no network 'transformer'|unknown network 'transformer'"),
-        (None, {"heads": 4}, "heads: Unexpected"),
-        (None, {"channels": "many"}, "channels: "),
+        (load_network, lambda tensors: tensors.pop("fusion.0.bias"), {}, r"Missing key.*fusion\.0\.bias"),
+        (load_network, lambda tensors: tensors.update(extra=np.zeros(3)), {}, r"Unexpected key.*extra"),
+        (
+            load_network,
+            lambda tensors: tensors.update({"fusion.0.bias": np.zeros(9)}),
+            {},
+            r"fusion\.0\.bias.*\[9\].*\[8\]",
+        ),
+        (load_network, None, {"channels": 16}, r"backbone\.0.*\[8,.*\[16,"),
+        (load_network, None, {"channels": -1}, "negative"),
+        (load_network, None, {"name": "transformer"}, "unknown network 'transformer'"),
+        (load_network, None, {"heads": 4}, "heads: Unexpected"),
+        (load_network, None, {"channels": "many"}, "channels: "),
+        (LearnedLikelihood, None, {"kernels": 3}, "kernels: Unexpected"),
+        (LearnedLikelihood, lambda tensors: tensors.update(log_widths=np.zeros(2, np.float32)), {}, "log_widths"),
+        (LearnedLikelihood, lambda tensors: tensors.update(log_widths=np.zeros(3)), {}, "log_widths"),
+        (
+            LearnedLikelihood,
+            lambda tensors: tensors.update({"worth.2.bias": np.full(2, np.nan, np.float32)}),
+            {},
+            "not finite",
+        ),
+        (LearnedLikelihood, None, {"outer": 0.1}, "its sizes are invalid"),
+        (LearnedLikelihood, None, {"sectors": 0}, "its sizes are invalid"),
+        (LearnedLikelihood, None, {"partners": 10**9}, "its sizes are invalid"),
     ],
 )
-def test_network_that_does_not_fit_its_architecture_is_refused_by_name(
-    path: Path, change: Callable[[Tensors], object] | None, values: dict[str, Any], message: str
+def test_weights_that_do_not_fit_their_architecture_are_refused_by_name(
+    path: Path,
+    load: Callable[[Path], object],
+    change: Callable[[Tensors], object] | None,
+    values: dict[str, Any],
+    message: str,
 ) -> None:
-    refuses(load_network, path, message, change, **values)
-
-
-@pytest.mark.parametrize(
-    ("change", "values", "message"),
-    [
-        (None, {"kernels": 3}, "kernels: Unexpected"),
-        (lambda tensors: tensors.update(log_widths=np.zeros(2, np.float32)), {}, "log_widths"),
-        (lambda tensors: tensors.update(log_widths=np.zeros(3)), {}, "log_widths"),
-        (lambda tensors: tensors.update({"worth.2.bias": np.full(2, np.nan, np.float32)}), {}, "not finite"),
-        (None, {"outer": 0.1}, "its sizes are invalid"),
-        (None, {"sectors": 0}, "its sizes are invalid"),
-        (None, {"partners": 10**9}, "its sizes are invalid"),
-    ],
-)
-def test_likelihood_that_does_not_fit_its_architecture_is_refused(
-    likelihood: Path, change: Callable[[Tensors], object] | None, values: dict[str, Any], message: str
-) -> None:
-    refuses(LearnedLikelihood, likelihood, message, change, **values)
+    weights = weights_of(DescriptellationLR() if load is LearnedLikelihood else trained())
+    save_weights(path, weights)
+    load(path)
+    if change:
+        change(weights.tensors)
+    save_weights(path, weights.model_copy(update={"architecture": weights.architecture | values}))
+    with pytest.raises(WeightsError, match=rf"{path.name}: .*{message}"):
+        load(path)

@@ -28,11 +28,20 @@ def test_read_detections_needs_stamp_x_and_y() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "cell"),
-    [("stamp", "1.5"), ("time [s]", "1.5"), ("t_ms", "1500"), ("stamp_us", "1.5e6"), ("timestamp_ns", "1500000000")],
+    ("name", "cell", "stamp_ns"),
+    [
+        ("stamp", "1.5", 1_500_000_000),
+        ("time [s]", "1.5", 1_500_000_000),
+        ("t_ms", "1500", 1_500_000_000),
+        ("stamp_us", "1.5e6", 1_500_000_000),
+        ("timestamp_ns", "1500000000", 1_500_000_000),
+        ("time", "2024-05-01T12:00:00Z", 1_714_564_800_000_000_000),
+        ("time", "2024-05-01 14:00:00.000000001+02:00", 1_714_564_800_000_000_001),
+        ("time", "2024-05-01 12:00", 1_714_564_800_000_000_000),
+    ],
 )
-def test_read_stamps_by_unit_of_column(name: str, cell: str) -> None:
-    assert scans(read(f"{name},x,y\n{cell},1,2\n"))[0].stamp_ns == 1_500_000_000
+def test_read_stamps_by_unit_of_column_or_as_dates(name: str, cell: str, stamp_ns: int) -> None:
+    assert scans(read(f"{name},x,y\n{cell},1,2\n"))[0].stamp_ns == stamp_ns
 
 
 def test_read_detections_by_unit_of_column() -> None:
@@ -40,26 +49,10 @@ def test_read_detections_by_unit_of_column() -> None:
     np.testing.assert_allclose(found.positions, [[1.5, 2.5, 3.0]])
 
 
-@pytest.mark.parametrize(
-    ("cell", "stamp_ns"),
-    [
-        ("2024-05-01T12:00:00Z", 1_714_564_800_000_000_000),
-        ("2024-05-01 14:00:00.000000001+02:00", 1_714_564_800_000_000_001),
-        ("2024-05-01 12:00", 1_714_564_800_000_000_000),
-    ],
-)
-def test_read_stamps_that_are_dates(cell: str, stamp_ns: int) -> None:
-    assert scans(read(f"time,x,y\n{cell},1,2\n"))[0].stamp_ns == stamp_ns
-
-
-@pytest.mark.parametrize("name", ["Class", "name"])
-def test_read_detections_finds_label_column(name: str) -> None:
-    assert scans(read(f"stamp_s,{name},x,y\n0,7,1,2\n"))[0].labels == ("7",)
-
-
-def test_read_detections_with_quoted_and_foreign_labels() -> None:
+def test_read_detections_finds_labels_quoted_and_foreign_ones_too() -> None:
     (found,) = scans(read('stamp_s;class;x;y\n0;"pole; tall";1;2\n0;\N{GREEK SMALL LETTER PI};1;2\n'))
     assert found.labels == ("pole; tall", "\N{GREEK SMALL LETTER PI}")
+    assert [scans(read(f"stamp_s,{name},x,y\n0,7,1,2\n"))[0].labels for name in ("Class", "name")] == [("7",)] * 2
 
 
 def test_empty_cells_at_the_end_of_a_line_between_tabs() -> None:

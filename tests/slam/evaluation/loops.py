@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.messages import GroundTruthPose, LoopClosureRecord
+from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
@@ -85,10 +85,9 @@ def evaluate_closures(
     records: list[LoopClosureRecord], truth: PoseSeries, ids: IntArray, stamps_ns: IntArray
 ) -> Evaluation:
     """Candidates of a drive with keyframes at the poses of the truth."""
-    poses = zip(truth.stamps_ns.tolist(), truth.T_world_body, strict=True)
     return evaluate(
         EvaluationRecords(
-            true_poses=tuple(GroundTruthPose(stamp_ns, T) for stamp_ns, T in poses),
+            true_path=truth,
             closures=tuple(records),
             graph=replace(graph(stamps_ns, np.tile(np.eye(4), (len(ids), 1, 1))), keyframe_ids=ids),
         )

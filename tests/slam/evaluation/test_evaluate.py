@@ -113,6 +113,13 @@ def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
 
+def test_revisits_need_keyframes() -> None:
+    result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/slam/graph"]))
+    assert "/slam/graph" in result.unavailable["closures"]
+    assert at_json(result, "closures.precision") == 0.5
+    assert "recall" not in result.to_json_dict()["closures"]
+
+
 def test_landmarks_need_truth_of_detections() -> None:
     result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/ground_truth/detections"]))
     assert at_json(result, "landmarks") == {}
@@ -121,9 +128,9 @@ def test_landmarks_need_truth_of_detections() -> None:
 
 def test_a_reference_of_another_drive_is_told() -> None:
     records = collect_records(made_log())
-    late = [GroundTruthPose(r.stamp_ns + 10**13, r.T_world_body) for r in records.true_poses]
+    late = replace(records.true_path, stamps_ns=records.true_path.stamps_ns + 10**13)
     truths = [replace(r, stamp_ns=r.stamp_ns + 10**13) for r in records.detection_truths]
-    other = EvaluationRecords(true_poses=tuple(late), detection_truths=tuple(truths))
+    other = EvaluationRecords(true_path=late, detection_truths=tuple(truths))
     result = evaluate(records.with_truth_of(other))
     assert at_json(result, "trajectory.ate_m") is None
     assert "truth of this drive" in result.unavailable["trajectory"]
@@ -184,8 +191,8 @@ def test_odometry_is_taken_from_where_the_replay_took_it(tmp_path: Path) -> None
         writer.add_metadata("dslam", {"topics": '{"/tf": ["odometry"]}'})
         writer.write("/wheels", Odometry(1, np.eye(4)))
         writer.write("/tf", Transform(2, "odom", "base_link", np.eye(4)))
-    assert [each.stamp_ns for each in read_records(path).odometry] == [2]
-    assert [each.stamp_ns for each in read_records(path, topics={"odometry": "/wheels"}).odometry] == [1]
+    assert read_records(path).odometry_path.stamps_ns.tolist() == [2]
+    assert read_records(path, topics={"odometry": "/wheels"}).odometry_path.stamps_ns.tolist() == [1]
 
 
 @pytest.mark.parametrize("recorded", ["no json", '{"/odom": null}', '{"/gone": ["odometry"]}'])
@@ -194,4 +201,4 @@ def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded
     with LogWriter(path) as writer:
         writer.add_metadata("dslam", {"topics": recorded})
         writer.write("/odom", Odometry(0, np.eye(4)))
-    assert len(read_records(path).odometry) == 1
+    assert len(read_records(path).odometry_path) == 1

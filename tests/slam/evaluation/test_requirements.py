@@ -29,15 +29,12 @@ def test_what_is_no_requirement(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["trajectory.ate_m<=4", "trajectory.ate_m>=4", "trajectory.ate_m==4", "counters.keyframes>11"]
-)
-def test_bars_that_are_met(text: str) -> None:
-    assert parse_requirement(text).check(RESULTS)[0]
-
-
-@pytest.mark.parametrize(
     ("text", "told"),
     [
+        ("trajectory.ate_m<=4", ""),
+        ("trajectory.ate_m>=4", ""),
+        ("trajectory.ate_m==4", ""),
+        ("counters.keyframes>11", ""),
         ("trajectory.ate_m<4", "trajectory.ate_m is 4, where < 4 was required"),
         ("trajectory.ate_m>4", "trajectory.ate_m is 4, where > 4 was required"),
         ("trajectory.online_ate_m<=4", "online_ate_m is undefined, where"),
@@ -47,7 +44,7 @@ def test_bars_that_are_met(text: str) -> None:
         ("trajectory<=4", "undefined"),
     ],
 )
-def test_bars_that_are_not_met(text: str, told: str) -> None:
+def test_bars_are_met_or_told(text: str, told: str) -> None:
     is_met, found = parse_requirement(text).check(RESULTS)
-    assert not is_met
+    assert is_met == (not told)
     assert told in found

@@ -8,7 +8,6 @@ from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.fleet.logs import FleetLog
 from slam.fleet.sessions import map_session, map_sessions, session_folder
-from slam.sweeps.workers import Death
 
 LOG = FleetLog("a", Path("a.mcap"), "0")
 
@@ -35,7 +34,7 @@ def test_map_sessions_refuses_log_that_is_gone_before_it_was_mapped(tmp_path: Pa
 
 
 def test_log_whose_process_dies_is_not_mapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slam.fleet.sessions.compute_all", lambda _, logs, jobs: ((log, Death()) for log in logs))
+    monkeypatch.setattr("slam.fleet.sessions.compute_all", lambda _, logs, jobs: ((log, None) for log in logs))
     (tmp_path / "a.mcap").write_bytes(b"a")
     logs = [FleetLog(name, tmp_path / "a.mcap", name) for name in ("a", "b")]
     lines = []

@@ -156,10 +156,10 @@ def test_a_drive_with_fixes_tells_where_on_earth_it_was(tmp_path: Path) -> None:
         found = Georeference.from_json(reader.metadata()["dslam_georeference"]["georeference"])
         assert LOCATION not in {info.topic for info in reader.topics()}
     records = read_records(tmp_path / "out.mcap")
-    assert records.trajectory is not None
-    write_geodetic(tmp_path / "places.csv", records.trajectory, found)
+    final = records.final_path
+    write_geodetic(tmp_path / "places.csv", final.stamps_ns, final.T_world_body, found)
     places = np.loadtxt(tmp_path / "places.csv", delimiter=",", skiprows=1)[:, 1:]
-    truth = np.array([pose.T_world_body[:3, 3] for pose in records.true_poses])
+    truth = records.true_path.positions
     off = TRUE.to_map(places)[:, None] - truth[None]
     assert np.linalg.norm(off, axis=2).min(axis=1).max() < 1.0
 

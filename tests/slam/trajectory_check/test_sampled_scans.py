@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from slam.trajectory_check import sampled_scans
 from slam.trajectory_check.sampled_scans import SampledScan, ScanSample
+
+
+@pytest.fixture(autouse=True)
+def _few_detections(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampled_scans, "MAX_DETECTIONS", 100)
 
 
 def scan(index: int, detections: int) -> SampledScan:
@@ -14,14 +21,14 @@ def scan(index: int, detections: int) -> SampledScan:
 
 
 def test_short_drive_is_kept_whole_but_for_empty_scans() -> None:
-    sample = ScanSample(max_detections=100)
+    sample = ScanSample()
     for index in range(10):
         sample.add(scan(index, index % 2))
     assert [kept.stamp_ns for kept in sample.scans] == [1, 3, 5, 7, 9]
 
 
 def test_long_drive_is_sampled_evenly_within_bound() -> None:
-    sample = ScanSample(max_detections=100)
+    sample = ScanSample()
     for index in range(1000):
         sample.add(scan(index, 5))
     stamps = np.array([kept.stamp_ns for kept in sample.scans])

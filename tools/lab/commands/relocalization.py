@@ -44,7 +44,6 @@ def relocalization(
     kidnaps: Annotated[
         int, typer.Option(min=1, help="Largest number of places in the map, and of places outside.")
     ] = 100,
-    max_travel: Annotated[float, typer.Option(metavar="METRES", min=5.0, help="Length of each search.")] = 60.0,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
@@ -53,7 +52,7 @@ def relocalization(
     """Put a robot down at places of a drive, and measure how soon it is relocalized in a map.
 
     The first part of the drive is mapped, or a map is given. The robot starts at places of the rest of the drive,
-    evenly spread: half of them in the map, where it must be found, half outside, where it must not.
+    evenly spread, and drives 60 m: half of them in the map, where it must be found, half outside, where it must not.
 
     Found: a fix within 40 m with an error below 4 m and 10 deg in the map; late: a right fix after 40 m; wrong: any
     other fix; lost: no fix. Distance and time are medians of right fixes, errors are of all fixes.
@@ -80,7 +79,6 @@ def relocalization(
             config,
             given=given,
             kidnaps=kidnaps,
-            max_travel_m=max_travel,
             topics=parse_topics(topics),
             on_progress=move,
         )
@@ -90,5 +88,5 @@ def relocalization(
         "found, late, wrong and lost: per cent of the drives",
         f"outside the map: {sum(elsewhere)} false fixes in {len(elsewhere)} drives",
         title=f"{result['drive']}: {result['landmarks']} landmarks, map ATE {result['map_ate_m']:.2f} m",
-        json={"max_travel_m": max_travel, **result} if json else None,
+        json=result if json else None,
     )

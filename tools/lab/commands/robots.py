@@ -81,7 +81,7 @@ def map_robot(drive: Path, config: Config) -> MappedDrive:
     from logs.errors import LogError
     from slam.common.errors import SlamError
     from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
-    from slam.sweeps.workers import Death, compute_all
+    from slam.sweeps.workers import DIED, compute_all
     from tools.lab.drives.robot_drives import import_drive
 
     with TemporaryDirectory() as folder:
@@ -91,7 +91,7 @@ def map_robot(drive: Path, config: Config) -> MappedDrive:
         except (LogError, SlamError) as error:
             return MappedDrive(error=str(error))
         ((_, outcome),) = compute_all(map_drive, [DriveTask(log, config)], jobs=1)
-    return MappedDrive(error=str(outcome)) if isinstance(outcome, Death) else outcome
+    return outcome or MappedDrive(error=DIED)
 
 
 def notes_of(run: MappedDrive) -> list[str]:

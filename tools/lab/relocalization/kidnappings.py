@@ -22,7 +22,7 @@ from logs.topics import RecordKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.common.geometry import interpolate, invert, yaw_rad
+from slam.common.geometry import invert, yaw_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import percentile
@@ -33,6 +33,8 @@ from tools.lab.relocalization.known_map import KnownMap, known_imported, map_dri
 
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
+MAX_TRAVEL_M = 1.5 * RECOVERED_WITHIN_M
+"""Length of each search: a right fix may come late."""
 _KINDS = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
 _Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
 
@@ -43,7 +45,6 @@ def benchmark_relocalization(
     *,
     given: ImportedMap | float,
     kidnaps: int,
-    max_travel_m: float = 60.0,
     topics: Mapping[str, str] | None = None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
@@ -55,7 +56,6 @@ def benchmark_relocalization(
         given: an imported map in the frame of the truth; or seconds from the beginning of the log, up to which it is
             mapped, and from which on places are taken.
         kidnaps: most places in the map, and most places far from it.
-        max_travel_m: length of each search.
         topics: kind -> topic, where the log leaves a choice.
         on_progress: called with the fraction done, in [0, 1].
 
@@ -82,7 +82,7 @@ def benchmark_relocalization(
         else:
             begin_ns += round(1e9 * given)
             known, reach_m = map_drive(_between(records, 0, begin_ns), config), Protocol().revisit_distance_m
-        inside, outside = find_starts(known, truth, begin_ns, reach_m, 2.0 * config.sensor_range_m, max_travel_m)
+        inside, outside = find_starts(known, truth, begin_ns, reach_m, 2.0 * config.sensor_range_m)
         if not len(inside):
             raise EvaluationError(
                 f"after {(begin_ns - truth.stamps_ns[0]) * 1e-9:g} s the drive never stays within {reach_m:g} m of the "
@@ -91,7 +91,7 @@ def benchmark_relocalization(
         inside, outside = _spread(inside, kidnaps), _spread(outside, kidnaps)
         outcomes = list[dict[str, Any]]()
         for row in (*inside, *outside):
-            last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + max_travel_m)
+            last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + MAX_TRAVEL_M)
             first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()
             outcomes.append(put_down(known, _between(records, first_ns, last_ns), config))
             on_progress(len(outcomes) / (len(inside) + len(outside)))
@@ -106,7 +106,7 @@ def benchmark_relocalization(
 
 
 def find_starts(
-    known: KnownMap, truth: PoseSeries, begin_ns: int, reach_m: float, far_m: float, max_travel_m: float
+    known: KnownMap, truth: PoseSeries, begin_ns: int, reach_m: float, far_m: float
 ) -> tuple[IntArray, IntArray]:
     """Rows of the truth at which drives can begin: where the map is in reach up to a fix, and where it never is."""
     travelled_m = truth.travelled_m
@@ -121,7 +121,7 @@ def find_starts(
 
     return (
         starts(RECOVERED_WITHIN_M, lambda stretch_m: bool(np.all(stretch_m <= reach_m))),
-        starts(max_travel_m, lambda stretch_m: bool(np.all(stretch_m > far_m))),
+        starts(MAX_TRAVEL_M, lambda stretch_m: bool(np.all(stretch_m > far_m))),
     )
 
 
@@ -146,7 +146,7 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
     }
     if fix is not None:
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
-        T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0])
+        T_world_body = truth.poses_at(at_ns)[1][0]
         error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
         outcome |= {
             "distance_m": float(truth.travelled_at_m(at_ns)[0]),

@@ -65,12 +65,12 @@ def map_drive(records: Iterable[Record], config: Config) -> KnownMap:
     final = slam.finish()
     max_gap_s = Protocol().max_truth_gap_s
     estimate = series_of(zip(final.trajectory.stamps_ns.tolist(), final.trajectory.T_map_body, strict=True))
-    paired = synchronize(estimate, truth_of(poses), max_gap_s=max_gap_s)
+    est, gt = synchronize(estimate, truth_of(poses), max_gap_s=max_gap_s)
     return KnownMap(
         saved=SavedMap(confirmed(final.object_map), final.graph),
-        positions=paired.positions_gt,
-        T_map_body=paired.T_map_body_est,
-        T_world_body_gt=paired.T_world_body_gt,
+        positions=gt.positions,
+        T_map_body=est.T_world_body,
+        T_world_body_gt=gt.T_world_body,
         ate_m=evaluate_trajectory(estimate, truth_of(poses), max_gap_s=max_gap_s).ate_m,
         landmark_count=len(confirmed(final.object_map).ids),
     )

@@ -7,11 +7,13 @@ gets the same submaps.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from descriptors.registry import make_index
@@ -26,9 +28,8 @@ from slam.common.geometry import invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.place_recognition.revisits import find_true_poses
 from slam.loop_closure.loop_closer import Outcome
-from slam.object_map.submap import Submap, gravity_frame, recent_submap
+from slam.object_map.submap import gravity_frame, recent_submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.prepared_log import calibrate_logs
@@ -78,9 +79,19 @@ def measure_revisits(
                 on_progress(min(max((entry.record.stamp_ns - first_ns) / max(last_ns - first_ns, 1), 0.0), 1.0))
             else:
                 asking.process(entry.record)
-    if asking.asked_m < 0.0:
+    if not asking.answers:
         raise EvaluationError(f"{path}: the drive never revisits a place, so there is nothing to recognise")
-    return [{"drive": path.stem, **each.figures()} for each in asking.asked]
+    return [
+        {
+            "drive": path.stem,
+            "descriptor": name,
+            "queries": len(answers),
+            **{f"places_at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
+            "query_ms": 1e3 * float(answers["seconds"].median()),
+            "index_s": asking.index_s[name],
+        }
+        for name, answers in pd.DataFrame(asking.answers).groupby("descriptor", sort=False)
+    ]
 
 
 class _AskingSlam(Slam):
@@ -90,14 +101,18 @@ class _AskingSlam(Slam):
         super().__init__(config)
         self._truth = truth
         self._protocol = Protocol(revisit_m=config.closure_travel_m)
-        self.asked_m = -np.inf
-        self.asked = [_Asked(name, PlaceRetriever(_for(name, config), self._object_map)) for name in descriptors]
+        self._asked_m = -np.inf
+        self._retrievers = {name: PlaceRetriever(_for(name, config), self._object_map) for name in descriptors}
+        self.answers: list[dict[str, Any]] = []
+        self.index_s = defaultdict[str, float](float)
 
     def _close_loops(self, keyframe: Keyframe) -> Outcome:
-        for each in self.asked:
-            each.index(keyframe)
+        for name, retriever in self._retrievers.items():
+            started = time.perf_counter()
+            retriever.index_inactive_landmarks(keyframe.odometry)
+            self.index_s[name] += time.perf_counter() - started
         travelled_m = float(self._truth.travelled_at_m(np.array([keyframe.odometry.stamp_ns]))[0])
-        if travelled_m - self.asked_m >= self._protocol.query_spacing_m:
+        if travelled_m - self._asked_m >= self._protocol.query_spacing_m:
             self._ask(keyframe, travelled_m)
         return Outcome([])
 
@@ -109,53 +124,26 @@ class _AskingSlam(Slam):
         # Where most landmarks were never lost there is nothing to recognise.
         if not len(T_local_query_gt) or 2 * np.count_nonzero(still_associated) > len(submap):
             return
-        self.asked_m = travelled_m
-        for each in self.asked:
-            each.ask(submap, before_m, T_local_query_gt)
+        self._asked_m = travelled_m
+        for name, retriever in self._retrievers.items():
+            started = time.perf_counter()
+            places = retriever.propose(submap, before_m=before_m)
+            seconds = time.perf_counter() - started
+            poses = np.array([place.T_local_query for place in places]).reshape(-1, 4, 4)
+            rank = np.flatnonzero(is_right(poses, T_local_query_gt)).min(initial=RECALL_AT[-1])
+            self.answers.append({"descriptor": name, "rank": rank, "seconds": seconds})
 
     def _true_poses(self, keyframe: Keyframe) -> FloatArray:
         """Poses (R, 4, 4) of the query in the local frame, by the earlier keyframes that it truly comes back to."""
         keyframes = self._mapper.keyframes
         stamps_ns = np.array([each.odometry.stamp_ns for each in keyframes], dtype=np.int64)
-        known, T_world_body = find_true_poses(self._truth, stamps_ns, max_gap_s=self._protocol.max_truth_gap_s)
+        known, T_world_body = self._truth.poses_at(stamps_ns, max_gap_s=self._protocol.max_truth_gap_s)
         travelled_m = self._truth.travelled_at_m(stamps_ns)
         apart_m = np.linalg.norm(T_world_body[:, :3, 3] - T_world_body[-1, :3, 3], axis=1)
         near = known & known[-1] & (apart_m <= self._protocol.revisit_distance_m)
         near &= travelled_m <= travelled_m[-1] - self._protocol.revisit_m
         T_local_body = np.array([keyframes[row].T_local_body for row in np.flatnonzero(near)]).reshape(-1, 4, 4)
         return gravity_frame(T_local_body @ invert(T_world_body[near]) @ T_world_body[-1])
-
-
-class _Asked:
-    """One descriptor on its way through the drive."""
-
-    def __init__(self, name: str, retriever: PlaceRetriever) -> None:
-        self._name = name
-        self._retriever = retriever
-        self._index_s = 0.0
-        self._query_s: list[float] = []
-        self._ranks: list[float] = []
-
-    def index(self, keyframe: Keyframe) -> None:
-        started = time.perf_counter()
-        self._retriever.index_inactive_landmarks(keyframe.odometry)
-        self._index_s += time.perf_counter() - started
-
-    def ask(self, submap: Submap, before_m: float, T_local_query_gt: FloatArray) -> None:
-        started = time.perf_counter()
-        places = self._retriever.propose(submap, before_m=before_m)
-        self._query_s.append(time.perf_counter() - started)
-        poses = np.array([place.T_local_query for place in places]).reshape(-1, 4, 4)
-        self._ranks.append(float(np.flatnonzero(is_right(poses, T_local_query_gt)).min(initial=RECALL_AT[-1])))
-
-    def figures(self) -> dict[str, Any]:
-        return {
-            "descriptor": self._name,
-            "queries": len(self._ranks),
-            **{f"places_at_{k}": float(np.mean(np.array(self._ranks) < k)) for k in RECALL_AT},
-            "query_ms": 1e3 * float(np.median(self._query_s)),
-            "index_s": self._index_s,
-        }
 
 
 def _for(descriptor: str, config: Config) -> Config:

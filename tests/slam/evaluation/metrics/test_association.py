@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from logs.messages import DetectionTruth
@@ -14,7 +13,6 @@ from slam.evaluation.metrics.association import (
     count_detections,
     evaluate_associations,
     find_aliases,
-    find_possible_associations,
     identify_landmarks,
     label_detections,
 )
@@ -89,28 +87,8 @@ def test_a_truth_of_another_log_is_refused_with_its_time() -> None:
         label_detections(associations, [DetectionTruth(123, ("a", "b"))], WALK)
 
 
-def test_identities_and_possible_associations_agree_with_plain_counting() -> None:
-    rng = np.random.default_rng(5)
-    count, landmarks, objects = 5_000, 100, 75
-    frame = np.sort(rng.integers(0, 500, count))
-    landmark = rng.integers(0, landmarks, count)
-    seen = np.where(rng.random(count) < 0.8, landmark % objects, rng.integers(0, objects, count))
-    names = [f"o{k}" if k else "" for k in seen.tolist()]
-    owners = [f"l{k}" if k else "" for k in landmark.tolist()]
-    table = pd.DataFrame({"frame": frame, "travelled_m": frame * 1.7, "landmark": owners, "object": names})
-    votes: dict[str, dict[str, int]] = {}
-    for owner, name in zip(owners, names, strict=True):
-        if owner:
-            votes.setdefault(owner, {}).setdefault(name, 0)
-            votes[owner][name] += 1
-    # Dicts keep their order: ties go to the first.
-    assert count_detections(table) == {name: names.count(name) for name in set(names) if name}
-    assert identify_landmarks(table) == {owner: max(vote, key=vote.__getitem__) for owner, vote in votes.items()}
-
-    last: dict[str, list[int]] = {}
-    possible = []
-    for now, name in zip(frame.tolist(), names, strict=True):
-        before = [f for f in last.get(name, []) if f < now]
-        possible.append(bool(name and before) and (now * 1.7 - before[-1] * 1.7) <= 20.0)
-        last.setdefault(name, []).append(now)
-    assert find_possible_associations(table, revisit_m=20.0).tolist() == possible
+def test_tie_goes_to_the_object_that_the_landmark_met_first() -> None:
+    associations, truths = frames([("b", "1", True)], [("a", "1", False)], [("", "1", False)])
+    table = label_detections(associations, truths, WALK)
+    assert identify_landmarks(table) == {"1": "b"}
+    assert count_detections(table) == {"a": 1, "b": 1}

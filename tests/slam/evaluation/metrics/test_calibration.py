@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from logs.messages import GroundTruthPose, LoopClosureRecord, Record
+from logs.messages import GroundTruthPose, Record
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
 from slam.evaluation.evaluate import evaluate
@@ -18,6 +18,7 @@ from slam.evaluation.inputs.records import collect_records
 from slam.evaluation.metrics.calibration import NEEDS, measure_consistency, pose_errors
 from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import stamps, winding_path
+from tests.slam.evaluation.loops import closure
 from tests.slam.evaluation.maps import frames, object_map
 from tests.slam.evaluation.results import graph
 
@@ -99,22 +100,11 @@ def log_of_a_drive(*, perturb_left: bool = False, poses: int = 400, landmarks: i
     off = exponential(draw(rng, of_closures))
     for row in range(poses // 2):
         T_reference_query = invert(T_gt[row]) @ T_gt[-1 - row] @ invert(off[row])
-        log.append(("/slam/closures", closure(poses - 1 - row, row, at, T_reference_query, of_closures[row])))
+        made = closure(poses - 1 - row, row)
+        stamps_ns = {"stamp_ns": int(at[-1 - row]), "reference_stamp_ns": int(at[row])}
+        made = replace(made, **stamps_ns, T_reference_query=T_reference_query, covariance=of_closures[row])
+        log.append(("/slam/closures", made))
     return log
-
-
-def closure(query: int, reference: int, at: FloatArray, T: FloatArray, covariance: FloatArray) -> LoopClosureRecord:
-    return LoopClosureRecord(
-        stamp_ns=int(at[query]),
-        query_keyframe_id=query,
-        reference_keyframe_id=reference,
-        accepted=True,
-        stage="accepted",
-        reason="",
-        T_reference_query=T,
-        covariance=covariance,
-        reference_stamp_ns=int(at[reference]),
-    )
 
 
 def measured(log: Log) -> Mapping[str, Any]:

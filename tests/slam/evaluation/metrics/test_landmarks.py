@@ -115,10 +115,10 @@ def test_unseen_landmarks_of_prior_map_are_left_out() -> None:
     map_gt = object_map(names, np.eye(3), ("tree",) * 3)
     shows = {"a": "a", "b": ""}
     own = match_by_detections(map_gt, map_gt, shows)
-    assert own.is_object.tolist() == [True, False, False]
+    assert own["is_object"].tolist() == [True, False, False]
     localized = match_by_detections(map_gt, map_gt, shows, has_prior_map=True)
-    assert localized.landmark_rows.tolist() == [0, 1]
-    assert localized.is_object.tolist() == [True, False]
+    assert localized["landmark"].tolist() == [0, 1]
+    assert localized["is_object"].tolist() == [True, False]
 
 
 def test_empty_map() -> None:

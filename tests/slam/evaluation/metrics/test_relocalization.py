@@ -8,21 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
+from logs.messages import LoopClosureRecord, StatusRecord
 from slam.common.arrays import FloatArray
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries
 from slam.evaluation.metrics.relocalization import (
     MEASURES,
     Method,
     evaluate_relocalization,
 )
 from tests.helpers.poses import pose_at
-from tests.slam.evaluation.loops import at_ns, closure, series_of, there_and_back
+from tests.slam.evaluation.loops import at_ns, closure, there_and_back
 
 TRUTH = there_and_back()
-NO_POSES = series_of(np.zeros((0, 4, 4)))
 
 
 def statuses(*events: tuple[int, str]) -> tuple[StatusRecord, ...]:
@@ -32,10 +31,9 @@ def statuses(*events: tuple[int, str]) -> tuple[StatusRecord, ...]:
 
 def made(*events: tuple[int, str], closures: tuple[LoopClosureRecord, ...] = ()) -> EvaluationRecords:
     """Poses that are right, and a last status at the end of the drive."""
-    poses = zip(TRUTH.stamps_ns, TRUTH.T_world_body, strict=True)
     return EvaluationRecords(
         statuses=statuses(*events, (240, events[-1][1])),
-        online_poses=tuple(SlamPose(int(stamp), T) for stamp, T in poses),
+        online_path=TRUTH,
         closures=closures,
     )
 
@@ -101,26 +99,25 @@ def test_a_fix_is_right_within_the_thresholds_of_closures(shift_m: float, is_rig
 
 def test_the_pose_right_after_the_fix_counts() -> None:
     records = made((0, "LOST"), (50, "RELOCALIZED"), (50, "TRACKING"))
-    off = pose_at(9.0)
-    poses = [p if k == 50 else replace(p, T_map_body=off @ p.T_map_body) for k, p in enumerate(records.online_poses)]
-    assert measure(replace(records, online_poses=tuple(poses)))["success_rate"] == 1.0
-    assert measure(replace(records, online_poses=tuple(poses[:50] + poses[51:])))["success_rate"] == 0.0
+    at = np.arange(len(TRUTH))
+    poses = np.where((at == 50)[:, None, None], TRUTH.T_world_body, pose_at(9.0) @ TRUTH.T_world_body)
+    assert measure(replace(records, online_path=PoseSeries(TRUTH.stamps_ns, poses)))["success_rate"] == 1.0
+    late = PoseSeries(TRUTH.stamps_ns[at != 50], poses[at != 50])
+    assert measure(replace(records, online_path=late))["success_rate"] == 0.0
 
 
-@pytest.mark.parametrize(("shift_m", "is_right"), [(3.9, True), (4.1, False)])
-def test_fix_in_own_map_is_judged_by_closure(shift_m: float, is_right: bool) -> None:
+def test_fix_in_own_map_is_judged_by_closure() -> None:
     closures = (
         closure(100, 90, truth=TRUTH, shift_m=30.0),  # before
         closure(204, 203, truth=TRUTH, shift_m=30.0),  # not across the break
         closure(204, 36, truth=TRUTH, shift_m=30.0, stage="acceptance"),
         closure(202, 38, truth=TRUTH, shift_m=30.0),  # came too early to be the one
-        closure(204, 36, truth=TRUTH, shift_m=shift_m),
+        closure(204, 36, truth=TRUTH, shift_m=3.9),
         closure(206, 34, truth=TRUTH, shift_m=30.0),
     )
     records = made((0, "MAPPING"), (201, "LOST"), (204, "RELOCALIZED"), (204, "MAPPING"), closures=closures)
     found = measure(records, method="closure")
-    assert found["losses"][0]["error_m"] == pytest.approx(shift_m)
-    assert found["losses"][0]["is_right"] is is_right
+    assert found["losses"][0]["error_m"] == pytest.approx(3.9)
 
 
 def test_without_truth_fixes_are_undecided_and_still_timed() -> None:

@@ -26,8 +26,9 @@ def reliability(*records: LoopClosureRecord) -> dict[str, Any]:
     return dict(judge(list(records), TRUTH)["reliability"])
 
 
-def test_candidates_are_counted_by_their_probability():
-    found = reliability(candidate(190, 0.6), candidate(200, 0.8, is_right=False), candidate(210, 0.9995))
+def test_candidates_are_counted_by_their_probability_unless_they_were_propagated():
+    left_out = candidate(192, 0.999, seed=189), candidate(202, None)
+    found = reliability(candidate(190, 0.6), candidate(200, 0.8, is_right=False), candidate(210, 0.9995), *left_out)
     bins = {each["from"]: each for each in found["bins"]}
     assert sum(each["count"] for each in bins.values()) == 3
     assert (bins[0.5]["count"], bins[0.5]["right"]) == (2, 1)
@@ -35,9 +36,3 @@ def test_candidates_are_counted_by_their_probability():
     assert (bins[0.999]["count"], bins[0.999]["right"]) == (1, 1)
     assert (found["sure_count"], found["sure_right"]) == (1, 1)
     assert bins[0.0]["expected"] is None
-
-
-def test_reliability_leaves_out_propagated_closures():
-    found = reliability(candidate(190, 0.999, seed=189), candidate(200, None), candidate(210, 0.995, is_right=False))
-    assert sum(each["count"] for each in found["bins"]) == 1
-    assert (found["sure_count"], found["sure_right"]) == (1, 0)

@@ -20,7 +20,7 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 def scan_of(*parts: tuple[int, int, np.ndarray]) -> LabelledScan:
     made = cloud([*parts, FAR])
-    return LabelledScan(5, "lidar", made.positions, made.classes, made.instances)
+    return LabelledScan(5, "lidar", made)
 
 
 def test_objects_have_the_names_of_their_classes_and_dropped_ones_are_not_looked_for() -> None:

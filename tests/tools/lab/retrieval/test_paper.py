@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from slam.common.arrays import FloatArray
@@ -11,45 +10,18 @@ from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tests.helpers.long_street import start_of_street
 from tools.lab.retrieval.labelled_map import LabelledMap
-from tools.lab.retrieval.paper import NOISE_PER_M, benchmark_descriptors, fit_truth, localizer_config
+from tools.lab.retrieval.paper import NOISE_PER_M, fit_truth, localizer_config
 from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, draw_queries
 
 pytestmark = pytest.mark.slow
 
 SELF, FEWER, NOISY = SCENARIOS
-METHODS = ("descriptellation_lr", "gosmatch_vertex", "random")
 
 
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
     """The first third of the street."""
     return start_of_street(350)
-
-
-@pytest.fixture(scope="module")
-def measured(street) -> tuple[pd.DataFrame, list[float]]:
-    told: list[float] = []
-    result = benchmark_descriptors(*street, METHODS, queries=10, seeds=1, on_progress=told.append)
-    return result, told
-
-
-# The whole.
-
-
-def test_every_method_is_measured_in_every_scenario(measured):
-    result, told = measured
-    expected = [(method, scenario.name) for method in METHODS for scenario in SCENARIOS]
-    assert list(zip(result["method"], result["scenario"], strict=True)) == expected
-    assert told == pytest.approx(np.arange(1, len(expected) + 1) / len(expected))
-
-
-def test_without_noise_the_ceiling_is_one_and_the_good_methods_reach_it(measured):
-    cells = measured[0].set_index(["scenario", "method"]).loc[SELF.name]
-    assert (cells["ceiling"] == 1.0).all()
-    assert cells.loc["descriptellation_lr", ["success", "deviation", "of_ceiling"]].tolist() == [1.0, 0.0, 1.0]
-
-
-# The ceiling.
 
 
 @pytest.mark.parametrize("scenario", [SELF, FEWER], ids=lambda scenario: scenario.name)

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig, SimulationConfig
 from tests.helpers.loop_drives import furnished
+from tests.helpers.poses import pose_at
 from tests.helpers.short_drives import drive, write_log
 from tools.lab.retrieval.labelled_map import is_right
 from tools.lab.retrieval.revisits import measure_revisits
@@ -36,10 +35,7 @@ def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> N
 
 
 def test_a_pose_is_right_within_4_m_and_10_deg_of_any_true_one() -> None:
-    def poses_at(*places: tuple[float, float, float]) -> FloatArray:
-        return np.array([transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw) for x, y, yaw in places])
-
-    truth = poses_at((0.0, 0.0, 0.0), (50.0, 0.0, 3.0))
-    poses = poses_at((3.9, 0.0, 0.1), (4.1, 0.0, 0.0), (0.0, 0.0, 0.2), (50.0, 2.0, 3.1))
+    truth = np.array([np.eye(4), pose_at(50.0, yaw=3.0)])
+    poses = np.array([pose_at(3.9, yaw=0.1), pose_at(4.1), pose_at(yaw=0.2), pose_at(50.0, 2.0, yaw=3.1)])
     assert is_right(poses, truth).tolist() == [True, False, False, True]
-    assert is_right(np.zeros((0, 4, 4)), truth).tolist() == []
+    assert is_right(poses[:0], truth).tolist() == []
