@@ -88,6 +88,12 @@ class DetectionCalibration(Branch):
         description="factor on covariances of observations, where the message has none, for correlated errors: "
         "errors of centroids are shared by the objects in view and by the keyframes of a traversal",
     )
+    resolution_m: float = Field(
+        default=0.0,
+        ge=0,
+        description="of detections of one label that are nearer to one another than that, the one with the highest "
+        "score is used [m]",
+    )
     claimed_sigma_factor: float = Field(default=1.0, gt=0, description="factor on the standard deviations in messages")
     range_scale: float = Field(
         default=1.0, gt=0, description="factor on the positions of detections in the sensor frame"

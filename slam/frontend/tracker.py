@@ -113,7 +113,7 @@ class Tracker:
             search = self._search_of(tracked)
             if is_failing or search.is_pose_uncertain:
                 tracked = self._decided(tracked, search.modes(self._components(pose, is_failing=is_failing)))
-        is_lost = is_failing and tracked.correction is None
+        is_lost = self._failures > 0
         if is_lost and self._failures <= WAITED_SCANS:
             rows = tracked.assignment.landmark_rows
             undecided = replace(tracked.assignment, landmark_rows=np.where(rows == NEW, AMBIGUOUS, rows))
@@ -241,10 +241,11 @@ class Tracker:
     def _decided(self, tracked: Tracked, modes: list[Mode]) -> Tracked:
         """The scan by the posterior of the pose."""
         sure = self._sure_mode(tracked, modes)
-        if sure is not None and sure.component.added.any():
-            self._slips += 1
+        if sure is not None:
             self._failures = 0
-            return self._shifted(tracked, sure)
+            if sure.component.added.any():
+                self._slips += 1
+                return self._shifted(tracked, sure)
         weights, best = probabilities(modes), modes[0]
         # A detection that another mode takes for another landmark waits for scans that decide.
         pairs = np.array([mode.assignment.landmark_rows for mode in modes])

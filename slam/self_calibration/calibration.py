@@ -77,6 +77,7 @@ _MEANINGS = {
     "detection.y_m": "the sensor is {:.2f} m farther to the left than its transform says: check the frames",
     "detection.assume_body_frame": "detections are in the frame of the body, not in the one that they name",
     "detection.assume_odometry_frame": "detections are in the frame of the odometry, not in the one that they name",
+    "detection.resolution_m": "objects are detected several times in a scan, up to {:.2f} m apart: the best is used",
     "detection.claimed_sigma_factor": "detections scatter {:.2g} times as much as their covariances say",
     "objects.max_classes": "labels of one object change at random, or all at once: they are ignored",
 }

@@ -40,7 +40,7 @@ class ScanPairs:
     @classmethod
     def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> ScanPairs:
         """Pairs between which the body travels, and pairs between which it turns, ``fastest``: most for the time."""
-        poses = _upright(np.stack([scan.T_odom_body for scan in scans]))
+        poses = upright(np.stack([scan.T_odom_body for scan in scans]))
         moved_m = MOVED_SPACINGS * spacing_m
         travel_m = _path(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))
         # An odometry that trembles while the body stands goes nowhere.
@@ -61,7 +61,7 @@ class ScanPairs:
 
     def motions_by(self, T_odom_body: FloatArray) -> FloatArray:
         """Motions (P, 4, 4) of the body by poses (K, 4, 4), without roll and pitch."""
-        poses = _upright(T_odom_body)
+        poses = upright(T_odom_body)
         return invert(poses[self.rows[:, 0]]) @ poses[self.rows[:, 1]]
 
     def log_distances(self, motions: FloatArray) -> FloatArray:
@@ -128,7 +128,8 @@ def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -
     )
 
 
-def _upright(T_odom_body: FloatArray) -> FloatArray:
+def upright(T_odom_body: FloatArray) -> FloatArray:
+    """Poses (K, 4, 4) without roll and pitch."""
     return transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))
 
 

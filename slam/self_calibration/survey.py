@@ -25,6 +25,7 @@ from slam.self_calibration.object_tracks import (
     nearest_of_class_m,
     objects_among,
 )
+from slam.self_calibration.resolution import find_resolution
 from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_of
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
@@ -98,7 +99,9 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     given = given or Calibration()
     detour = max((log.detour() for log in logs), default=1.0)
     known = given
-    corrected = _frame(logs, known, given)
+    resolution = _resolution(logs, given)
+    known = known.with_values(resolution)
+    corrected = resolution | _frame(logs, known, given)
     labels = _label_noise(logs, known.with_values(corrected))
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
@@ -128,6 +131,14 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         lacks_heading=_lacks_heading(scans, motion.headings),
         detour=detour,
     )
+
+
+def _resolution(logs: Sequence[SurveyedLog], given: Calibration) -> dict[str, float]:
+    """How near to one another detections of one object are, if it is detected more than once."""
+    if given.is_given("detection.resolution_m"):
+        return {}
+    resolution_m = find_resolution(scans_of(logs, given)[0])
+    return {"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {}
 
 
 def _unknown(given: Calibration) -> list[str]:

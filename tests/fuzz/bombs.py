@@ -17,6 +17,7 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord
 from mcap.records import Message as MessageRecord
 
 from logs.storage.mcap_index import MAGIC
+from tests.fuzz.mcap_file import Layout, McapFile, Message, write_file
 
 GIGABYTE = 10**9
 _SPARSE = b"\0" * 10**7
@@ -43,20 +44,40 @@ def _zeros(size: int) -> Iterator[bytes]:
         yield _SPARSE
 
 
-def zstd_10gb() -> bytes:
+def _packed_10gb() -> bytes:
     compressor = zstandard.ZstdCompressor(level=1).compressobj()
-    packed = b"".join([*map(compressor.compress, _zeros(10 * GIGABYTE)), compressor.flush()])
-    return _chunk_of(packed, "zstd", 10 * GIGABYTE)
+    return b"".join([*map(compressor.compress, _zeros(10 * GIGABYTE)), compressor.flush()])
 
 
-def lz4_10gb() -> bytes:
+def zstd_10gb(size_told: int = 10 * GIGABYTE) -> bytes:
+    return _chunk_of(_packed_10gb(), "zstd", size_told)
+
+
+def zstd_10gb_told_as_1_mb() -> bytes:
+    return zstd_10gb(10**6)
+
+
+def lz4_10gb(size_told: int = 10 * GIGABYTE) -> bytes:
     compressor = lz4.frame.LZ4FrameCompressor()
     parts = [compressor.begin(), *map(compressor.compress, _zeros(10 * GIGABYTE)), compressor.flush()]
-    return _chunk_of(b"".join(parts), "lz4", 10 * GIGABYTE)
+    return _chunk_of(b"".join(parts), "lz4", size_told)
+
+
+def lz4_10gb_told_as_1_mb() -> bytes:
+    return lz4_10gb(10**6)
+
+
+def declared_2_to_the_60() -> bytes:
+    return _chunk_of(zstandard.compress(b"\0" * 1000), "zstd", 2**60)
 
 
 def channels_1e6() -> bytes:
     return _START + encoded(*(Channel(i % 65_536, f"/topic_{i}", "json", {}, 0) for i in range(10**6))) + _END
+
+
+def channels_65e3_with_index() -> bytes:
+    channels = {i: (0, f"/topic_{i}", "json") for i in range(65_535)}
+    return write_file(McapFile({}, channels, [Message(i, i, b"{}") for i in range(65_535)]), Layout())
 
 
 def empty_messages_1e7() -> bytes:
@@ -70,8 +91,19 @@ def attachment_2gb() -> bytes:
     return b""
 
 
-BOMBS = (zstd_10gb, lz4_10gb, channels_1e6, empty_messages_1e7, attachment_2gb)
-"""What is false in a smaller file is tested in tests/logs/test_limits.py."""
+def class_name_10mb() -> bytes:
+    from logs.schemas import dslam_pb2
+
+    record = dslam_pb2.ObjectDetections(stamp_ns=1, labels=["x" * 10**7], positions=[1, 2, 3], scores=[1])
+    channels = {1: (1, "/detections", "protobuf")}
+    messages = [Message(1, i, record.SerializeToString()) for i in range(20)]
+    schemas = {1: ("dslam.ObjectDetections", "protobuf", b"")}
+    return write_file(McapFile(schemas, channels, messages), Layout(messages_per_chunk=4))
+
+
+BOMBS: tuple[Callable[[], bytes], ...] = (zstd_10gb, zstd_10gb_told_as_1_mb, lz4_10gb,
+    lz4_10gb_told_as_1_mb, declared_2_to_the_60, channels_1e6, channels_65e3_with_index, empty_messages_1e7,
+    attachment_2gb, class_name_10mb)  # fmt: skip
 
 
 def write_bomb(path: Path, make: Callable[[], bytes]) -> None:

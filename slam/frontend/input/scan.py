@@ -7,7 +7,9 @@ from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from logs.dslam_codec import take_rows
 from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
@@ -60,9 +62,28 @@ class Scan:
 
 
 def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> NDArray[np.bool_]:
-    """(M,): which detections of a message neither the settings of labels nor that of scores leave out."""
+    """(M,): which detections of a message neither the settings of labels nor that of scores leave out, and which are of
+    objects that were not detected better.
+    """
     is_kept = np.array([label != DROPPED for label in detections.labels], dtype=np.bool_)
-    return is_kept & (detections.scores >= config.min_score)
+    is_kept &= detections.scores >= config.min_score
+    if config.resolution_m > 0.0:
+        rows = np.flatnonzero(is_kept & np.isfinite(detections.positions).all(axis=1))
+        is_kept[rows[_is_repeated(take_rows(detections, N=rows), config.resolution_m)]] = False
+    return is_kept
+
+
+def _is_repeated(detections: ObjectDetections, resolution_m: float) -> NDArray[np.bool_]:
+    """(M,): which detections are nearer than the resolution to one of the same label with a higher score, or an earlier
+    one with the same, that is not repeated itself: non-maximum suppression.
+    """
+    is_repeated = np.zeros(len(detections.labels), dtype=np.bool_)
+    near = cKDTree(detections.positions).query_ball_point(detections.positions, resolution_m)
+    for best in np.argsort(-detections.scores, kind="stable").tolist():
+        if not is_repeated[best]:
+            same = [row for row in near[best] if row != best and detections.labels[row] == detections.labels[best]]
+            is_repeated[same] = True
+    return is_repeated
 
 
 def in_metres(detections: ObjectDetections, config: DetectionCalibration) -> ObjectDetections:

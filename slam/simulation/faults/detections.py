@@ -44,6 +44,15 @@ def unreported_noise(log: Recording, sigma_m: Sigma = 1.0, *, rng: np.random.Gen
         scan.change(positions=positions + sigma_m * rng.standard_normal(positions.shape))
 
 
+def detected_twice(log: Recording, share: Share = 0.02, *, rng: np.random.Generator) -> None:
+    """Each detection is followed by another one of the same object, off by a share of its range on each axis."""
+    for scan in log.scans:
+        seen, ids = scan.seen, scan.ids
+        ranges = np.linalg.norm(seen.positions, axis=1, keepdims=True)
+        errors = share * ranges * rng.standard_normal(seen.positions.shape)
+        scan.put(joined([seen, replace(seen, positions=seen.positions + errors)]), (*ids, *ids))
+
+
 def dropout(log: Recording, probability: Share = 0.3, *, rng: np.random.Generator) -> None:
     """Each detection is lost with a probability."""
     for scan in log.scans:

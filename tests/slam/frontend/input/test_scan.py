@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -35,6 +36,29 @@ def test_what_is_too_far_or_too_doubtful_is_left_out_and_the_limits_themselves_a
     assert scan.labels == ("object 0", "object 2")
     np.testing.assert_array_equal(scan.positions, [[10, 0, 0], [1, 0, 0]])
     assert scan.stamp_ns == 5
+
+
+def test_of_detections_nearer_than_the_resolution_the_one_with_the_highest_score_is_used():
+    config = DetectionCalibration(resolution_m=1.0)
+    message = detections([[0, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [5, 0, 0], [5, 0.5, 0]], scores=[0.7, 0.8, 0.6, 1, 1])
+    assert make_scan(message, np.eye(4), config).used.all()  # other labels
+    alike = replace(message, labels=("pole",) * 5)
+    assert make_scan(alike, np.eye(4), config).used.tolist() == [False, True, False, True, False]
+    assert make_scan(alike, np.eye(4), DetectionCalibration()).used.all()
+
+
+def test_a_repeated_detection_hides_no_other():
+    """The second is left out for the first, and the third is far enough from that."""
+    message = replace(detections([[0, 0, 0], [0.9, 0, 0], [1.8, 0, 0]], scores=[0.8, 0.7, 0.6]), labels=("pole",) * 3)
+    used = make_scan(message, np.eye(4), DetectionCalibration(resolution_m=1.0, min_score=0.5)).used
+    assert used.tolist() == [True, False, True]
+    used = make_scan(message, np.eye(4), DetectionCalibration(resolution_m=1.0, min_score=0.65)).used
+    assert used.tolist() == [True, False, False]
+
+
+def test_a_detection_without_a_place_hides_no_other():
+    message = replace(detections([[np.nan, 0, 0], [0, 0, 0]]), labels=("pole",) * 2)
+    assert make_scan(message, np.eye(4), DetectionCalibration(resolution_m=1.0)).used.tolist() == [False, True]
 
 
 def test_without_covariances_the_noise_grows_with_the_range():

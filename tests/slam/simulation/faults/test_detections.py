@@ -103,6 +103,18 @@ def test_known_covariances_contain_reported_noise(fault: str, added: float) -> N
     assert not covariances[0].any()
 
 
+def test_second_detections_are_of_the_same_objects_and_nearly_in_their_place() -> None:
+    changed = faulty("detected_twice=0.01")
+    scans, before = (records(log, ObjectDetections) for log in (changed, drive()))
+    errors = np.stack([scan.positions - np.tile(old.positions, (2, 1)) for scan, old in zip(scans, before, strict=True)])
+    first, second = np.split(errors, 2, axis=1)
+    assert not first.any()
+    ranges = np.stack([np.linalg.norm(scan.positions, axis=1) for scan in before])[..., None]
+    assert np.std(second / ranges) == pytest.approx(0.01, rel=4 / np.sqrt(2 * second.size))
+    assert labels(changed) == [scan.labels * 2 for scan in before]
+    assert [scan.ids for scan in changed.scans] == [scan.ids * 2 for scan in drive().scans]
+
+
 def test_lengths_are_scaled_and_angles_are_not() -> None:
     changed = faulty("lengths_scaled=20")
     assert changed.poses[:, :3, 3] == pytest.approx(20.0 * drive().poses[:, :3, 3])

@@ -1,0 +1,75 @@
+"""How near to one another detections of one object are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.resolution import find_resolution
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+
+
+@pytest.fixture(scope="module")
+def scans() -> list[SurveyScan]:
+    """Objects of which few are nearer to one another than 1.5 m, seen up to 15 m away."""
+    return SurveyedDrive(0, NOISE, scans=300, objects=80).scans
+
+
+def with_others(scans: list[SurveyScan], offsets: list[FloatArray]) -> list[SurveyScan]:
+    """The scans with another detection at an offset (D, 3) from each."""
+    return [
+        replace(
+            scan,
+            positions=np.concatenate([scan.positions, scan.positions + offset]),
+            labels=np.tile(scan.labels, 2),
+            variances=np.tile(scan.variances, 2),
+        )
+        for scan, offset in zip(scans, offsets, strict=True)
+    ]
+
+
+def scattered(scans: list[SurveyScan], sigma_m: float) -> list[SurveyScan]:
+    rng = np.random.default_rng(1)
+    return with_others(scans, [rng.normal(0.0, sigma_m, scan.positions.shape) for scan in scans])
+
+
+@pytest.mark.parametrize("sigma_m", [0.05, 0.2])
+def test_second_detections_that_scatter_are_of_one_object(scans, sigma_m):
+    assert 4.0 * sigma_m < find_resolution(scattered(scans, sigma_m)) < 1.5
+
+
+def test_objects_that_are_detected_once_have_no_resolution(scans):
+    assert find_resolution(scans) == 0.0
+    assert find_resolution([]) == find_resolution(scans[:1]) == 0.0
+
+
+def test_pairs_of_objects_keep_their_offset(scans):
+    """Each has a neighbour to the east, at 0.3 m."""
+    offsets = []
+    for scan in scans:
+        R = scan.T_odom_body[:3, :3]
+        offsets.append(np.tile(R.T @ [0.3, 0.0, 0.0], (len(scan.labels), 1)))
+    assert find_resolution(with_others(scans, offsets)) == 0.0
+
+
+@pytest.mark.parametrize("sigma_m", [0.5, 2.0])
+def test_objects_with_a_large_noise_are_not_taken_for_one(scans, sigma_m):
+    rng = np.random.default_rng(1)
+    noisy = [replace(each, positions=each.positions + rng.normal(0.0, sigma_m, each.positions.shape)) for each in scans]
+    assert find_resolution(noisy) == 0.0
+
+
+def test_second_detections_of_another_class_are_kept(scans):
+    twice = scattered(scans, 0.1)
+    labels = [np.repeat([0, 1], len(scan.labels) // 2) for scan in twice]
+    assert find_resolution([replace(s, labels=each) for s, each in zip(twice, labels, strict=True)]) == 0.0
+
+
+def test_few_pairs_tell_nothing(scans):
+    assert find_resolution(scattered(scans[:2], 0.1)) == 0.0
