@@ -77,7 +77,7 @@ class ScanLocalizer:
         keyframes = [restore_map_frame(graph), self._scan]
         graph.add_fixed_keyframe(self._scan.id, np.eye(4))
         graph.update()
-        track = KeyframeTrack(config.calibration.odometry)
+        track = KeyframeTrack(config.calibration)
         for keyframe in keyframes:
             track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map)

@@ -74,7 +74,6 @@ class Acceptance:
         if log_odds >= self._least_log_odds:
             rivals = self._distinct([*others, *self._verifier.rivals(query, best)])
             log_odds = self._posterior_log_odds([best, *rivals])[0]
-            best = replace(best, best_rival_llr=max((each.log_likelihood_ratio for each in rivals), default=None))
             # It may be surer, where it can be true together with two that cannot.
             doubt = "ambiguous: another pose is likelier, " if rivals and rivals[0].score > best.score else ""
         best = replace(best, posterior_log_odds=float(log_odds))

@@ -98,10 +98,9 @@ class AcceptedClosures:
             accepted = Accepted(candidate, nearest.candidate.query.id)
         self._accepted.append(accepted)
         self._closed[candidate.query.id] = candidate.reference.id
-        is_new, represented_by = accepted.factor is not None, accepted.represented_by
         seed = candidate.place.predicted_by
         reason = "" if seed is None else f"propagated from the closure of keyframe {seed}"
-        return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
+        return candidate.record(Stage.ACCEPTED, reason, inserted=accepted.factor is not None)
 
     def add_tracked(self, query: Keyframe, reference: Keyframe) -> None:
         """Remember a place that was recognised by landmarks still associated: there is no loop to close."""

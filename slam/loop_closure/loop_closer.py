@@ -71,7 +71,7 @@ class LoopCloser:
         self._sensor_range_m = config.sensor_range_m
         self._map = object_map
         self._keyframes = keyframes
-        self._track = KeyframeTrack(config.calibration.odometry)
+        self._track = KeyframeTrack(config.calibration)
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)

@@ -6,8 +6,6 @@ once.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from descriptors.descriptellation_lr.pair_index import PairIndex
@@ -116,9 +114,7 @@ class PlaceRetriever:
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
         usable &= ~landmarks["is_active"]
         places = self._places(query, usable[self._rows])
-        if self._imported is not None:
-            places += self._imported.propose(query, count=self._count)
-        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+        return places if self._imported is None else places + self._imported.propose(query, count=self._count)
 
     def _places(self, query: Submap, allowed: BoolArray) -> list[Place]:
         """The likeliest places of a query among entries that are ``allowed`` (M,)."""
