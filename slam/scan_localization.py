@@ -26,7 +26,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-from slam.place_recognition.imported_places import SEGMENT, TRAVEL_M
+from slam.place_recognition.imported_places import TRAVEL_M
 from slam.place_recognition.retrieval import PlaceRetriever
 
 Verified = Candidate | LoopClosureRecord
@@ -55,26 +55,27 @@ class ScanLocalization:
 class ScanLocalizer:
     """Finds single scans in a map, without odometry. Reuse one for many scans: it holds the index of the map."""
 
-    def __init__(self, objects: ObjectMapRecord, config: Config | None = None) -> None:
-        """Index all landmarks of ``objects``.
+    def __init__(self, objects: ObjectMapRecord | Sequence[ObjectMapRecord], config: Config | None = None) -> None:
+        """Index all landmarks of a map, or of several, each of which has a frame and a segment of its own.
 
         Raises:
             InputDataError: the map is empty.
             DescriptorError: there is no such descriptor.
         """
-        if len(objects.ids) == 0:
-            raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
+        maps = [objects] if isinstance(objects, ObjectMapRecord) else objects
         config = Config() if config is None else config
         self._objects = config.calibration.objects
-        self._sensor_range_m = config.sensor_range_m
-        self._size = len(objects.ids)
         object_map = ObjectMap(config.calibration.objects)
-        object_map.restore(objects, travel_m=TRAVEL_M)
+        for number, each in enumerate(maps):
+            object_map.restore(each, travel_m=TRAVEL_M, segment=number)
+        self._size = len(object_map)
+        if not self._size:
+            raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
         self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
-        graph = FactorGraph(sensor_range_m=self._sensor_range_m)
-        # The scan is a keyframe, and the one before it the frame of the map.
-        self._scan = Keyframe(1, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
-        keyframes = [restore_map_frame(graph), self._scan]
+        graph = FactorGraph(sensor_range_m=config.sensor_range_m)
+        # The scan is a keyframe, and those before it are the frames of the maps.
+        self._scan = Keyframe(len(maps), OdometryPose(0, np.eye(4), 0.0, len(maps), np.inf), np.eye(4))
+        keyframes = [*(restore_map_frame(graph, number) for number in range(len(maps))), self._scan]
         graph.add_fixed_keyframe(self._scan.id, np.eye(4))
         graph.update()
         track = KeyframeTrack(config.calibration)
@@ -82,7 +83,9 @@ class ScanLocalizer:
             track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map)
         self._retriever.index_inactive_landmarks(self._scan.odometry)
-        self._verifier = Verifier(config, self._retriever, track, graph, keyframes, objects.positions[:, :2])
+        self._verifier = Verifier(
+            config, self._retriever, track, graph, keyframes, [each.positions[:, :2] for each in maps]
+        )
         self._acceptance = Acceptance(config, self._verifier)
 
     def localize(self, scan: ObjectDetections) -> ScanLocalization:

@@ -75,7 +75,7 @@ class LoopCloser:
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)
-        mapped = None if imported is None else imported.positions
+        mapped = [] if imported is None else [imported.positions]
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)

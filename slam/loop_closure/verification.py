@@ -41,9 +41,9 @@ class Verifier:
         track: KeyframeTrack,
         graph: FactorGraph,
         keyframes: Sequence[Keyframe],
-        mapped: FloatArray | None = None,
+        mapped: Sequence[FloatArray] = (),
     ) -> None:
-        """``mapped`` (N, 2) m: objects of a map without keyframes, among which the robot may be anywhere."""
+        """``mapped`` (N, 2) m each: objects of maps without keyframes, among which the robot may be anywhere."""
         self._config, objects = config, config.calibration.objects
         self._registration = registration_config(config)
         # Of the errors that all inliers of a registration share, rotation first.
@@ -55,10 +55,9 @@ class Verifier:
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
-        columns, rows = (np.zeros((0, 2)) if mapped is None else mapped // config.sensor_range_m).T
-        self._mapped_cells = len(
-            np.unique(columns + 2.0**32 * rows)
-        )  # sooner than pairs, and no map has so many columns
+        cells = [positions // config.sensor_range_m for positions in mapped]
+        # One number a cell is sooner than two, and no map has so many columns.
+        self._mapped_cells = sum(len(np.unique(each @ [1.0, 2.0**32])) for each in cells)
         self.reach_m = 2.0 * self._registration.search_radius_m
         """How far registration can move a pose: its search radius, which halves from step to step."""
 

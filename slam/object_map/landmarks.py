@@ -161,8 +161,10 @@ class ObjectMap:
         self._beliefs.count(new, labels)
         return new
 
-    def restore(self, saved: ObjectMapRecord, *, travel_m: float, relative_sigma_m: float = 0.0) -> IntArray:
-        """Add the landmarks of a prior map, as observed on segment 0 at ``travel_m``; returns their rows (N,).
+    def restore(
+        self, saved: ObjectMapRecord, *, travel_m: float, segment: int = 0, relative_sigma_m: float = 0.0
+    ) -> IntArray:
+        """Add the landmarks of a prior map, as observed on a segment at ``travel_m``; returns their rows (N,).
 
         Their positions in the odometry frame are those in the map. The covariances of the map are relative to its
         origin; those between neighbours are far smaller in a map that a robot made.
@@ -170,6 +172,7 @@ class ObjectMap:
         Args:
             saved: confirmed landmarks; their probabilities become as many measurements of a class as they had.
             travel_m: when they were observed.
+            segment: of the odometry, whose frame is that of the map.
             relative_sigma_m: standard deviation of a coordinate relative to neighbours.
         """
         labels = self.label_indices(saved.vocabulary)
@@ -180,6 +183,7 @@ class ObjectMap:
             stamp_ns=0,
             scan=0,
             travel_m=travel_m,
+            segment=segment,
         )
         landmarks = self._rows
         landmarks["state"][rows] = LandmarkState.CONFIRMED
