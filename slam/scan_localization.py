@@ -71,7 +71,7 @@ class ScanLocalizer:
         self._size = len(object_map)
         if not self._size:
             raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
-        self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
+        self._number = {label: number for number, label in enumerate(object_map.labels.vocabulary)}
         graph = FactorGraph(sensor_range_m=config.sensor_range_m)
         # The scan is a keyframe, and those before it are the frames of the maps.
         self._scan = Keyframe(len(maps), OdometryPose(0, np.eye(4), 0.0, len(maps), np.inf), np.eye(4))

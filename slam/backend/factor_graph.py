@@ -14,7 +14,7 @@ from logs.messages import FactorGraphRecord
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Factor, Observation
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.observation_sums import summed
@@ -83,10 +83,11 @@ class FactorGraph(EditableGraph):
         away = set(moved.tolist())
         with gtsam_errors("the joining of two segments"):
             values = self._moved_estimate(edge, away)
-            number = self._number(self._attached.edge(edge))
+            joint = self._attached.edge(edge)
+            number = self._number(joint)
             breaks = self._relaxed_breaks(away, values)
             self._factors |= breaks
-            changed = {each: self._solver_factor(self._factors[each]) for each in (*breaks, number)}
+            changed = {each: self._between_factor(made) for each, made in {**breaks, number: joint}.items()}
             self._solver.restart(values, {**self._solver.factors, **changed})
         self.update()
         return number
@@ -133,8 +134,7 @@ class FactorGraph(EditableGraph):
 
         ``edges`` tie all keyframes together; ``observations`` are of landmarks from these.
         """
-        self.add_first_keyframe(0, T_map_body[0])
-        for number, T in enumerate(T_map_body[1:], start=1):
+        for number, T in enumerate(T_map_body):
             self.add_keyframe(number, T)
         for edge in edges:
             self.add_edge(edge)
@@ -143,13 +143,13 @@ class FactorGraph(EditableGraph):
 
     def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
         """Give the edges of these numbers other covariances (6, 6)."""
-        changed: dict[int, Factor] = {
+        changed = {
             number: replace(edge, covariance=covariances[number])
             for number, edge in self._factors.items()
             if number in covariances and isinstance(edge, Edge)
         }
         self._factors |= changed
-        factors = {number: self._solver_factor(edge) for number, edge in changed.items()}
+        factors = {number: self._between_factor(edge) for number, edge in changed.items()}
         self._solver.restart(self._solver.values_with_new(), {**self._solver.factors, **factors})
 
     def optimize(self, *, roughly: bool = False) -> Optimization:

@@ -70,7 +70,7 @@ class Solver:
     def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
         """Add a variable with its initial value; one that was about to leave stays where it was.
 
-        ``prior``: a factor on a landmark that leaves with it.
+        ``prior``: a factor on it; that of a landmark leaves with it.
         """
         self._held.add(key)
         if prior is not None:
@@ -92,9 +92,11 @@ class Solver:
             self._removed.append(number)
         for key in factor.keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
+            if gtsam.symbolChr(key) != ord("l"):
+                continue
             if self._uses[key] == 1 and -key in self._factors:
                 self.remove(-key)
-            elif not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
+            elif not self._uses[key]:
                 self._held.remove(key)
                 if self._new_values.exists(key):
                     self._new_values.erase(key)

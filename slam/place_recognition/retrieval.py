@@ -25,8 +25,6 @@ INACTIVE_RANGES = 2.0
 """A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""
 PLACE_RADIUS_RANGES = 3.0
 """Radius of a reference submap, in sensor ranges."""
-INDEXED_TRAVERSALS = 4
-"""So many traversals of a place are in the index; what more there are would be found no sooner."""
 
 
 class PlaceRetriever:
@@ -44,7 +42,6 @@ class PlaceRetriever:
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._search: PlaceSearch | None = None
         self._shifts_m, self._pitch_m = {0: 0.0}, 1.0  # of segments side by side
-        self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1
 
     def index_inactive_landmarks(self, pose: OdometryPose) -> None:
@@ -54,26 +51,15 @@ class PlaceRetriever:
             return
         self._indexed_m, self._indexed_segment = travel_m, pose.segment
         landmarks = self._map.rows
-        confirmed = landmarks["state"] == LandmarkState.CONFIRMED
-        unseen = landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._sensor_range_m
-        behind = confirmed & (unseen | (landmarks["segment"] != pose.segment))
-        behind[self._rows] = behind[self._left_out] = False
+        # Of the landmarks of several traversals that are one, the first one.
+        confirmed = self._map.in_state(LandmarkState.CONFIRMED)
+        unseen = landmarks["last_seen_travel_m"][confirmed] < travel_m - INACTIVE_RANGES * self._sensor_range_m
+        behind = confirmed[unseen | (landmarks["segment"][confirmed] != pose.segment)]
+        behind = np.setdiff1d(behind, self._rows)
         if self._imported is not None:
-            behind &= landmarks["segment"] != SEGMENT
+            behind = behind[landmarks["segment"][behind] != SEGMENT]
         for segment in np.unique(landmarks["segment"][behind]):
-            new = np.flatnonzero(behind & (landmarks["segment"] == segment))
-            often = self._is_well_indexed(new)
-            self._left_out = np.concatenate([self._left_out, new[often]])
-            if not often.all():
-                self._enter(new[~often], int(segment))
-
-    def _is_well_indexed(self, new: IntArray) -> BoolArray:
-        """Which landmarks (N,) are indexed as ``INDEXED_TRAVERSALS`` of earlier traversals."""
-        indexed = np.zeros(len(self._map), dtype=np.bool_)
-        indexed[self._rows] = True
-        kept = [self._map.canonical_id(row) for row in new.tolist()]
-        counts = [np.count_nonzero(indexed[[row, *self._map.absorbed(row)]]) for row in kept]
-        return np.array(counts, dtype=np.int64) >= INDEXED_TRAVERSALS
+            self._enter(behind[landmarks["segment"][behind] == segment], int(segment))
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows
@@ -89,19 +75,19 @@ class PlaceRetriever:
         entry_of[self._rows] = np.arange(first + len(new))
         batch = Batch(
             landmarks["position_local"][around],
-            self._map.classes(around),
+            self._map.labels.classes(around),
             np.asarray(np.searchsorted(around, new)),
             entry_of[around],
             segment,
         )
-        self._pairs.add(batch, tuple(self._map.vocabulary))
+        self._pairs.add(batch, tuple(self._map.labels.vocabulary))
         self._search = None
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
         imported = self._imported
-        known = np.bincount(self._map.classes(self._rows)) if imported is None else imported.class_counts
-        counts = np.ones(len(self._map.vocabulary))
+        known = np.bincount(self._map.labels.classes(self._rows)) if imported is None else imported.class_counts
+        counts = np.ones(len(self._map.labels.vocabulary))
         counts[: len(known)] += known
         return np.asarray(counts / counts.sum())
 
@@ -149,7 +135,7 @@ class PlaceRetriever:
             for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
         }
         placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(of)
-        return PlaceSearch(self._pairs, placed, self._map.classes(self._rows), len(self._map.vocabulary))
+        return PlaceSearch(self._pairs, placed, self._map.labels.classes(self._rows), len(self._map.labels.vocabulary))
 
     def _traversal_m(self, rows: IntArray) -> float:
         """Middle travel [m] of the traversal that most of the landmarks ``rows`` (K,) of a segment are from.
@@ -168,7 +154,7 @@ class PlaceRetriever:
         """
         pairs = PairIndex(self._likelihood)
         pairs.add(query.positions, query.labels)
-        search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
+        search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.labels.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
         poses = search.find_poses(query, map_sigma_m=sigma_m, count=self._count + 1)  # the identity is among them
         return np.concatenate([np.eye(4)[None], poses])

@@ -34,11 +34,11 @@ def seen_from(T: FloatArray, keyframe: int, rows: dict[int, FloatArray]) -> list
 @pytest.fixture
 def saved() -> SavedMap:
     object_map = ObjectMap(ObjectCalibration())
-    labels = object_map.label_indices(("tree", "lamp", "tree", "bench"))
+    labels = object_map.labels.indices(("tree", "lamp", "tree", "bench"))
     rows = object_map.add(OBJECTS, np.tile(SEEN, (4, 1, 1)), labels, stamp_ns=5, scan=0, travel_m=0.0)
     object_map.confirm(rows)
     graph = FactorGraph(kernel_width=WIDTH)
-    graph.add_first_keyframe(0, POSES[0])
+    graph.add_keyframe(0, POSES[0])
     for k in (1, 2):
         graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
     for k, T in enumerate(POSES):

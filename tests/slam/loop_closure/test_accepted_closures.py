@@ -33,7 +33,7 @@ class Drive:
             segment = second_segment if number >= ROUND else 0
             self.keyframes.append(make_keyframe(number, STEP_M * number, segment=segment))
             if number == 0:
-                graph.add_first_keyframe(0, at(0.0))
+                graph.add_keyframe(0, at(0.0))
             else:
                 covariance = np.diag(np.repeat([1e-6, 1e-2], 3))
                 graph.add_next_keyframe(Edge(number - 1, number, at(STEP_M), covariance, "odometry"))
