@@ -162,13 +162,14 @@ class EditableGraph:
         """Bring the incremental estimate up to date with all that was added and removed."""
         self._solver.update()
 
-    def pose(self, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe."""
+    def pose(self, keyframe: int, values: gtsam.Values | None = None) -> FloatArray:
+        """``T_map_body`` (4, 4) of a keyframe; ``values``: of the variables, instead of their current estimates."""
         anchor = self._attached.anchors.get(keyframe)
         if anchor is not None:
-            return self._attached.pose(keyframe, self.pose(anchor))
-        fixed = self._fixed_poses.get(keyframe)
-        return self._solver.pose(keyframe) if fixed is None else fixed
+            return self._attached.pose(keyframe, self.pose(anchor, values))
+        if keyframe in self._fixed_poses:
+            return self._fixed_poses[keyframe]
+        return self._solver.pose(keyframe) if values is None else np.asarray(values.atPose3(X(keyframe)).matrix())
 
     def _check_ends(self, edge: Edge) -> None:
         for keyframe in (edge.from_keyframe, edge.to_keyframe):

@@ -117,17 +117,9 @@ class FactorGraph(EditableGraph):
             if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
                 start, end = factor.from_keyframe, factor.to_keyframe
                 if (start in away) != (end in away):
-                    T_from_to = invert(self._pose_in(values, start)) @ self._pose_in(values, end)
+                    T_from_to = invert(self.pose(start, values)) @ self.pose(end, values)
                     relaxed[number] = replace(factor, T_from_to=T_from_to)
         return relaxed
-
-    def _pose_in(self, values: gtsam.Values, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe by the values of the variables."""
-        anchor = self._attached.anchors.get(keyframe)
-        if anchor is not None:
-            return self._attached.pose(keyframe, self._pose_in(values, anchor))
-        fixed = self._fixed_poses.get(keyframe)
-        return np.asarray(values.atPose3(X(keyframe)).matrix()) if fixed is None else fixed
 
     def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
         """Restore an optimised graph in an empty one: keyframes 0 to K - 1 at (K, 4, 4), the first one held.
@@ -180,11 +172,7 @@ class FactorGraph(EditableGraph):
         An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it, summed up. Of its edges those to keyframes that stay remain, but for closures that found it:
         the anchor represents these.
-
-        Raises:
-            FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
-        covariances = dict(zip(self._keyframes, self.pose_covariances(), strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self._factors.items():
@@ -193,7 +181,7 @@ class FactorGraph(EditableGraph):
                     observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
                 case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
                     edges[number] = factor
-        self._attached.attach(anchors, {keyframe: covariances[keyframe] for keyframe in anchors}, self.pose)
+        self._attached.attach(anchors, self.pose)
         for edge in edges.values():
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
@@ -213,7 +201,7 @@ class FactorGraph(EditableGraph):
         self.update()
         values = self._solver.values()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
-        return np.array([self._pose_in(values, keyframe) for keyframe in wanted]).reshape(-1, 4, 4)
+        return np.array([self.pose(keyframe, values) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
@@ -251,9 +239,10 @@ class FactorGraph(EditableGraph):
         """
         self.update()
         marginals, sigmas = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
-        known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
-        covariances = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
-        return np.array(covariances).reshape(-1, 6, 6)
+        known = {each: marginals[X(each)] for each in self.keyframe_variables.tolist()}
+        known |= dict.fromkeys(self._fixed_poses, np.diag(sigmas**2))
+        known |= {each: self._attached.covariance(each, known[at]) for each, at in self._attached.anchors.items()}
+        return np.array([known[each] for each in self._keyframes]).reshape(-1, 6, 6)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log."""
