@@ -143,7 +143,7 @@ class Slam:
             self._mapper.keyframes,
             self._object_map,
             self._graph,
-            self._closer.closures.keyframes,
+            np.array(list(self._closer.closures.closed.items()), dtype=np.int64).reshape(-1, 2),
             self._closer.closures.is_localized,
             self._config.calibration,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -71,16 +71,15 @@ class FactorGraph(EditableGraph):
                 found.setdefault(self._variable_of(each.landmark), set()).add(each.keyframe)
         return found
 
-    def add_joining_edge(self, edge: Edge, moved: IntArray) -> int:
-        """Tie two stretches together that only a break of the odometry tied: the keyframes ``moved`` (K,), with one end
-        of the edge, and the landmarks that only they saw are first moved as a whole to where the edge puts them.
+    def add_joining_edge(self, edge: Edge, away: Set[int]) -> int:
+        """Tie two stretches together that only a break of the odometry tied: the keyframes ``away``, with one end of
+        the edge, and the landmarks that only they saw are first moved as a whole to where the edge puts them.
 
         No solver would find there: to its robust kernel the edge would be as wrong as any, and an update with the edge
         before the segment is moved would bend both stretches towards each other.
         """
         self._check_ends(edge)
         self.update()
-        away = set(moved.tolist())
         with gtsam_errors("the joining of two segments"):
             values = self._moved_estimate(edge, away)
             joint = self._attached.edge(edge)
@@ -92,7 +91,7 @@ class FactorGraph(EditableGraph):
         self.update()
         return number
 
-    def _moved_estimate(self, edge: Edge, away: set[int]) -> gtsam.Values:
+    def _moved_estimate(self, edge: Edge, away: Set[int]) -> gtsam.Values:
         """The estimate, in which the edge puts keyframes ``away`` and the landmarks that only they saw."""
         T_from, T_to = self.pose(edge.from_keyframe), self.pose(edge.to_keyframe)
         if edge.to_keyframe in away:
@@ -100,14 +99,14 @@ class FactorGraph(EditableGraph):
         else:
             shift = gtsam.Pose3(T_to @ invert(edge.T_from_to) @ invert(T_from))
         values = gtsam.Values(self._solver.values())
-        for keyframe in away.intersection(self.keyframe_variables.tolist()):
+        for keyframe in away & set(self.keyframe_variables.tolist()):
             values.update(X(keyframe), shift.compose(values.atPose3(X(keyframe))))
         for landmark, keyframes in self.observers().items():
             if landmark not in self._known and keyframes <= away:
                 values.update(L(landmark), shift.transformFrom(values.atPoint3(L(landmark))))
         return values
 
-    def _relaxed_breaks(self, away: set[int], values: gtsam.Values) -> dict[int, Edge]:
+    def _relaxed_breaks(self, away: Set[int], values: gtsam.Values) -> dict[int, Edge]:
         """Breaks of the odometry between keyframes ``away`` and the others, by number, as the estimate has them.
 
         They hold no information, and would pull at a segment that was moved far.

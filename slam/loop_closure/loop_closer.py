@@ -284,7 +284,7 @@ class LoopCloser:
         )
         records, seed = [self._accept(candidate)], candidate
         for query in reversed(self._recent):
-            if query.keyframe.id == candidate.query.id or self.closures.is_closed(query.keyframe.id):
+            if query.keyframe.id == candidate.query.id or query.keyframe.id in self.closures.closed:
                 continue
             if (propagated := self._confirmed(self._predict(seed, query))) is not None:
                 records.append(self._accept(propagated))

@@ -136,7 +136,7 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
     T_far = transform_from_xyz_yaw(np.array([-60.0, 45.0, 0.0]), 2.5)
     T_from_to = T_far if ends == (0, 3) else invert(T_far)
-    number = graph.add_joining_edge(Edge(ends[0], ends[1], T_from_to, soft, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
+    number = graph.add_joining_edge(Edge(ends[0], ends[1], T_from_to, soft, EdgeKind.LOOP_CLOSURE), {2, 3})
     poses = [np.eye(4), step, T_far @ invert(step), T_far]
     np.testing.assert_allclose(graph.poses(), poses, atol=1e-6)
     (break_now,) = (f for f in graph.factors.values() if isinstance(f, Edge) and f.kind == EdgeKind.DISCONTINUITY)

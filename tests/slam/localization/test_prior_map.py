@@ -120,7 +120,7 @@ def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved:
     _, graph = loaded(saved, fixed=True)
     see_again(graph)
     far = transform_from_xyz_yaw(np.array([[40.0, 9.0, 0.0]]), np.array([1.0]))[0]
-    graph.add_joining_edge(Edge(0, 3, far, SURE, "closure"), np.array([3]))
+    graph.add_joining_edge(Edge(0, 3, far, SURE, "closure"), {3})
     np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=0.05)
 

@@ -57,7 +57,7 @@ class Drive:
 
     @property
     def closed(self) -> list[int]:
-        return self.closures.keyframes[:, 0].tolist()
+        return list(self.closures.closed)
 
     @property
     def factors(self) -> list[int]:

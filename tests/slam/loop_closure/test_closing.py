@@ -104,9 +104,6 @@ class Parts(Patterns):
         return Decision((), best) if self.is_acceptable(best) else Decision((best.record(Stage.ACCEPTANCE, "weak"),))
 
     # Accepted closures.
-    def is_closed(self, keyframe: int) -> bool:
-        return keyframe in self.closed
-
     def is_localized(self, keyframe: Keyframe) -> bool:
         return self.is_connected
 
