@@ -288,7 +288,7 @@ odometry carries on, landmarks that data association never lost."""
 class LoopClosureRecord:
     """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
 
-    ``stage``: where it was decided, one of :data:`logs.closures.STAGES`; ``reason``: why. ``stamp_ns`` is that of the
+    ``stage``: where it was decided, one of :class:`logs.closures.Stage`; ``reason``: why. ``stamp_ns`` is that of the
     query keyframe. A later record about the same two keyframes replaces an earlier one. ``inserted``: the closure is
     a factor of the graph; an accepted one that repeats what another says already is none. ``proposer``: who
     proposed the place, one of :data:`PROPOSERS`, "" without a proposal.

@@ -143,7 +143,9 @@ class Solver:
                 if isam is None:
                     self._solve_afresh(self.values_with_new(), "CHOLESKY")
                 else:
-                    self._update_isam(isam)
+                    removed = [self._slots.pop(number) for number in self._removed]
+                    result = isam.update(graph_of(self._added.values()), self._new_values, removed)
+                    self._take(isam, list(self._added), result)
             except RuntimeError as error:
                 logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
                 # A failed update of iSAM2 has the new variables already.
@@ -181,12 +183,6 @@ class Solver:
         self._poses: dict[int, gtsam.Pose3] = {}  # those queried since then
         self._new_values = gtsam.Values()
         self._leaving = set[int]()
-
-    def _update_isam(self, isam: gtsam.ISAM2) -> None:
-        removed_slots = [self._slots.pop(number) for number in self._removed]
-        self._take(
-            isam, list(self._added), isam.update(graph_of(self._added.values()), self._new_values, removed_slots)
-        )
 
     def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
         """Put all factors into a new iSAM2.

@@ -25,10 +25,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit, logit
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.loop_closure.candidate import Candidate, Query, Stage, suppress_non_maxima
+from slam.loop_closure.candidate import Candidate, Query, suppress_non_maxima
 from slam.loop_closure.verification import Verifier
 
 

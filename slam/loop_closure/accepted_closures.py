@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import BoolArray
 from slam.common.config import Config
 from slam.common.union_find import UnionFind
-from slam.loop_closure.candidate import Candidate, Stage
+from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 

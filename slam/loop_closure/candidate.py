@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, yaw_rad
@@ -19,18 +19,6 @@ from slam.place_recognition.place import Place
 # the objects in a row, or more. In sensor ranges.
 AGREE_RANGES = 1.0 / 15.0
 AGREE_RAD = np.deg2rad(5.0)
-
-
-class Stage(StrEnum):
-    """The stage at which a candidate was accepted or rejected."""
-
-    REPEATED = "repeated"
-    RETRIEVAL = "retrieval"
-    REGISTRATION = "registration"
-    ACCEPTANCE = "acceptance"
-    CONSISTENCY = "consistency"
-    ASSOCIATION = "association"
-    ACCEPTED = "accepted"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

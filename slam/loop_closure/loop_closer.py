@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
@@ -22,7 +23,7 @@ from slam.localization.continuity_monitor import ContinuityMonitor, recent_landm
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, yaw_rad
 from slam.localization.pose_prior import PosePrior, failure_probability
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratios
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack

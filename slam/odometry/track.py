@@ -17,10 +17,6 @@ from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, is_beyond_lim
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
-# A message that comes after a silence of more than so many intervals may have a wrong stamp.
-LATE = 5.0
-# Travel is counted in steps of at least that length, in sensor ranges.
-JITTER_RANGES = 0.05 / 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +46,7 @@ class OdometryTrack:
         sensor_range_m: float = DetectionCalibration().sensor_range_m,
     ) -> None:
         self._max_speed_mps = MAX_SPEED_RANGES * sensor_range_m
-        self._jitter_m = JITTER_RANGES * sensor_range_m
+        self._jitter_m = 0.05 / 30.0 * sensor_range_m  # travel is counted in steps of at least that length
         self._sensor_range_m = sensor_range_m
         self._first_segment = first_segment
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
@@ -151,7 +147,7 @@ class OdometryTrack:
         """Whether a message comes after a silence that is long beside the last interval."""
         long_ns = MAX_GAP_S * 1e9
         if len(self._poses) > 1:
-            long_ns = min(long_ns, LATE * (last_ns - self._poses[-2].stamp_ns))
+            long_ns = min(long_ns, 5.0 * (last_ns - self._poses[-2].stamp_ns))
         return odometry.stamp_ns - last_ns > long_ns
 
     def _reject(self, is_duplicate: bool) -> None:

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure import loop_closer as module
 from slam.loop_closure.acceptance import Decision
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
 from slam.object_map.submap import Submap

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import logit
 
-from logs.closures import STAGES
+from logs.closures import Stage
 from slam.common.config import LocalizationConfig
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -110,7 +110,7 @@ def test_two_streets_of_lamps_in_rows_are_not_taken_for_one(tmp_path, spacing_m)
 def test_every_candidate_has_a_stage_and_a_reason_unless_it_was_accepted_by_itself(looped, straying):
     by_themselves = 0
     for record in looped.records + straying.records:
-        assert record.stage in STAGES
+        assert record.stage in list(Stage)
         assert record.accepted == (record.stage == "accepted")
         by_themselves += record.accepted and not record.reason
         assert record.accepted or record.reason
