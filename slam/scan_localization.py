@@ -96,9 +96,9 @@ class ScanLocalizer:
                 classes that the map does not have are left out.
         """
         query = self.query(scan)
-        if not self.has_enough_objects(query):
-            return _not_found(f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}")
         verified = self.propose(query)
+        if len(query.submap) < MIN_OBJECTS:
+            return _not_found(f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}")
         if not verified:
             return _not_found("no matches that agree on a place")
         decision = self.decide(query, verified)
@@ -116,10 +116,6 @@ class ScanLocalizer:
         sigmas = np.hypot(self._objects.landmark_sigma_m, self._objects.landmark_sigma_per_m * distances_m)
         labels = np.array([self._number[scan.labels[row]] for row in known.tolist()], dtype=np.int64)
         return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4), before_m=0.0)
-
-    def has_enough_objects(self, query: Query) -> bool:
-        """Whether it has enough objects for a pose."""
-        return len(query.submap) >= MIN_OBJECTS
 
     def propose(self, query: Query) -> list[Verified]:
         """The candidates at the places that retrieval proposes, as for a drive, or the reasons why there is none."""

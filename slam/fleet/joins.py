@@ -87,8 +87,6 @@ class PlaceIndex:
         positions = apply(invert(T_query_place), query_map.objects.positions[seen])
         labels = tuple(query_map.objects.labels[row] for row in seen.tolist())
         query = self._localizer.query(ObjectDetections(0, "place", positions, labels, np.ones(len(seen))))
-        if not self._localizer.has_enough_objects(query):
-            return
         in_map = defaultdict[int, list[Candidate]](list)
         for each in self._localizer.propose(query):
             if isinstance(each, Candidate):
