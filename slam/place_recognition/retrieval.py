@@ -79,8 +79,9 @@ class PlaceRetriever:
             np.asarray(np.searchsorted(around, new)),
             entry_of[around],
             segment,
+            self._map.labels.vocabulary,
         )
-        self._pairs.add(batch, tuple(self._map.labels.vocabulary))
+        self._pairs.add(batch)
         self._search = None
 
     def class_shares(self) -> FloatArray:
