@@ -12,7 +12,7 @@ from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import rigid
-from slam.odometry.pose import OdometryPose, pose_at
+from slam.odometry.pose import OdometryPose, between
 from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, is_beyond_limits
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
@@ -141,7 +141,14 @@ class OdometryTrack:
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
-        return pose_at(self._poses, stamp_ns)
+        after = None
+        for pose in reversed(self._poses):
+            if pose.stamp_ns == stamp_ns:
+                return pose
+            if pose.stamp_ns < stamp_ns:
+                return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
+            after = pose
+        return None
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""
