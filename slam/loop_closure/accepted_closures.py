@@ -32,11 +32,6 @@ class Accepted:
     represented_by: int
     factor: int | None = None
 
-    @property
-    def latest(self) -> int:
-        """The later one of the two query keyframes."""
-        return max(self.candidate.query.id, self.represented_by)
-
 
 class AcceptedClosures:
     """Closures in the order in which they were accepted; some are factors, and represent those nearby.
@@ -58,7 +53,8 @@ class AcceptedClosures:
         self._segments = UnionFind()  # of the odometry; those that closures connect are a set, named by the first one
         self.closed: dict[int, int] = {}
         """Query and reference keyframe of each."""
-        self._tracked: dict[int, int] = {}
+        self.tracked: dict[int, int] = {}
+        """The same of places that were recognised by landmarks still associated: there is no loop to close."""
         self._accepted: list[Accepted] = []
 
     def is_localized(self, keyframe: Keyframe) -> bool:
@@ -69,7 +65,7 @@ class AcceptedClosures:
         """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
         landmarks still associated: their positions can be compared.
         """
-        ends = np.unique(np.array([*self.closed.items(), *self._tracked.items()], dtype=np.int64))
+        ends = np.unique(np.array([*self.closed.items(), *self.tracked.items()], dtype=np.int64))
         segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
         near: set[int] = set()
         for segment in np.unique(segments[ends]).tolist():
@@ -95,10 +91,6 @@ class AcceptedClosures:
         reason = "" if seed is None else f"propagated from the closure of keyframe {seed}"
         return candidate.record(Stage.ACCEPTED, reason, inserted=accepted.factor is not None)
 
-    def add_tracked(self, query: Keyframe, reference: Keyframe) -> None:
-        """Remember a place that was recognised by landmarks still associated: there is no loop to close."""
-        self._tracked[query.id] = reference.id
-
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
 
@@ -112,9 +104,9 @@ class AcceptedClosures:
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
-        self._tracked = {query: reference for query, reference in self._tracked.items() if query < since}
+        self.tracked = {query: reference for query, reference in self.tracked.items() if query < since}
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
-        revoked = [each for each in self._accepted if each.latest >= since]
+        revoked = [each for each in self._accepted if max(each.candidate.query.id, each.represented_by) >= since]
         self._remove(revoked)
         reason = "revoked: expected landmarks not observed"
         return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped

@@ -182,7 +182,7 @@ class LoopCloser:
         if found is None:
             return None
         reference = self._keyframes[found[0]]
-        self.closures.add_tracked(keyframe, reference)
+        self.closures.tracked[keyframe.id] = reference.id
         reason = "its landmarks are still associated: there is no loop to close"
         T_reference_query = invert(reference.T_local_body) @ keyframe.T_local_body
         refusal = query.refusal(Stage.ASSOCIATION, reason, reference)

@@ -124,7 +124,7 @@ def test_keyframes_near_a_closure_can_be_compared_once_they_are_localized(street
 
 def test_landmarks_are_compared_near_a_place_that_was_recognised_without_a_closure(street):
     assert street.closures.keyframes_nearby() == set()
-    street.closures.add_tracked(street.keyframes[100], street.keyframes[100 - ROUND])
+    street.closures.tracked[100] = 100 - ROUND
     nearby = street.closures.keyframes_nearby()
     assert {10, 100} <= nearby
     assert 50 not in nearby
@@ -132,7 +132,7 @@ def test_landmarks_are_compared_near_a_place_that_was_recognised_without_a_closu
 
 
 def test_a_place_recognised_without_a_closure_is_forgotten_once_the_robot_is_lost(street):
-    street.closures.add_tracked(street.keyframes[100], street.keyframes[100 - ROUND])
+    street.closures.tracked[100] = 100 - ROUND
     street.declare_lost(since=100)
     assert street.closures.keyframes_nearby() == set()
 

@@ -54,7 +54,7 @@ class Parts(Patterns):
         self.is_connected = True
         self.kidnapped_after_m: float | None = None
         self.closed: dict[int, int] = {}
-        self.recognised: list[tuple[int, int]] = []
+        self.tracked: dict[int, int] = {}
 
     def recent_submap(self, *_: Any) -> Submap:
         self.first_row += self.new_rows
@@ -112,9 +112,6 @@ class Parts(Patterns):
         assert candidate.query.id not in self.closed
         self.closed[candidate.query.id] = candidate.reference.id
         return candidate.record(Stage.ACCEPTED, "")
-
-    def add_tracked(self, query: Keyframe, reference: Keyframe) -> None:
-        self.recognised.append((query.id, reference.id))
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         return [], True
@@ -224,7 +221,7 @@ def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts
     assert [record.stage for record in records] == stages
     is_known = stages[0] == "association"
     nearest = (STEP_M * (FIRST + 1) - 100.0) / STEP_M - 1  # all stand along one street
-    assert parts.recognised == ([(FIRST + 1, nearest)] if is_known else [])
+    assert parts.tracked == ({FIRST + 1: nearest} if is_known else {})
     if is_known:
         np.testing.assert_allclose(records[0].T_reference_query, at(STEP_M * (FIRST + 1 - nearest)))
 
