@@ -25,6 +25,8 @@ INACTIVE_RANGES = 2.0
 """A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""
 PLACE_RADIUS_RANGES = 3.0
 """Radius of a reference submap, in sensor ranges."""
+INDEXED_TRAVERSALS = 4
+"""So many traversals of a place are in the index; what more there are would be found no sooner."""
 
 
 class PlaceRetriever:
@@ -42,6 +44,7 @@ class PlaceRetriever:
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._search: PlaceSearch | None = None
         self._shifts_m, self._pitch_m = {0: 0.0}, 1.0  # of segments side by side
+        self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1
 
     def index_inactive_landmarks(self, pose: OdometryPose) -> None:
@@ -51,15 +54,26 @@ class PlaceRetriever:
             return
         self._indexed_m, self._indexed_segment = travel_m, pose.segment
         landmarks = self._map.rows
-        # Of the landmarks of several traversals that are one, the first one.
-        confirmed = self._map.in_state(LandmarkState.CONFIRMED)
-        unseen = landmarks["last_seen_travel_m"][confirmed] < travel_m - INACTIVE_RANGES * self._sensor_range_m
-        behind = confirmed[unseen | (landmarks["segment"][confirmed] != pose.segment)]
-        behind = np.setdiff1d(behind, self._rows)
+        confirmed = landmarks["state"] == LandmarkState.CONFIRMED
+        unseen = landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._sensor_range_m
+        behind = confirmed & (unseen | (landmarks["segment"] != pose.segment))
+        behind[self._rows] = behind[self._left_out] = False
         if self._imported is not None:
-            behind = behind[landmarks["segment"][behind] != SEGMENT]
+            behind &= landmarks["segment"] != SEGMENT
         for segment in np.unique(landmarks["segment"][behind]):
-            self._enter(behind[landmarks["segment"][behind] == segment], int(segment))
+            new = np.flatnonzero(behind & (landmarks["segment"] == segment))
+            often = self._is_well_indexed(new)
+            self._left_out = np.concatenate([self._left_out, new[often]])
+            if not often.all():
+                self._enter(new[~often], int(segment))
+
+    def _is_well_indexed(self, new: IntArray) -> BoolArray:
+        """Which landmarks (N,) are indexed as ``INDEXED_TRAVERSALS`` of earlier traversals."""
+        indexed = np.zeros(len(self._map), dtype=np.bool_)
+        indexed[self._rows] = True
+        kept = [self._map.canonical_id(row) for row in new.tolist()]
+        counts = [np.count_nonzero(indexed[[row, *self._map.absorbed(row)]]) for row in kept]
+        return np.array(counts, dtype=np.int64) >= INDEXED_TRAVERSALS
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows

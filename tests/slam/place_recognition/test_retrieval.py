@@ -17,7 +17,7 @@ from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place import Place
-from slam.place_recognition.retrieval import INACTIVE_RANGES, PLACE_RADIUS_RANGES, PlaceRetriever
+from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 
 CONFIG = Config()
 COUNT = 25
@@ -128,16 +128,19 @@ def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(
     assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0
 
 
-@pytest.mark.parametrize("is_merged", [False, True])
-def test_a_landmark_of_several_traversals_is_indexed_once(places, is_merged):
+@pytest.mark.parametrize(("traversals", "is_found"), [(INDEXED_TRAVERSALS - 1, True), (INDEXED_TRAVERSALS, False)])
+def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, is_found):
     first = places.add(0.0, 0.0)
-    for kept, dropped in zip(first, places.add(50.0, 550.0), strict=True):
-        if is_merged:
+    for number in range(1, traversals):
+        for kept, dropped in zip(first, places.add(0.0, float(number)), strict=True):
             places.map.merge(int(kept), int(dropped))
+    places.retriever.index_inactive_landmarks(after(500.0))
+    for kept, dropped in zip(first, places.add(50.0, 550.0), strict=True):
+        places.map.merge(int(kept), int(dropped))
     places.add(400.0, 551.0, seed=2)
     places.retriever.index_inactive_landmarks(after(NOW_M))
     found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
-    assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is not is_merged
+    assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]
 
 
