@@ -19,6 +19,7 @@ from slam.backend.factors import Observation
 from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
+from slam.common.errors import FactorGraphError
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
@@ -63,11 +64,7 @@ class GraphCondenser:
         if len(self._anchors()) >= 0.25 * self._variable_count:
             self.fuse_landmarks()
             self._graph.optimize(roughly=True)
-            anchors = self._anchors()
-            self._graph.condense(anchors)
-            self._closures.forget_condensed()
-            self._counters["keyframes_condensed"] += len(anchors)
-            logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variable_count)
+            self._condense(self._anchors())
         self._due_at = max(MIN_KEYFRAMES, 2 * self._variable_count)
 
     @property
@@ -81,6 +78,16 @@ class GraphCondenser:
         nearby = self._closures.keyframes_nearby()
         fused = fuse_duplicate_landmarks(self._map, self._graph, nearby, radius_m=self._radius_m)
         self._counters["landmarks_fused"] += fused
+
+    def _condense(self, anchors: dict[int, int]) -> None:
+        try:
+            self._graph.condense(anchors)
+        except FactorGraphError as error:
+            logger.info("the graph stays as it is: %s", error)
+            return
+        self._closures.forget_condensed()
+        self._counters["keyframes_condensed"] += len(anchors)
+        logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variable_count)
 
     def _anchors(self) -> dict[int, int]:
         variables = self._graph.keyframe_variables

@@ -19,20 +19,22 @@ class AttachedKeyframes:
         self.anchors: dict[int, int] = {}
         """The anchor of each attached keyframe."""
         self._transforms: dict[int, FloatArray] = {}
+        self.covariances: dict[int, FloatArray] = {}
+        """Of the pose (6, 6) of each attached keyframe, as it was when it was attached."""
 
-    def attach(self, anchors: Mapping[int, int], pose: Callable[[int], FloatArray]) -> None:
-        """Attach keyframes to their anchors, which stay variables, as their poses (4, 4) in the map are now."""
+    def attach(
+        self, anchors: Mapping[int, int], covariances: Mapping[int, FloatArray], pose: Callable[[int], FloatArray]
+    ) -> None:
+        """Attach keyframes to their anchors, which stay variables, as their poses (4, 4) in the map are now, with
+        ``covariances`` (6, 6).
+        """
+        self.covariances |= covariances
         self._transforms |= {each: invert(pose(anchor)) @ pose(each) for each, anchor in anchors.items()}
         self.anchors |= anchors
 
     def pose(self, keyframe: int, T_map_anchor: FloatArray) -> FloatArray:
         """``T_map_body`` (4, 4) of an attached keyframe."""
         return np.asarray(T_map_anchor @ self._transforms[keyframe])
-
-    def covariance(self, keyframe: int, of_anchor: FloatArray) -> FloatArray:
-        """Covariance (6, 6) of the pose of an attached keyframe, about its axes."""
-        Ad = adjoint(invert(self._transforms[keyframe]))
-        return np.asarray(Ad @ of_anchor @ Ad.T)
 
     def edge(self, edge: Edge) -> Edge:
         """The same constraint between anchors; covariances are about the axes of the keyframe that it leads to."""

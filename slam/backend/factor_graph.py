@@ -171,7 +171,11 @@ class FactorGraph(EditableGraph):
         An attached keyframe ceases to be a variable and moves rigidly with its anchor, which takes over what was
         observed from it, summed up. Of its edges those to keyframes that stay remain, but for closures that found it:
         the anchor represents these.
+
+        Raises:
+            FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
+        covariances = dict(zip(self._keyframes, self.pose_covariances(), strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self._factors.items():
@@ -180,7 +184,7 @@ class FactorGraph(EditableGraph):
                     observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
                 case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
                     edges[number] = factor
-        self._attached.attach(anchors, self.pose)
+        self._attached.attach(anchors, {keyframe: covariances[keyframe] for keyframe in anchors}, self.pose)
         for edge in edges.values():
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
@@ -238,10 +242,9 @@ class FactorGraph(EditableGraph):
         """
         self.update()
         marginals, sigmas = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
-        known = {each: marginals[X(each)] for each in self.keyframe_variables.tolist()}
-        known |= dict.fromkeys(self._fixed_poses, np.diag(sigmas**2))
-        known |= {each: self._attached.covariance(each, known[at]) for each, at in self._attached.anchors.items()}
-        return np.array([known[each] for each in self._keyframes]).reshape(-1, 6, 6)
+        known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
+        covariances = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
+        return np.array(covariances).reshape(-1, 6, 6)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log."""
