@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from enum import StrEnum
 
 from logs.messages import LoopClosureRecord
 
-STAGES = ("repeated", "retrieval", "registration", "acceptance", "consistency", "association", "accepted")
-"""Where a candidate is decided, in the order in which it comes there; what is repeated was not looked up."""
+
+class Stage(StrEnum):
+    """Where a candidate is decided, in the order in which it comes there; what is repeated was not looked up."""
+
+    REPEATED = "repeated"
+    RETRIEVAL = "retrieval"
+    REGISTRATION = "registration"
+    ACCEPTANCE = "acceptance"
+    CONSISTENCY = "consistency"
+    ASSOCIATION = "association"
+    ACCEPTED = "accepted"
 
 
 def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClosureRecord, ...]:
@@ -23,5 +33,6 @@ def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClos
 
 
 def rank_stage(stage: str) -> int:
-    """Place of a stage in :data:`STAGES`; one that is not known comes before all."""
-    return STAGES.index(stage) if stage in STAGES else -1
+    """Place of a stage in :class:`Stage`; one that is not known comes before all."""
+    stages = list(Stage)
+    return stages.index(Stage(stage)) if stage in stages else -1

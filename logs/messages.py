@@ -232,14 +232,10 @@ class DetectionAssociations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamPose:
-    """Estimated pose as it was known at that time. ``T_map_odom`` ties the odometry frame to the map.
-
-    Read back from a log, ``T_map_odom`` is None: there it stands apart, as a Transform on ``/tf``.
-    """
+    """Estimated pose as it was known at that time."""
 
     stamp_ns: int
     T_map_body: FloatArray
-    T_map_odom: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,19 +287,15 @@ odometry carries on, landmarks that data association never lost."""
 class LoopClosureRecord:
     """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
 
-    ``stage``: where it was decided, one of :data:`logs.closures.STAGES`; ``reason``: why. ``stamp_ns`` is that of the
+    ``stage``: where it was decided, one of :class:`logs.closures.Stage`; ``reason``: why. ``stamp_ns`` is that of the
     query keyframe. A later record about the same two keyframes replaces an earlier one. ``inserted``: the closure is
-    a factor of the graph; an accepted one that repeats what another says already is none. ``rank``: place of the
-    proposal, from 1, among those that descriptors made for this query; 0 where another closure predicted the place or
-    nothing was proposed. ``proposer``: who proposed the place, one of :data:`PROPOSERS`, "" without a proposal.
+    a factor of the graph; an accepted one that repeats what another says already is none. ``proposer``: who
+    proposed the place, one of :data:`PROPOSERS`, "" without a proposal.
 
     What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
     ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the
     odometry residual, ``score`` is the difference of the two; ``posterior_log_odds`` of this place against
-    all others and somewhere new; ``best_rival_log_likelihood_ratio`` of another
-    candidate that contradicts it, or of itself shifted along the track, whichever is larger;
-    ``seed_query_keyframe_id``: query of the closure that predicted this one; ``represented_by_keyframe_id``: query of
-    the closure that is the factor for an accepted one, its own where it was inserted.
+    all others and somewhere new; ``seed_query_keyframe_id``: query of the closure that predicted this one.
     """
 
     stamp_ns: int
@@ -313,19 +305,15 @@ class LoopClosureRecord:
     stage: str
     reason: str
     inlier_count: int = 0
-    inlier_fraction: float = 0.0
     score: float = 0.0
     T_reference_query: FloatArray | None = None
     covariance: FloatArray | None = None
     reference_stamp_ns: int = 0
     inserted: bool = False
-    rank: int = 0
     log_likelihood_ratio: float | None = None
     odometry_penalty: float | None = None
     posterior_log_odds: float | None = None
-    best_rival_log_likelihood_ratio: float | None = None
     seed_query_keyframe_id: int | None = None
-    represented_by_keyframe_id: int | None = None
     proposer: str = ""
 
 

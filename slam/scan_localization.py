@@ -26,7 +26,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-from slam.place_recognition.imported_places import SEGMENT, TRAVEL_M
+from slam.place_recognition.imported_places import TRAVEL_M
 from slam.place_recognition.retrieval import PlaceRetriever
 
 Verified = Candidate | LoopClosureRecord
@@ -55,34 +55,37 @@ class ScanLocalization:
 class ScanLocalizer:
     """Finds single scans in a map, without odometry. Reuse one for many scans: it holds the index of the map."""
 
-    def __init__(self, objects: ObjectMapRecord, config: Config | None = None) -> None:
-        """Index all landmarks of ``objects``.
+    def __init__(self, objects: ObjectMapRecord | Sequence[ObjectMapRecord], config: Config | None = None) -> None:
+        """Index all landmarks of a map, or of several, each of which has a frame and a segment of its own.
 
         Raises:
             InputDataError: the map is empty.
             DescriptorError: there is no such descriptor.
         """
-        if len(objects.ids) == 0:
-            raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
+        maps = [objects] if isinstance(objects, ObjectMapRecord) else objects
         config = Config() if config is None else config
         self._objects = config.calibration.objects
-        self._sensor_range_m = config.sensor_range_m
-        self._size = len(objects.ids)
         object_map = ObjectMap(config.calibration.objects)
-        object_map.restore(objects, travel_m=TRAVEL_M)
-        self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
-        graph = FactorGraph(sensor_range_m=self._sensor_range_m)
-        # The scan is a keyframe, and the one before it the frame of the map.
-        self._scan = Keyframe(1, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
-        keyframes = [restore_map_frame(graph), self._scan]
+        for number, each in enumerate(maps):
+            object_map.restore(each, travel_m=TRAVEL_M, segment=number)
+        self._size = len(object_map)
+        if not self._size:
+            raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
+        self._number = {label: number for number, label in enumerate(object_map.labels.vocabulary)}
+        graph = FactorGraph(sensor_range_m=config.sensor_range_m)
+        # The scan is a keyframe, and those before it are the frames of the maps.
+        self._scan = Keyframe(len(maps), OdometryPose(0, np.eye(4), 0.0, len(maps), np.inf), np.eye(4))
+        keyframes = [*(restore_map_frame(graph, number) for number in range(len(maps))), self._scan]
         graph.add_fixed_keyframe(self._scan.id, np.eye(4))
         graph.update()
-        track = KeyframeTrack(config.calibration.odometry)
+        track = KeyframeTrack(config.calibration)
         for keyframe in keyframes:
             track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map)
         self._retriever.index_inactive_landmarks(self._scan.odometry)
-        self._verifier = Verifier(config, self._retriever, track, graph, keyframes, objects.positions[:, :2])
+        self._verifier = Verifier(
+            config, self._retriever, track, graph, keyframes, [each.positions[:, :2] for each in maps]
+        )
         self._acceptance = Acceptance(config, self._verifier)
 
     def localize(self, scan: ObjectDetections) -> ScanLocalization:
@@ -93,9 +96,9 @@ class ScanLocalizer:
                 classes that the map does not have are left out.
         """
         query = self.query(scan)
-        if not self.has_enough_objects(query):
-            return _not_found(f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}")
         verified = self.propose(query)
+        if len(query.submap) < MIN_OBJECTS:
+            return _not_found(f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}")
         if not verified:
             return _not_found("no matches that agree on a place")
         decision = self.decide(query, verified)
@@ -113,10 +116,6 @@ class ScanLocalizer:
         sigmas = np.hypot(self._objects.landmark_sigma_m, self._objects.landmark_sigma_per_m * distances_m)
         labels = np.array([self._number[scan.labels[row]] for row in known.tolist()], dtype=np.int64)
         return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4), before_m=0.0)
-
-    def has_enough_objects(self, query: Query) -> bool:
-        """Whether it has enough objects for a pose."""
-        return len(query.submap) >= MIN_OBJECTS
 
     def propose(self, query: Query) -> list[Verified]:
         """The candidates at the places that retrieval proposes, as for a drive, or the reasons why there is none."""

@@ -143,7 +143,7 @@ class Slam:
             self._mapper.keyframes,
             self._object_map,
             self._graph,
-            self._closer.closures.keyframes,
+            np.array(list(self._closer.closures.closed.items()), dtype=np.int64).reshape(-1, 2),
             self._closer.closures.is_localized,
             self._config.calibration,
         )
@@ -188,7 +188,7 @@ class Slam:
             self._object_map, self._graph, own, T_map_body, first_segment=self._first_segment
         ):
             self.counters["covariances_missing"] = unknown
-        self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
+        self.counters["labels_beyond_max_classes"] += self._object_map.labels.unlisted
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
         graph, object_map = self._graph.to_record(stamp_ns, stamps_ns), self._object_map.to_record(stamp_ns)
         trajectory = final_trajectory(self._path, own, T_map_body, stamp_ns)

@@ -115,7 +115,7 @@ class FactorGraph(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., keyframe_ids: _Optional[_Iterable[int]] = ..., keyframe_stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ..., edge_keyframe_ids: _Optional[_Iterable[int]] = ..., edge_from_to: _Optional[_Iterable[float]] = ..., edge_covariances: _Optional[_Iterable[float]] = ..., edge_kinds: _Optional[_Iterable[str]] = ..., observation_keyframe_ids: _Optional[_Iterable[int]] = ..., observation_landmark_ids: _Optional[_Iterable[str]] = ..., observation_positions: _Optional[_Iterable[float]] = ..., observation_covariances: _Optional[_Iterable[float]] = ..., pose_covariances: _Optional[_Iterable[float]] = ..., observation_redundancies: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class LoopClosure(_message.Message):
-    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "rank", "log_likelihood_ratio", "odometry_penalty", "posterior_log_odds", "best_rival_log_likelihood_ratio", "seed_query_keyframe_id", "represented_by_keyframe_id", "proposer")
+    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "inlier_count", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "log_likelihood_ratio", "odometry_penalty", "posterior_log_odds", "seed_query_keyframe_id", "proposer")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
@@ -123,19 +123,15 @@ class LoopClosure(_message.Message):
     STAGE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     INLIER_COUNT_FIELD_NUMBER: _ClassVar[int]
-    INLIER_FRACTION_FIELD_NUMBER: _ClassVar[int]
     SCORE_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_QUERY_FIELD_NUMBER: _ClassVar[int]
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     INSERTED_FIELD_NUMBER: _ClassVar[int]
-    RANK_FIELD_NUMBER: _ClassVar[int]
     LOG_LIKELIHOOD_RATIO_FIELD_NUMBER: _ClassVar[int]
     ODOMETRY_PENALTY_FIELD_NUMBER: _ClassVar[int]
     POSTERIOR_LOG_ODDS_FIELD_NUMBER: _ClassVar[int]
-    BEST_RIVAL_LOG_LIKELIHOOD_RATIO_FIELD_NUMBER: _ClassVar[int]
     SEED_QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
-    REPRESENTED_BY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     PROPOSER_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     query_keyframe_id: int
@@ -144,21 +140,17 @@ class LoopClosure(_message.Message):
     stage: str
     reason: str
     inlier_count: int
-    inlier_fraction: float
     score: float
     reference_query: _containers.RepeatedScalarFieldContainer[float]
     covariance: _containers.RepeatedScalarFieldContainer[float]
     reference_stamp_ns: int
     inserted: bool
-    rank: int
     log_likelihood_ratio: float
     odometry_penalty: float
     posterior_log_odds: float
-    best_rival_log_likelihood_ratio: float
     seed_query_keyframe_id: int
-    represented_by_keyframe_id: int
     proposer: str
-    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., rank: _Optional[int] = ..., log_likelihood_ratio: _Optional[float] = ..., odometry_penalty: _Optional[float] = ..., posterior_log_odds: _Optional[float] = ..., best_rival_log_likelihood_ratio: _Optional[float] = ..., seed_query_keyframe_id: _Optional[int] = ..., represented_by_keyframe_id: _Optional[int] = ..., proposer: _Optional[str] = ...) -> None: ...
+    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., inlier_count: _Optional[int] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., log_likelihood_ratio: _Optional[float] = ..., odometry_penalty: _Optional[float] = ..., posterior_log_odds: _Optional[float] = ..., seed_query_keyframe_id: _Optional[int] = ..., proposer: _Optional[str] = ...) -> None: ...
 
 class Status(_message.Message):
     __slots__ = ("stamp_ns", "state", "level", "message", "counters")

@@ -15,7 +15,6 @@ from slam.backend.factors import (
     EdgeKind,
     Factor,
     Observation,
-    PosePrior,
     between_factor,
     checked_pose,
     landmark_prior_factor,
@@ -40,7 +39,7 @@ class EditableGraph:
         self._solver = Solver(sensor_range_m=sensor_range_m)
         self._factors: dict[int, Factor] = {}
         self._next_factor = 0
-        self._keyframes: list[int] = []
+        self._keyframes: dict[int, None] = {}  # in the order in which they were added
         self._attached = AttachedKeyframes()
         self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
         self._observations: dict[int, list[int]] = {}  # numbers of the factors, by the landmark
@@ -56,7 +55,7 @@ class EditableGraph:
     @property
     def keyframes(self) -> IntArray:
         """Ids (K,) of the keyframes, in the order in which they were added."""
-        return np.array(self._keyframes, dtype=np.int64)
+        return np.array([*self._keyframes], dtype=np.int64)
 
     @property
     def landmarks(self) -> IntArray:
@@ -64,22 +63,21 @@ class EditableGraph:
         return np.array(sorted(self._variables() - self._fixed_landmarks), dtype=np.int64)
 
     def add_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
-        """Add a keyframe at a pose (4, 4), which edges have to tie to the others before the next update."""
-        pose = checked_pose(T_map_body, f"keyframe {keyframe}")
-        if self._holds_keyframe(keyframe):
-            raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
-        self._solver.insert(X(keyframe), pose)
-        self._keyframes.append(keyframe)
+        """Add a keyframe at a pose (4, 4), which edges have to tie to the others before the next update.
 
-    def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
-        """Fix the map frame: a prior on the first keyframe."""
-        self.add_keyframe(keyframe, T_map_body)
-        self._add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
+        The first one has a prior, which fixes the map frame.
+        """
+        pose = checked_pose(T_map_body, f"keyframe {keyframe}")
+        if keyframe in self._keyframes:
+            raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
+        prior = None if self._keyframes else prior_factor(keyframe, pose, self.prior_sigma_m)
+        self._solver.insert(X(keyframe), pose, prior)
+        self._keyframes[keyframe] = None
 
     def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Add a keyframe that never moves: a constant. Edges lead from it to others."""
         checked_pose(T_map_body, f"keyframe {keyframe}")
-        self._keyframes.append(keyframe)
+        self._keyframes[keyframe] = None
         self._fixed_poses[keyframe] = T_map_body
 
     def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
@@ -164,23 +162,21 @@ class EditableGraph:
         """Bring the incremental estimate up to date with all that was added and removed."""
         self._solver.update()
 
-    def pose(self, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe."""
+    def pose(self, keyframe: int, values: gtsam.Values | None = None) -> FloatArray:
+        """``T_map_body`` (4, 4) of a keyframe; ``values``: of the variables, instead of their current estimates."""
         anchor = self._attached.anchors.get(keyframe)
         if anchor is not None:
-            return self._attached.pose(keyframe, self.pose(anchor))
-        fixed = self._fixed_poses.get(keyframe)
-        return self._solver.pose(keyframe) if fixed is None else fixed
+            return self._attached.pose(keyframe, self.pose(anchor, values))
+        if keyframe in self._fixed_poses:
+            return self._fixed_poses[keyframe]
+        return self._solver.pose(keyframe) if values is None else np.asarray(values.atPose3(X(keyframe)).matrix())
 
     def _check_ends(self, edge: Edge) -> None:
         for keyframe in (edge.from_keyframe, edge.to_keyframe):
-            if not self._holds_keyframe(keyframe):
+            if keyframe not in self._keyframes:
                 raise FactorGraphError(
                     f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
                 )
-
-    def _holds_keyframe(self, keyframe: int) -> bool:
-        return keyframe in self._attached.anchors or keyframe in self._fixed_poses or self._solver.holds(X(keyframe))
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
@@ -195,11 +191,10 @@ class EditableGraph:
         self._factors[self._next_factor - 1] = record
         return self._next_factor - 1
 
-    def _add(self, record: Factor) -> int:
-        """Add a factor between variables that are there; returns its number."""
-        if isinstance(record, Edge):
-            record = self._attached.edge(record)
-        factor, number = self._solver_factor(record), self._number(record)
+    def _add(self, edge: Edge) -> int:
+        """Add an edge between keyframes that are there; returns its number."""
+        edge = self._attached.edge(edge)
+        factor, number = self._between_factor(edge), self._number(edge)
         self._solver.add(number, factor)
         return number
 
@@ -237,12 +232,6 @@ class EditableGraph:
         seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations]
         return observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
 
-    def _solver_factor(self, record: Factor) -> gtsam.NonlinearFactor:
-        """What the solver is given for a record."""
-        match record:
-            case Edge():
-                return between_factor(record, T_map_from=self._fixed_poses.get(record.from_keyframe))
-            case Observation():
-                return self._observation_factors([record])[0]
-            case PosePrior():
-                return prior_factor(record)
+    def _between_factor(self, edge: Edge) -> gtsam.NonlinearFactor:
+        """The solver's factor of an edge."""
+        return between_factor(edge, T_map_from=self._fixed_poses.get(edge.from_keyframe))

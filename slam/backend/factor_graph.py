@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -14,7 +14,7 @@ from logs.messages import FactorGraphRecord
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Factor, Observation
+from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.observation_sums import summed
@@ -71,27 +71,27 @@ class FactorGraph(EditableGraph):
                 found.setdefault(self._variable_of(each.landmark), set()).add(each.keyframe)
         return found
 
-    def add_joining_edge(self, edge: Edge, moved: IntArray) -> int:
-        """Tie two stretches together that only a break of the odometry tied: the keyframes ``moved`` (K,), with one end
-        of the edge, and the landmarks that only they saw are first moved as a whole to where the edge puts them.
+    def add_joining_edge(self, edge: Edge, away: Set[int]) -> int:
+        """Tie two stretches together that only a break of the odometry tied: the keyframes ``away``, with one end of
+        the edge, and the landmarks that only they saw are first moved as a whole to where the edge puts them.
 
         No solver would find there: to its robust kernel the edge would be as wrong as any, and an update with the edge
         before the segment is moved would bend both stretches towards each other.
         """
         self._check_ends(edge)
         self.update()
-        away = set(moved.tolist())
         with gtsam_errors("the joining of two segments"):
             values = self._moved_estimate(edge, away)
-            number = self._number(self._attached.edge(edge))
+            joint = self._attached.edge(edge)
+            number = self._number(joint)
             breaks = self._relaxed_breaks(away, values)
             self._factors |= breaks
-            changed = {each: self._solver_factor(self._factors[each]) for each in (*breaks, number)}
+            changed = {each: self._between_factor(made) for each, made in {**breaks, number: joint}.items()}
             self._solver.restart(values, {**self._solver.factors, **changed})
         self.update()
         return number
 
-    def _moved_estimate(self, edge: Edge, away: set[int]) -> gtsam.Values:
+    def _moved_estimate(self, edge: Edge, away: Set[int]) -> gtsam.Values:
         """The estimate, in which the edge puts keyframes ``away`` and the landmarks that only they saw."""
         T_from, T_to = self.pose(edge.from_keyframe), self.pose(edge.to_keyframe)
         if edge.to_keyframe in away:
@@ -99,14 +99,14 @@ class FactorGraph(EditableGraph):
         else:
             shift = gtsam.Pose3(T_to @ invert(edge.T_from_to) @ invert(T_from))
         values = gtsam.Values(self._solver.values())
-        for keyframe in away.intersection(self.keyframe_variables.tolist()):
+        for keyframe in away & set(self.keyframe_variables.tolist()):
             values.update(X(keyframe), shift.compose(values.atPose3(X(keyframe))))
         for landmark, keyframes in self.observers().items():
             if landmark not in self._known and keyframes <= away:
                 values.update(L(landmark), shift.transformFrom(values.atPoint3(L(landmark))))
         return values
 
-    def _relaxed_breaks(self, away: set[int], values: gtsam.Values) -> dict[int, Edge]:
+    def _relaxed_breaks(self, away: Set[int], values: gtsam.Values) -> dict[int, Edge]:
         """Breaks of the odometry between keyframes ``away`` and the others, by number, as the estimate has them.
 
         They hold no information, and would pull at a segment that was moved far.
@@ -116,25 +116,16 @@ class FactorGraph(EditableGraph):
             if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
                 start, end = factor.from_keyframe, factor.to_keyframe
                 if (start in away) != (end in away):
-                    T_from_to = invert(self._pose_in(values, start)) @ self._pose_in(values, end)
+                    T_from_to = invert(self.pose(start, values)) @ self.pose(end, values)
                     relaxed[number] = replace(factor, T_from_to=T_from_to)
         return relaxed
-
-    def _pose_in(self, values: gtsam.Values, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe by the values of the variables."""
-        anchor = self._attached.anchors.get(keyframe)
-        if anchor is not None:
-            return self._attached.pose(keyframe, self._pose_in(values, anchor))
-        fixed = self._fixed_poses.get(keyframe)
-        return np.asarray(values.atPose3(X(keyframe)).matrix()) if fixed is None else fixed
 
     def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
         """Restore an optimised graph in an empty one: keyframes 0 to K - 1 at (K, 4, 4), the first one held.
 
         ``edges`` tie all keyframes together; ``observations`` are of landmarks from these.
         """
-        self.add_first_keyframe(0, T_map_body[0])
-        for number, T in enumerate(T_map_body[1:], start=1):
+        for number, T in enumerate(T_map_body):
             self.add_keyframe(number, T)
         for edge in edges:
             self.add_edge(edge)
@@ -143,13 +134,13 @@ class FactorGraph(EditableGraph):
 
     def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
         """Give the edges of these numbers other covariances (6, 6)."""
-        changed: dict[int, Factor] = {
+        changed = {
             number: replace(edge, covariance=covariances[number])
             for number, edge in self._factors.items()
             if number in covariances and isinstance(edge, Edge)
         }
         self._factors |= changed
-        factors = {number: self._solver_factor(edge) for number, edge in changed.items()}
+        factors = {number: self._between_factor(edge) for number, edge in changed.items()}
         self._solver.restart(self._solver.values_with_new(), {**self._solver.factors, **factors})
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
@@ -213,7 +204,7 @@ class FactorGraph(EditableGraph):
         self.update()
         values = self._solver.values()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
-        return np.array([self._pose_in(values, keyframe) for keyframe in wanted]).reshape(-1, 4, 4)
+        return np.array([self.pose(keyframe, values) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""

@@ -24,15 +24,6 @@ OBSERVATION_KERNEL_WIDTH = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosePrior:
-    """Prior on the pose ``T_map_body`` (4, 4) of a keyframe, which fixes the map frame; ``sigma_m`` of its position."""
-
-    keyframe: int
-    T_map_body: FloatArray
-    sigma_m: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Edge:
     """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
 
@@ -60,15 +51,13 @@ class Observation:
     covariance_inflation: float = 1.0
 
 
-Factor = Edge | Observation | PosePrior
+Factor = Edge | Observation
 
 
-def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of a pose prior."""
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, prior.sigma_m], 3))
-    return gtsam.PriorFactorPose3(
-        X(prior.keyframe), checked_pose(prior.T_map_body, f"keyframe {prior.keyframe}"), noise
-    )
+def prior_factor(keyframe: int, pose: gtsam.Pose3, sigma_m: float) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of the pose of a keyframe that fixes the map frame, with ``sigma_m`` of its position."""
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, sigma_m], 3))
+    return gtsam.PriorFactorPose3(X(keyframe), pose, noise)
 
 
 def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:

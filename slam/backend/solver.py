@@ -70,7 +70,7 @@ class Solver:
     def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
         """Add a variable with its initial value; one that was about to leave stays where it was.
 
-        ``prior``: a factor on a landmark that leaves with it.
+        ``prior``: a factor on it; that of a landmark leaves with it.
         """
         self._held.add(key)
         if prior is not None:
@@ -92,9 +92,11 @@ class Solver:
             self._removed.append(number)
         for key in factor.keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
+            if gtsam.symbolChr(key) != ord("l"):
+                continue
             if self._uses[key] == 1 and -key in self._factors:
                 self.remove(-key)
-            elif not self._uses[key] and gtsam.symbolChr(key) == ord("l"):
+            elif not self._uses[key]:
                 self._held.remove(key)
                 if self._new_values.exists(key):
                     self._new_values.erase(key)
@@ -141,7 +143,9 @@ class Solver:
                 if isam is None:
                     self._solve_afresh(self.values_with_new(), "CHOLESKY")
                 else:
-                    self._update_isam(isam)
+                    removed = [self._slots.pop(number) for number in self._removed]
+                    result = isam.update(graph_of(self._added.values()), self._new_values, removed)
+                    self._take(isam, list(self._added), result)
             except RuntimeError as error:
                 logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
                 # A failed update of iSAM2 has the new variables already.
@@ -179,12 +183,6 @@ class Solver:
         self._poses: dict[int, gtsam.Pose3] = {}  # those queried since then
         self._new_values = gtsam.Values()
         self._leaving = set[int]()
-
-    def _update_isam(self, isam: gtsam.ISAM2) -> None:
-        removed_slots = [self._slots.pop(number) for number in self._removed]
-        self._take(
-            isam, list(self._added), isam.update(graph_of(self._added.values()), self._new_values, removed_slots)
-        )
 
     def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
         """Put all factors into a new iSAM2.

@@ -16,8 +16,6 @@ from slam.common.config_tree import Branch
 
 MAX_TURN = 1000.0
 """Radians of noise after which nothing is known of a heading; covariances with more cannot be inverted."""
-MAX_RANGES = 8.0 / 3.0
-"""Detections farther away than so many sensor ranges are left out, unless a distance is given."""
 
 
 class OdometryCalibration(Branch):
@@ -136,7 +134,7 @@ class DetectionCalibration(Branch):
     @property
     def reach_m(self) -> float:
         """Range [m] beyond which detections are left out."""
-        return MAX_RANGES * self.sensor_range_m if self.max_range_m is None else self.max_range_m
+        return 8.0 / 3.0 * self.sensor_range_m if self.max_range_m is None else self.max_range_m
 
     @property
     def view_variances(self) -> FloatArray:

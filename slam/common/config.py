@@ -18,8 +18,6 @@ from slam.common.config_tree import Branch, load_tree
 
 _LIMITS = ReadingLimits()
 _Name = Annotated[str, StringConstraints(min_length=1)]
-KEYFRAME_RANGES = 1.0 / 15.0
-"""Travel from one keyframe to the next in sensor ranges, unless a distance is given: submaps have 25 keyframes."""
 SUBMAP_RANGES = 5.0 / 3.0
 """Landmarks seen within that much travel, in sensor ranges, make a submap. Over that travel a closure predicts others,
 and between the keyframes of a closure lies twice as much, so that their submaps share no landmark.
@@ -130,9 +128,9 @@ class Config(Branch):
 
     @property
     def keyframe_distance_m(self) -> float:
-        """Travel [m] from one keyframe to the next."""
+        """Travel [m] from one keyframe to the next: unless it is given, submaps have 25."""
         given = self.keyframe.distance_m
-        return KEYFRAME_RANGES * self.sensor_range_m if given is None else given
+        return SUBMAP_RANGES / 25.0 * self.sensor_range_m if given is None else given
 
     @property
     def reading_limits(self) -> ReadingLimits:

@@ -13,7 +13,6 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import from_json
 
 from logs.storage.regular_file import open_regular
 from slam.common.errors import ConfigurationError
@@ -109,21 +108,8 @@ CHANGED_SETTINGS = "changed_settings"
 
 def changed_settings(tree: BaseModel) -> str:
     """Settings that differ from the defaults: "keyframe.distance_m=1.5, ..."."""
-    return ", ".join(changes(type(tree)(), tree.model_dump_json()))
-
-
-def changes(defaults: BaseModel, text: str) -> list[str]:
-    """The values of a recorded configuration, JSON in ``text``, that differ from ``defaults``: "key=value" each."""
-    known = dict(_flat(defaults.model_dump(mode="json")))
-    try:
-        recorded = dict(_flat(from_json(text)))
-    except (ValueError, AttributeError, RecursionError):
-        return ["unreadable"]
-    return [
-        f"{key}={_toml_value(value)}"
-        for key, value in recorded.items()
-        if value is not None and value != known.get(key)
-    ]
+    changed = (each for each in settings_of(tree) if each.value is not None and each.value != each.default)
+    return ", ".join(f"{each.key}={_toml_value(each.value)}" for each in changed)
 
 
 def to_toml(tree: BaseModel) -> str:
@@ -140,14 +126,6 @@ def to_toml(tree: BaseModel) -> str:
         value = f"# {name} is not set" if setting.value is None else f"{name} = {_toml_value(setting.value)}"
         lines += [f"# {setting.meaning} ({setting.allowed}{changed})", value]
     return "\n".join(lines).lstrip("\n") + "\n"
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _toml_value(value: object) -> str:

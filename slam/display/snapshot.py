@@ -98,7 +98,7 @@ def take_snapshot(
         closures=places[closed[np.isin(segments[closed], connected).all(axis=1)]],
         landmarks=rows,
         positions=placed[rows],
-        classes=object_map.classes(rows),
+        classes=object_map.labels.classes(rows),
         submap=np.intersect1d(recent_submap(object_map, newest, calibration).rows, rows),
     )
 

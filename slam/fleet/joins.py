@@ -1,6 +1,6 @@
 """Places of one map localized in earlier ones, as single scans are.
 
-The maps stand side by side in one index, so the time of a query does not grow with their number.
+One index has all maps, so the time of a query does not grow with their number.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.messages import ObjectDetections, ObjectMapRecord
+from logs.messages import ObjectDetections
 from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
@@ -66,26 +66,15 @@ def read_joins(path: Path) -> list[Join]:
 
 
 class PlaceIndex:
-    """The landmarks of condensed maps, numbered in their order, side by side along x."""
+    """The landmarks of condensed maps, numbered in their order."""
 
     def __init__(self, maps: Sequence[SavedMap], config: Config) -> None:
-        positions = [saved.objects.positions for saved in maps]
-        self._first_rows = np.cumsum([0, *map(len, positions)])
+        self._first_rows = np.cumsum([0, *(len(saved.objects.ids) for saved in maps)])
         self._sensor_range_m = config.sensor_range_m
-        lows_m, highs_m = ([extreme(each[:, 0]) for each in positions] for extreme in (np.min, np.max))
-        # So far apart that no place has landmarks of two maps.
-        widths_m = np.subtract(highs_m, lows_m) + 10.0 * config.sensor_range_m
-        self._x_m = np.cumsum(widths_m) - widths_m - lows_m
-        side_by_side = np.concatenate(positions)
-        side_by_side[:, 0] += np.repeat(self._x_m, np.diff(self._first_rows))
-        vocabulary, classes = np.unique(
-            [label for saved in maps for label in saved.objects.labels], return_inverse=True
-        )
-        ids = tuple(map(str, range(len(classes))))
-        objects = ObjectMapRecord.of_objects(ids, side_by_side, classes, tuple(vocabulary.tolist()), observations=1)
         # Where many maps overlap, a few of them suffice to join a place to all.
         closing = config.loop_closure.model_copy(update={"max_candidates": 8})
-        self._localizer = ScanLocalizer(objects, config.model_copy(update={"loop_closure": closing}))
+        config = config.model_copy(update={"loop_closure": closing})
+        self._localizer = ScanLocalizer([saved.objects for saved in maps], config)
 
     def find_joins(self, query_map: SavedMap) -> list[Join]:
         """Where places of the next map are, likelier than not, in those of the index."""
@@ -98,23 +87,20 @@ class PlaceIndex:
         positions = apply(invert(T_query_place), query_map.objects.positions[seen])
         labels = tuple(query_map.objects.labels[row] for row in seen.tolist())
         query = self._localizer.query(ObjectDetections(0, "place", positions, labels, np.ones(len(seen))))
-        if not self._localizer.has_enough_objects(query):
-            return
-        found = [each for each in self._localizer.propose(query) if isinstance(each, Candidate)]
         in_map = defaultdict[int, list[Candidate]](list)
-        for each in suppress_non_maxima(found, sensor_range_m=self._sensor_range_m):
-            in_map[int(np.searchsorted(self._first_rows, each.pairs[0, 1], side="right")) - 1].append(each)
-        for number, (best, *rivals) in in_map.items():
+        for each in self._localizer.propose(query):
+            if isinstance(each, Candidate):
+                in_map[each.reference.odometry.segment].append(each)
+        for number, candidates in in_map.items():
+            best, *rivals = suppress_non_maxima(candidates, sensor_range_m=self._sensor_range_m)
             log_rivals = np.logaddexp.reduce([0.0, *(each.score for each in rivals)])
-            T_reference_place = best.T_local_query.copy()
-            T_reference_place[0, 3] -= self._x_m[number]
             queries, references = best.pairs.T
             yield Join(
-                query_map=len(self._x_m),
+                query_map=len(self._first_rows) - 1,
                 reference_map=number,
                 place=place,
                 T_query_place=T_query_place,
-                T_reference_place=T_reference_place,
+                T_reference_place=best.T_local_query,
                 covariance=best.covariance,
                 log_odds=float(best.score - log_rivals - np.log(len(query_map.graph.keyframe_ids))),
                 pairs=np.column_stack([seen[queries - self._first_rows[-1]], references - self._first_rows[number]]),

@@ -90,7 +90,7 @@ class Mapper:
             self.tracker.restart()
         keyframe = Keyframe(len(self.keyframes), pose, self._active.at(pose))
         if not self.keyframes:
-            self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
+            self._graph.add_keyframe(keyframe.id, pose.T_odom_body)
         else:
             self._graph.add_next_keyframe(
                 _odometry_edge(self.keyframes[-1], keyframe, self._config), _local_step(self.keyframes[-1], keyframe)

@@ -175,10 +175,10 @@ class Tracker:
 
     def _associated(self, scan: Scan) -> Tracked:
         """The scan with the assignment at the predicted pose."""
-        labels = self._map.label_indices(scan.labels)
+        labels = self._map.labels.indices(scan.labels)
         seen = scan.seen_from(self.active.T_local_body)
         detected = Objects(seen.positions, self._spread(seen), labels)
-        beliefs = self._map.beliefs(self.active.rows)
+        beliefs = self._map.labels.beliefs(self.active.rows)
         assignment = associate(detected, *self.active.predict(), beliefs, self._config)
         return Tracked(scan, labels, seen, self.active.rows, assignment)
 

@@ -36,8 +36,7 @@ class PoseOutput:
         T_odom_body = invert(pose.T_odom_reported) @ pose.T_odom_body
         records: list[Record] = [Transform(pose.stamp_ns, self._odom_frame, self._body_frame, T_odom_body)]
         if is_localized:
-            T_map_reported = self._T_map_odom @ pose.T_odom_reported
-            records.append(SlamPose(pose.stamp_ns, self.in_map(pose), T_map_reported))
+            records.append(SlamPose(pose.stamp_ns, self.in_map(pose)))
         return records
 
     def map_to_odom(self, pose: OdometryPose) -> Transform:

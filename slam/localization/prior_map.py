@@ -62,14 +62,15 @@ def restore_prior_map(
     return restore(prior_map, object_map, graph, fixed=fixed), None
 
 
-def restore_map_frame(graph: FactorGraph) -> Keyframe:
-    """Put the frame of an imported map into an empty graph, as its first keyframe; landmarks follow as they are needed.
+def restore_map_frame(graph: FactorGraph, number: int = 0) -> Keyframe:
+    """Put the frame of an imported map into a graph, as a keyframe and a segment of that number; landmarks follow as
+    they are needed.
 
     It stands where the map has its origin, and never moves.
     """
-    graph.add_fixed_keyframe(0, np.eye(4))
+    graph.add_fixed_keyframe(number, np.eye(4))
     graph.update()
-    return Keyframe(0, _prior_pose(np.eye(4)), np.eye(4), is_prior=True, is_map_frame=True)
+    return Keyframe(number, _prior_pose(np.eye(4), number), np.eye(4), is_prior=True, is_map_frame=True)
 
 
 def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
@@ -104,6 +105,6 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
     ]
 
 
-def _prior_pose(T_map_body: FloatArray) -> OdometryPose:
+def _prior_pose(T_map_body: FloatArray, segment: int = SEGMENT) -> OdometryPose:
     # The clocks of the drives are unrelated.
-    return OdometryPose(-1, T_map_body, TRAVEL_M, SEGMENT, np.inf)
+    return OdometryPose(-1, T_map_body, TRAVEL_M, segment, np.inf)

@@ -46,7 +46,7 @@ def why_not_recognised(
         return (
             f"the fixes of the log are {far_m / 1000.0:.0f} km from the nearest object, so the map is of another place"
         )
-    rows, theirs = _own_rows(objects, trajectory), _vocabulary(known)
+    rows, theirs = _own_rows(objects, trajectory), known.vocabulary
     labels = {objects.labels[row] for row in rows}
     if labels and labels.isdisjoint(theirs):
         return (
@@ -112,17 +112,9 @@ def _nearest_landmarks(
     return Submap(positions[nearest], sigmas, labels[nearest], nearest)
 
 
-def _vocabulary(known: PriorMap) -> tuple[str, ...]:
-    """The classes of a map."""
-    if isinstance(known, ImportedMap):
-        return known.vocabulary
-    states = zip(known.objects.labels, known.objects.states, strict=True)
-    return tuple(sorted({label for label, state in states if state == "confirmed"}))
-
-
 def _distance_of_fixes(known: PriorMap, fixes: Sequence[GeodeticFix]) -> float:
     """Distance [m] of the median of the fixes from the nearest object of the map; 0 if it is unknown."""
-    if not isinstance(known, ImportedMap) or known.georeference is None or not fixes:
+    if known.georeference is None or not fixes:
         return 0.0
     geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in fixes])
     place = np.median(known.georeference.to_map(geodetic)[:, :2], axis=0)

@@ -25,10 +25,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit, logit
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.loop_closure.candidate import Candidate, Query, Stage, suppress_non_maxima
+from slam.loop_closure.candidate import Candidate, Query, suppress_non_maxima
 from slam.loop_closure.verification import Verifier
 
 
@@ -74,7 +75,6 @@ class Acceptance:
         if log_odds >= self._least_log_odds:
             rivals = self._distinct([*others, *self._verifier.rivals(query, best)])
             log_odds = self._posterior_log_odds([best, *rivals])[0]
-            best = replace(best, best_rival_llr=max((each.log_likelihood_ratio for each in rivals), default=None))
             # It may be surer, where it can be true together with two that cannot.
             doubt = "ambiguous: another pose is likelier, " if rivals and rivals[0].score > best.score else ""
         best = replace(best, posterior_log_odds=float(log_odds))

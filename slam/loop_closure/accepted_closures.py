@@ -10,15 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.common.arrays import BoolArray, IntArray
+from slam.common.arrays import BoolArray
 from slam.common.config import Config
-from slam.loop_closure.candidate import Candidate, Stage
+from slam.common.union_find import UnionFind
+from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.segments import SegmentConnectivity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,11 +31,6 @@ class Accepted:
     candidate: Candidate
     represented_by: int
     factor: int | None = None
-
-    @property
-    def latest(self) -> int:
-        """The later one of the two query keyframes."""
-        return max(self.candidate.query.id, self.represented_by)
 
 
 class AcceptedClosures:
@@ -54,29 +50,22 @@ class AcceptedClosures:
         self._trusted_after_m = 2.0 * config.sensor_range_m
         self._min_travel_m = config.closure_travel_m
         self._map, self._graph, self._keyframes = object_map, graph, keyframes
-        self._segments = SegmentConnectivity(keyframes)
-        self._closed: dict[int, int] = {}
-        self._tracked: dict[int, int] = {}
+        self._segments = UnionFind()  # of the odometry; those that closures connect are a set, named by the first one
+        self.closed: dict[int, int] = {}
+        """Query and reference keyframe of each."""
+        self.tracked: dict[int, int] = {}
+        """The same of places that were recognised by landmarks still associated: there is no loop to close."""
         self._accepted: list[Accepted] = []
-
-    @property
-    def keyframes(self) -> IntArray:
-        """Query and reference keyframe (C, 2) of each."""
-        return np.array(list(self._closed.items()), dtype=np.int64).reshape(-1, 2)
-
-    def is_closed(self, keyframe: int) -> bool:
-        """Whether a keyframe is the query of one."""
-        return keyframe in self._closed
 
     def is_localized(self, keyframe: Keyframe) -> bool:
         """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
-        return self._segments.are_connected(self._keyframes[0].id, keyframe.id)
+        return self._component_of(0) == self._component_of(keyframe.id)
 
     def keyframes_nearby(self) -> set[int]:
         """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
         landmarks still associated: their positions can be compared.
         """
-        ends = np.unique(np.array([*self._closed.items(), *self._tracked.items()], dtype=np.int64))
+        ends = np.unique(np.array([*self.closed.items(), *self.tracked.items()], dtype=np.int64))
         segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
         near: set[int] = set()
         for segment in np.unique(segments[ends]).tolist():
@@ -97,15 +86,10 @@ class AcceptedClosures:
         else:
             accepted = Accepted(candidate, nearest.candidate.query.id)
         self._accepted.append(accepted)
-        self._closed[candidate.query.id] = candidate.reference.id
-        is_new, represented_by = accepted.factor is not None, accepted.represented_by
+        self.closed[candidate.query.id] = candidate.reference.id
         seed = candidate.place.predicted_by
         reason = "" if seed is None else f"propagated from the closure of keyframe {seed}"
-        return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
-
-    def add_tracked(self, query: Keyframe, reference: Keyframe) -> None:
-        """Remember a place that was recognised by landmarks still associated: there is no loop to close."""
-        self._tracked[query.id] = reference.id
+        return candidate.record(Stage.ACCEPTED, reason, inserted=accepted.factor is not None)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
@@ -120,9 +104,9 @@ class AcceptedClosures:
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
-        self._tracked = {query: reference for query, reference in self._tracked.items() if query < since}
+        self.tracked = {query: reference for query, reference in self.tracked.items() if query < since}
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
-        revoked = [each for each in self._accepted if each.latest >= since]
+        revoked = [each for each in self._accepted if max(each.candidate.query.id, each.represented_by) >= since]
         self._remove(revoked)
         reason = "revoked: expected landmarks not observed"
         return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
@@ -160,9 +144,14 @@ class AcceptedClosures:
         where the closure puts it.
         """
         ends = candidate.reference.id, candidate.query.id
-        moved = self._segments.connect(*ends)
         edge = Edge(*ends, candidate.T_reference_query, candidate.covariance, EdgeKind.LOOP_CLOSURE)
-        factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
+        kept, moved = sorted(map(self._component_of, ends))
+        if kept == moved:
+            factor = self._graph.add_edge(edge)
+        else:
+            away = {each.id for each in self._keyframes if self._component_of(each.id) == moved}
+            factor = self._graph.add_joining_edge(edge, away)
+            self._segments.merge(kept, moved)
         for query, reference in candidate.pairs.tolist():
             if self._may_merge(query, reference):
                 self._map.merge(reference, query, closure=factor)
@@ -172,7 +161,7 @@ class AcceptedClosures:
     def _remove(self, revoked: Sequence[Accepted]) -> None:
         """Remove closures, and split the landmarks that only they merged."""
         for each in revoked:
-            self._closed.pop(each.candidate.query.id, None)
+            self.closed.pop(each.candidate.query.id, None)
         self._accepted = [each for each in self._accepted if each not in revoked]
         gone = {each.factor for each in revoked if each.factor is not None}
         if not gone:
@@ -181,9 +170,13 @@ class AcceptedClosures:
             self._graph.remove_factor(factor)
         self._map.undo_merges(gone)
         self._graph.alias_landmarks(self._map.aliases)
-        self._segments.reset()
-        for each in self._factors:
-            self._segments.connect(each.candidate.reference.id, each.candidate.query.id)
+        self._segments = UnionFind()
+        for candidate in self._across_breaks:
+            self._segments.merge(*sorted(map(self._component_of, (candidate.reference.id, candidate.query.id))))
+
+    def _component_of(self, keyframe: int) -> int:
+        """The first of the segments that are connected with that of a keyframe."""
+        return self._segments.find(self._keyframes[keyframe].odometry.segment)
 
     def _may_merge(self, query: int, reference: int) -> bool:
         """Whether the query landmark is not merged, and neither landmark is of both traversals."""

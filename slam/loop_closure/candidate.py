@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, yaw_rad
@@ -21,18 +21,6 @@ AGREE_RANGES = 1.0 / 15.0
 AGREE_RAD = np.deg2rad(5.0)
 
 
-class Stage(StrEnum):
-    """The stage at which a candidate was accepted or rejected."""
-
-    REPEATED = "repeated"
-    RETRIEVAL = "retrieval"
-    REGISTRATION = "registration"
-    ACCEPTANCE = "acceptance"
-    CONSISTENCY = "consistency"
-    ASSOCIATION = "association"
-    ACCEPTED = "accepted"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
@@ -43,8 +31,7 @@ class Candidate:
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`.
     ``place``: what proposed it.
-    ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
-    computed.
+    ``posterior_log_odds``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed.
     """
 
     query: Keyframe
@@ -55,11 +42,9 @@ class Candidate:
     covariance: FloatArray
     log_likelihood_ratios: FloatArray
     pairs: IntArray
-    matched_fraction: float
     odometry_penalty: float
     unpredicted_penalty: float
     posterior_log_odds: float | None = None
-    best_rival_llr: float | None = None
 
     @property
     def travel_m(self) -> float:
@@ -87,14 +72,11 @@ class Candidate:
         apart_m = np.hypot(T_between[0, 3], T_between[1, 3])
         return bool(apart_m < AGREE_RANGES * sensor_range_m and abs(yaw_rad(T_between)) < AGREE_RAD)
 
-    def record(
-        self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
-    ) -> LoopClosureRecord:
+    def record(self, stage: Stage, reason: str, *, inserted: bool = False) -> LoopClosureRecord:
         """The candidate with its decision, as a record of a log."""
         return replace(
             _record(self.query, stage, reason, self.reference, self.place),
             inlier_count=len(self.pairs),
-            inlier_fraction=self.matched_fraction,
             score=self.score,
             T_reference_query=self.T_reference_query,
             covariance=self.covariance,
@@ -102,9 +84,7 @@ class Candidate:
             log_likelihood_ratio=self.log_likelihood_ratio,
             odometry_penalty=self.odometry_penalty,
             posterior_log_odds=self.posterior_log_odds,
-            best_rival_log_likelihood_ratio=self.best_rival_llr,
             seed_query_keyframe_id=self.place.predicted_by,
-            represented_by_keyframe_id=represented_by,
         )
 
 
@@ -150,7 +130,6 @@ def _record(
         stage=stage.value,
         reason=reason,
         reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
-        rank=place.rank if place else 0,
         proposer=place.proposer if place else "",
     )
 

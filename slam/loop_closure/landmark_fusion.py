@@ -45,7 +45,7 @@ def find_duplicate_landmarks(
         if not observers[row].isdisjoint(keyframes)
     ]
     rows = np.array(usable, dtype=np.int64)
-    nearest = _nearest_alike(graph.landmark_positions(rows), object_map.classes(rows), radius_m)
+    nearest = _nearest_alike(graph.landmark_positions(rows), object_map.labels.classes(rows), radius_m)
     return [
         (usable[index], usable[other])
         for index, other in enumerate(nearest.tolist())

@@ -22,8 +22,6 @@ a wrong pose on a parallel street matches most of a row; the density along it is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.special import logsumexp
 
@@ -45,36 +43,16 @@ LEAST_COUNT = 0.01
 """Least density of a class: so many objects in a square with sides of ``COVERAGE_RANGES`` sensor ranges."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LikelihoodRatio:
-    """``per_object`` (N,): LLR_i of each object of the query, zero where no match is expected. ``expected`` (N,): where
-    one is. ``matched_count``: number of matched objects.
-    """
-
-    per_object: FloatArray
-    expected: FloatArray
-    matched_count: int
-
-    @property
-    def total(self) -> float:
-        """The log-likelihood ratio, in nats."""
-        return float(self.per_object.sum())
-
-    @property
-    def matched_fraction(self) -> float:
-        """Share of the objects with an expected match that have one."""
-        return self.matched_count / max(int(self.expected.sum()), 1)
-
-
-def compute_log_likelihood_ratio(
+def compute_log_likelihood_ratios(
     query: Submap,
     reference: Submap,
     T_reference_query: FloatArray,
     pairs: IntArray,
     sensor_range_m: float,
     class_shares: FloatArray | None = None,
-) -> LikelihoodRatio:
-    """The LLR of ``T_reference_query`` (4, 4) with the inliers ``pairs`` (K, 2): rows of query and reference.
+) -> FloatArray:
+    """LLR_i (N,) [nats] of the objects of the query at ``T_reference_query`` (4, 4) with the inliers ``pairs`` (K, 2),
+    rows of query and reference; zero where no match is expected.
 
     ``class_shares`` (C,), which sum to 1, are the frequencies of the classes in the whole map. With them the clutter
     density of a class that does not occur near the object is the lower, the rarer the class is.
@@ -94,7 +72,7 @@ def compute_log_likelihood_ratio(
     likelihoods[matched_query] = np.exp(-0.5 * squares / variances) / (2.0 * np.pi * variances)
     in_map = DETECTION_PROBABILITY * query.existence
     ratios = 1.0 - in_map + in_map * likelihoods / densities
-    return LikelihoodRatio(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
+    return np.where(expected, np.log(ratios), 0.0)
 
 
 def changed_log_likelihood_ratio(per_object: FloatArray) -> float:

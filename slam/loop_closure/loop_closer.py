@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
@@ -22,7 +23,7 @@ from slam.localization.continuity_monitor import ContinuityMonitor, recent_landm
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
@@ -71,11 +72,11 @@ class LoopCloser:
         self._sensor_range_m = config.sensor_range_m
         self._map = object_map
         self._keyframes = keyframes
-        self._track = KeyframeTrack(config.calibration.odometry)
+        self._track = KeyframeTrack(config.calibration)
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)
-        mapped = None if imported is None else imported.positions
+        mapped = [] if imported is None else [imported.positions]
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
@@ -181,7 +182,7 @@ class LoopCloser:
         if found is None:
             return None
         reference = self._keyframes[found[0]]
-        self.closures.add_tracked(keyframe, reference)
+        self.closures.tracked[keyframe.id] = reference.id
         reason = "its landmarks are still associated: there is no loop to close"
         T_reference_query = invert(reference.T_local_body) @ keyframe.T_local_body
         refusal = query.refusal(Stage.ASSOCIATION, reason, reference)
@@ -284,7 +285,7 @@ class LoopCloser:
         )
         records, seed = [self._accept(candidate)], candidate
         for query in reversed(self._recent):
-            if query.keyframe.id == candidate.query.id or self.closures.is_closed(query.keyframe.id):
+            if query.keyframe.id == candidate.query.id or query.keyframe.id in self.closures.closed:
                 continue
             if (propagated := self._confirmed(self._predict(seed, query))) is not None:
                 records.append(self._accept(propagated))

@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, yaw_rad
-from slam.localization.pose_prior import MapArea, PosePrior, failure_probability
-from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
+from slam.localization.pose_prior import PosePrior, failure_probability
+from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratios
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -41,9 +42,9 @@ class Verifier:
         track: KeyframeTrack,
         graph: FactorGraph,
         keyframes: Sequence[Keyframe],
-        mapped: FloatArray | None = None,
+        mapped: Sequence[FloatArray] = (),
     ) -> None:
-        """``mapped`` (N, 2) m: objects of a map without keyframes, among which the robot may be anywhere."""
+        """``mapped`` (N, 2) m each: objects of maps without keyframes, among which the robot may be anywhere."""
         self._config, objects = config, config.calibration.objects
         self._registration = registration_config(config)
         # Of the errors that all inliers of a registration share, rotation first.
@@ -55,9 +56,9 @@ class Verifier:
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
-        self._area = MapArea(cell_m=config.sensor_range_m)
-        if mapped is not None:
-            self._area.cover_positions(mapped)
+        cells = [positions // config.sensor_range_m for positions in mapped]
+        # One number a cell is sooner than two, and no map has so many columns.
+        self._mapped_cells = sum(len(np.unique(each @ [1.0, 2.0**32])) for each in cells)
         self.reach_m = 2.0 * self._registration.search_radius_m
         """How far registration can move a pose: its search radius, which halves from step to step."""
 
@@ -83,7 +84,7 @@ class Verifier:
         if reference is None:
             reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, place=place)
-        ratio = self._ratio(query, submap, T_local_query, registration.pairs)
+        ratios = self._ratios(query, submap, T_local_query, registration.pairs)
         prior = self._prior(query, place, reference)
         seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
         exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
@@ -95,9 +96,8 @@ class Verifier:
             T_reference_query=invert(reference.T_local_body) @ T_local_query @ query.T_gravity_body,
             T_local_query=T_local_query,
             covariance=covariance_in_axes(covariance + self._shared_covariance, query.T_gravity_body[:3, :3]),
-            log_likelihood_ratios=ratio.per_object,
+            log_likelihood_ratios=ratios,
             pairs=np.column_stack([seen, met])[exists],
-            matched_fraction=ratio.matched_fraction,
             odometry_penalty=-prior.log_mass(T_local_query, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
         )
@@ -105,7 +105,7 @@ class Verifier:
     def unmatched(self, query: Query, place: Place) -> FloatArray:
         """LLR (N,) of each object of the query at a place where it cannot be registered: none has a match."""
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
-        return self._ratio(query, submap, place.T_local_query, np.zeros((0, 2), dtype=np.int64)).per_object
+        return self._ratios(query, submap, place.T_local_query, np.zeros((0, 2), dtype=np.int64))
 
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
@@ -138,7 +138,6 @@ class Verifier:
 
     def _prior(self, query: Query, place: Place, reference: Keyframe) -> PosePrior:
         """The prior of the query's pose: by the odometry since the closure that predicts it, or since the reference."""
-        self._area.cover(self._keyframes)
         T_local_query, since = place.T_local_query, place.predicted_by
         if since is None:
             since = reference.id
@@ -151,12 +150,12 @@ class Verifier:
             float(np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m)),
             float(np.hypot(SLIP_INFLATION * drift_rad, CLOSURE_SIGMA_RAD)),
             failure_probability(self._config.localization.failures_per_km, travel_m),
-            self._area.area_m2,
+            (len(self._track.cells) + self._mapped_cells) * self._sensor_range_m**2,
         )
 
-    def _ratio(self, query: Query, submap: Submap, T_local_query: FloatArray, pairs: IntArray) -> LikelihoodRatio:
+    def _ratios(self, query: Query, submap: Submap, T_local_query: FloatArray, pairs: IntArray) -> FloatArray:
         shares = self._retriever.class_shares()
-        return compute_log_likelihood_ratio(query.submap, submap, T_local_query, pairs, self._sensor_range_m, shares)
+        return compute_log_likelihood_ratios(query.submap, submap, T_local_query, pairs, self._sensor_range_m, shares)
 
     def _nearest(self, place: Place, query: Query) -> Keyframe | None:
         """The nearest keyframe of the reference traversal within the sensor range.

@@ -14,21 +14,21 @@ OTHER_CLASS = "other"
 class ClassBeliefs:
     """Counts of the labels of each landmark, one row a landmark, and the vocabulary of the labels.
 
-    ``unlisted_labels``: how many labels were of a class beyond the limit; of one class all labels are, on purpose.
+    ``unlisted``: how many labels were of a class beyond the limit; of one class all labels are, on purpose.
     """
 
     def __init__(self, config: ObjectCalibration) -> None:
         self._config = config
         self._label_counts = np.zeros((64, 8))
         self._label_index: dict[str, int] = {}
-        self.unlisted_labels = 0
+        self.unlisted = 0
 
     @property
     def vocabulary(self) -> tuple[str, ...]:
         """Class names in the order in which they were first seen; the index of a label is its place here."""
         return tuple(self._label_index)
 
-    def label_indices(self, labels: tuple[str, ...]) -> IntArray:
+    def indices(self, labels: tuple[str, ...]) -> IntArray:
         """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
         for label in labels:
             if label not in self._label_index:
@@ -38,7 +38,7 @@ class ClassBeliefs:
         other = self._label_index.get(OTHER_CLASS, 0)
         indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
         if self._config.max_classes > 1:
-            self.unlisted_labels += sum(label not in self._label_index for label in labels)
+            self.unlisted += sum(label not in self._label_index for label in labels)
         return indices
 
     def _add_class(self, label: str) -> None:
@@ -67,13 +67,17 @@ class ClassBeliefs:
         """Counts of the labels of landmarks; columns beyond the vocabulary are zero."""
         return np.asarray(self._label_counts[rows])
 
+    def beliefs(self, rows: IntArray) -> FloatArray:
+        """Class probabilities (N, C) of each landmark."""
+        return self.posterior(self._label_counts[rows])
+
     def classes(self, rows: IntArray) -> IntArray:
         """The most probable class (N,) of each landmark."""
         if not self._label_index:
             return np.zeros(len(rows), dtype=np.int64)
         return np.asarray(self._label_counts[rows, : len(self._label_index)].argmax(axis=1))
 
-    def beliefs(self, label_counts: FloatArray) -> FloatArray:
+    def posterior(self, label_counts: FloatArray) -> FloatArray:
         """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
 
         With accuracy p and C classes a label multiplies the odds of its class by p (C - 1) / (1 - p).

@@ -84,13 +84,13 @@ class LandmarkMerge:
 
 
 class ObjectMap:
-    """Landmarks and the vocabulary of their classes."""
+    """Landmarks; ``labels``: those that were measured, and the classes that follow."""
 
     def __init__(self, config: ObjectCalibration) -> None:
         self._rows = np.zeros(64, dtype=LANDMARK)
         self.rows: NDArray[np.void] = self._rows[:0]
         """(L,) structured array of ``LANDMARK``: a view that cannot be written to, another one with more landmarks."""
-        self._beliefs = ClassBeliefs(config)
+        self.labels = ClassBeliefs(config)
         self._size = 0
         self._reasons: dict[int, str] = {}
         self._merges: list[LandmarkMerge] = []
@@ -104,33 +104,11 @@ class ObjectMap:
         for name, values in fields.items():
             self._rows[: self._size][name][rows] = values
 
-    @property
-    def vocabulary(self) -> tuple[str, ...]:
-        """Class names in the order in which they were first seen; the index of a label is its place here."""
-        return self._beliefs.vocabulary
-
-    @property
-    def unlisted_labels(self) -> int:
-        """Number of labels of classes beyond the limit."""
-        return self._beliefs.unlisted_labels
-
-    def label_indices(self, labels: tuple[str, ...]) -> IntArray:
-        """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
-        return self._beliefs.label_indices(labels)
-
     def in_state(self, state: LandmarkState) -> IntArray:
         """Rows in that state, ascending; those that became another landmark are left out."""
         in_state = self.rows["state"] == state
         in_state[self._aliases.dropped] = False
         return np.flatnonzero(in_state)
-
-    def classes(self, rows: IntArray) -> IntArray:
-        """The most probable class (N,) of each landmark."""
-        return self._beliefs.classes(rows)
-
-    def beliefs(self, rows: IntArray) -> FloatArray:
-        """Class probabilities (N, C) of each landmark."""
-        return self._beliefs.beliefs(self._beliefs.label_counts(rows))
 
     def add(
         self,
@@ -158,11 +136,13 @@ class ObjectMap:
         landmarks["position_local"][new] = positions_local
         landmarks["first_position_local"][new] = positions_local
         landmarks["covariance_local"][new] = landmarks["sum_c"][new] = covariances_local
-        self._beliefs.count(new, labels)
+        self.labels.count(new, labels)
         return new
 
-    def restore(self, saved: ObjectMapRecord, *, travel_m: float, relative_sigma_m: float = 0.0) -> IntArray:
-        """Add the landmarks of a prior map, as observed on segment 0 at ``travel_m``; returns their rows (N,).
+    def restore(
+        self, saved: ObjectMapRecord, *, travel_m: float, segment: int = 0, relative_sigma_m: float = 0.0
+    ) -> IntArray:
+        """Add the landmarks of a prior map, as observed on a segment at ``travel_m``; returns their rows (N,).
 
         Their positions in the odometry frame are those in the map. The covariances of the map are relative to its
         origin; those between neighbours are far smaller in a map that a robot made.
@@ -170,9 +150,10 @@ class ObjectMap:
         Args:
             saved: confirmed landmarks; their probabilities become as many measurements of a class as they had.
             travel_m: when they were observed.
+            segment: of the odometry, whose frame is that of the map.
             relative_sigma_m: standard deviation of a coordinate relative to neighbours.
         """
-        labels = self.label_indices(saved.vocabulary)
+        labels = self.labels.indices(saved.vocabulary)
         rows = self.add(
             saved.positions,
             np.tile(relative_sigma_m**2 * np.eye(3), (len(saved.ids), 1, 1)),
@@ -180,6 +161,7 @@ class ObjectMap:
             stamp_ns=0,
             scan=0,
             travel_m=travel_m,
+            segment=segment,
         )
         landmarks = self._rows
         landmarks["state"][rows] = LandmarkState.CONFIRMED
@@ -188,7 +170,7 @@ class ObjectMap:
         landmarks["last_seen_ns"][rows] = saved.last_seen_ns
         landmarks["position_map"][rows] = saved.positions
         landmarks["covariance_map"][rows] = saved.covariances
-        self._beliefs.restore(rows, labels, saved.class_probabilities * saved.observation_counts[:, None])
+        self.labels.restore(rows, labels, saved.class_probabilities * saved.observation_counts[:, None])
         return rows
 
     def record_observations(
@@ -218,7 +200,7 @@ class ObjectMap:
         landmarks["sum_tp"][rows] += seconds[:, None] * offset
         for power, name in enumerate(("sum_c", "sum_tc", "sum_ttc")):
             landmarks[name][rows] += (seconds**power)[:, None, None] * covariances
-        self._beliefs.count(rows, labels)
+        self.labels.count(rows, labels)
 
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""
@@ -286,20 +268,20 @@ class ObjectMap:
         landmarks, aliases, rows = self.rows[kept], self.aliases, kept.tolist()
         states = [LandmarkState(state).name.lower() for state in landmarks["state"].tolist()]
         counts, first, last = (self.rows[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
-        labels = self._beliefs.label_counts(slice(self._size)).copy()
+        labels = self.labels.label_counts(slice(self._size)).copy()
         dropped, into = np.array(list(aliases.items()), dtype=np.int64).reshape(-1, 2).T
         np.add.at(counts, into, self.rows["observations"][dropped])
         np.minimum.at(first, into, self.rows["first_seen_ns"][dropped])
         np.maximum.at(last, into, self.rows["last_seen_ns"][dropped])
-        np.add.at(labels, into, self._beliefs.label_counts(dropped))
+        np.add.at(labels, into, self.labels.label_counts(dropped))
         return ObjectMapRecord(
             stamp_ns=stamp_ns,
             frame_id="map",
-            vocabulary=self.vocabulary,
+            vocabulary=self.labels.vocabulary,
             ids=tuple(map(str, rows)),
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
-            class_probabilities=self._beliefs.beliefs(labels[kept]),
+            class_probabilities=self.labels.posterior(labels[kept]),
             states=tuple("retired" if row in aliases else state for row, state in zip(rows, states, strict=True)),
             reasons=tuple(
                 f"{RetirementReason.MERGED.value} into {aliases[row]}" if row in aliases else self._reasons.get(row, "")
@@ -318,4 +300,4 @@ class ObjectMap:
         rows = np.zeros(capacity, dtype=LANDMARK)
         rows[: self._size] = self._rows[: self._size]
         self._rows = rows
-        self._beliefs.reserve(rows=capacity)
+        self.labels.reserve(rows=capacity)

@@ -64,6 +64,16 @@ class SavedMap:
         text = self.metadata.get("georeference")
         return None if text is None else Georeference.from_json(text)
 
+    @property
+    def vocabulary(self) -> tuple[str, ...]:
+        """The classes of its landmarks, sorted."""
+        return tuple(sorted(set(self.objects.labels)))
+
+    @property
+    def positions(self) -> FloatArray:
+        """Positions (N, 3) m of its landmarks."""
+        return self.objects.positions
+
     def positions_around(self, path: FloatArray) -> FloatArray:
         """Positions (K, 3) m of all landmarks; the ``path`` (N, 3) is ignored."""
         return self.objects.positions

@@ -104,5 +104,5 @@ def _submap(
     own_variances = np.trace(object_map.rows["covariance_local"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
     objects = calibration.objects
     variances = objects.landmark_sigma_m**2 + (objects.landmark_sigma_per_m * distances) ** 2 + own_variances
-    classes = object_map.classes(rows)
+    classes = object_map.labels.classes(rows)
     return Submap(positions, np.sqrt(variances), classes, rows, local_sigma_m=objects.landmark_sigma_m)

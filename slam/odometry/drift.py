@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.calibration import OdometryCalibration
+from slam.common.calibration import Calibration
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose
@@ -27,10 +27,14 @@ _KEYFRAME = np.dtype(
 
 
 class KeyframeTrack:
-    """One row a keyframe; its row is its id."""
+    """One row a keyframe; its row is its id. ``cells``: segment, column and row of those that a keyframe is in, squares
+    with sides of a sensor range.
+    """
 
-    def __init__(self, config: OdometryCalibration) -> None:
-        self._config = config
+    def __init__(self, calibration: Calibration) -> None:
+        self._config = calibration.odometry
+        self._cell_m = calibration.detection.sensor_range_m
+        self.cells = set[tuple[float, float, float]]()
         self._rows = np.zeros(64, dtype=_KEYFRAME)
         self._size = 0
         self._latest: OdometryPose | None = None
@@ -49,6 +53,7 @@ class KeyframeTrack:
         row["sum_one"] = previous["sum_one"] + heading
         row["sum_position"] = previous["sum_position"] + heading * position[:2]
         row["sum_square"] = previous["sum_square"] + heading * float(position[:2] @ position[:2])
+        self.cells.add((pose.segment, *(position[:2] // self._cell_m).tolist()))
         self._latest = pose
         self._size += 1
 

@@ -10,11 +10,6 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
-# The robot stands still below that motion.
-MOVED_RANGES = 0.1 / 30
-MOVED_RAD = 0.02
-TURN_RAD = np.deg2rad(20.0)
-"""A keyframe is due after that turn: an eighteenth of a circle, by which the view changes."""
 INTERVAL_S = 5.0
 """A body that moves at all has a keyframe so often, that a map is published while it creeps."""
 
@@ -49,6 +44,8 @@ def is_keyframe_due(
     """
     T_step = relative(last.T_local_body, T_local_body)
     turn_rad, moved_m = float(rotation_angle_rad(T_step)), float(np.linalg.norm(T_step[:3, 3]))
-    has_moved = moved_m >= MOVED_RANGES * sensor_range_m or turn_rad >= MOVED_RAD
+    # With less motion the robot stands still; by an eighteenth of a circle the view changes.
+    has_moved = moved_m >= 0.1 / 30.0 * sensor_range_m or turn_rad >= 0.02
+    has_turned = turn_rad >= np.deg2rad(20.0)
     is_late = stamp_ns - last.odometry.stamp_ns >= INTERVAL_S * 1e9
-    return bool(moved_m >= distance_m or turn_rad >= TURN_RAD or (is_late and has_moved))
+    return bool(moved_m >= distance_m or has_turned or (is_late and has_moved))

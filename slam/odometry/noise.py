@@ -29,7 +29,8 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCa
 
 def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
     """The same without corrections."""
-    length_m = _length_m(before, after)
+    steps_m = abs(after.travel_m - before.travel_m), math.dist(before.T_odom_body[:3, 3], after.T_odom_body[:3, 3])
+    length_m = max(steps_m)
     turn_rad = float(rotation_angle_rad(relative(before.T_odom_body, after.T_odom_body)))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
     translation = max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
@@ -44,10 +45,6 @@ def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryC
             heading + config.yaw_sigma_by_time**2 * seconds,
         ]
     )
-
-
-def _length_m(before: OdometryPose, after: OdometryPose) -> float:
-    return max(abs(after.travel_m - before.travel_m), math.dist(before.T_odom_body[:3, 3], after.T_odom_body[:3, 3]))
 
 
 def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:

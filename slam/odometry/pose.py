@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,15 +34,3 @@ def between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> Odometr
     T = blend(before.T_odom_body, after.T_odom_body, fraction)
     travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
     return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)
-
-
-def pose_at(poses: Sequence[OdometryPose], stamp_ns: int) -> OdometryPose | None:
-    """The pose at a time, between the two around it of some that ascend; None where there are none or they break."""
-    after = None
-    for pose in reversed(poses):
-        if pose.stamp_ns == stamp_ns:
-            return pose
-        if pose.stamp_ns < stamp_ns:
-            return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
-        after = pose
-    return None

@@ -12,15 +12,11 @@ from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import rigid
-from slam.odometry.pose import OdometryPose, pose_at
+from slam.odometry.pose import OdometryPose, between
 from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, is_beyond_limits
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
-# A message that comes after a silence of more than so many intervals may have a wrong stamp.
-LATE = 5.0
-# Travel is counted in steps of at least that length, in sensor ranges.
-JITTER_RANGES = 0.05 / 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,14 +46,13 @@ class OdometryTrack:
         sensor_range_m: float = DetectionCalibration().sensor_range_m,
     ) -> None:
         self._max_speed_mps = MAX_SPEED_RANGES * sensor_range_m
-        self._jitter_m = JITTER_RANGES * sensor_range_m
+        self._jitter_m = 0.05 / 30.0 * sensor_range_m  # travel is counted in steps of at least that length
         self._sensor_range_m = sensor_range_m
         self._first_segment = first_segment
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
-        self._jump: Odometry | None = None
         self._T_odom_reported = np.eye(4)
         self._corrected = np.zeros(3)
-        self._doubtful: Odometry | None = None
+        self._waiting: Odometry | None = None
         self._arrived_ns, self._descends = np.iinfo(np.int64).min, False
         self._counted_xyz_m = np.zeros(3)
         self._counters = counters if counters is not None else Counter[str]()
@@ -80,21 +75,21 @@ class OdometryTrack:
         added = []
         descended, self._descends = self._descends, odometry.stamp_ns < self._arrived_ns
         self._arrived_ns = odometry.stamp_ns
-        doubtful, self._doubtful = self._doubtful, None
-        if doubtful is not None:
-            if odometry.stamp_ns > doubtful.stamp_ns:
-                added += self._take(doubtful)
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            if odometry.stamp_ns <= waiting.stamp_ns:
+                self._reject(odometry.stamp_ns == waiting.stamp_ns)
+            elif self._is_outlier(waiting, odometry):
+                self._counters["odometry_wild"] += 1
             else:
-                self._reject(odometry.stamp_ns == doubtful.stamp_ns)
-        last_ns = self._last_ns
-        if last_ns is None:
-            self._doubtful = odometry
-        elif odometry.stamp_ns <= last_ns or (descended and self._descends):
-            self._reject(odometry.stamp_ns == last_ns)
-        elif self._comes_late(odometry, last_ns):
-            self._doubtful = odometry
+                added.append(self._append(waiting))
+        last = self.latest
+        if last is not None and (odometry.stamp_ns <= last.stamp_ns or (descended and self._descends)):
+            self._reject(odometry.stamp_ns == last.stamp_ns)
+        elif last is None or self._comes_late(odometry, last.stamp_ns) or self._is_beyond_limits(odometry):
+            self._waiting = odometry
         else:
-            added += self._take(odometry)
+            added.append(self._append(odometry))
         return added
 
     def break_after(self, travel_m: float, *, before_ns: int) -> int:
@@ -109,10 +104,8 @@ class OdometryTrack:
 
     def finish(self) -> list[OdometryPose]:
         """Add the message that waits for the next one, if there is any."""
-        added = [] if self._doubtful is None else self._take(self._doubtful)
-        added += [] if self._jump is None else [self._append(self._jump)]
-        self._doubtful = self._jump = None
-        return added
+        waiting, self._waiting = self._waiting, None
+        return [] if waiting is None else [self._append(waiting)]
 
     def correct(self, stamp_ns: int, correction: Correction, *, segment: int) -> None:
         """Correct the track from a time on, or from a break before it, which then is none.
@@ -148,42 +141,32 @@ class OdometryTrack:
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
-        return pose_at(self._poses, stamp_ns)
+        after = None
+        for pose in reversed(self._poses):
+            if pose.stamp_ns == stamp_ns:
+                return pose
+            if pose.stamp_ns < stamp_ns:
+                return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
+            after = pose
+        return None
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""
         long_ns = MAX_GAP_S * 1e9
-        if len(self._poses) > 1 and self._jump is None:
-            long_ns = min(long_ns, LATE * (last_ns - self._poses[-2].stamp_ns))
+        if len(self._poses) > 1:
+            long_ns = min(long_ns, 5.0 * (last_ns - self._poses[-2].stamp_ns))
         return odometry.stamp_ns - last_ns > long_ns
 
     def _reject(self, is_duplicate: bool) -> None:
         self._counters["odometry_duplicated" if is_duplicate else "odometry_out_of_order"] += 1
 
-    @property
-    def _last_ns(self) -> int | None:
-        """The time of the last message that was used."""
-        if self._jump is not None:
-            return self._jump.stamp_ns
-        return self._poses[-1].stamp_ns if self._poses else None
-
-    def _take(self, odometry: Odometry) -> list[OdometryPose]:
-        jump, self._jump = self._jump, None
-        if jump is not None:
-            if not self._is_beyond_limits(odometry) and not self._follows(jump, odometry):
-                self._counters["odometry_wild"] += 1
-                return [self._append(odometry)]
-            return [self._append(jump), *self._take(odometry)]
-        if self._poses and self._is_beyond_limits(odometry):
-            self._jump = odometry
-            return []
-        return [self._append(odometry)]
-
-    def _follows(self, before: Odometry, after: Odometry) -> bool:
-        """Whether a body can have come from the pose of one message to that of another."""
-        T_before, T_after = (self._T_odom_reported @ each.T_odom_body for each in (before, after))
-        pose = replace(self._poses[-1], stamp_ns=before.stamp_ns, T_odom_body=T_before)
-        return not is_beyond_limits([pose], after.stamp_ns, T_after, sensor_range_m=self._sensor_range_m)
+    def _is_outlier(self, odometry: Odometry, after: Odometry) -> bool:
+        """Whether a body can have come to the pose of the message ``after`` another one, but not to or from that."""
+        if not self._poses or self._is_beyond_limits(after) or not self._is_beyond_limits(odometry):
+            return False
+        T_body, T_after = (self._T_odom_reported @ each.T_odom_body for each in (odometry, after))
+        pose = replace(self._poses[-1], stamp_ns=odometry.stamp_ns, T_odom_body=T_body)
+        return is_beyond_limits([pose], after.stamp_ns, T_after, sensor_range_m=self._sensor_range_m)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
         T_odom_body = self._T_odom_reported @ odometry.T_odom_body

@@ -41,7 +41,7 @@ class ImportedPlaces:
         *,
         is_fixed: bool,
     ) -> None:
-        object_map.label_indices(imported.vocabulary)
+        object_map.labels.indices(imported.vocabulary)
         self._imported = imported
         self._map = object_map
         self._graph = graph

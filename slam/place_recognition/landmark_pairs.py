@@ -20,7 +20,7 @@ from slam.common.config import Config
 class Batch:
     """Landmarks that are added at once, and those around them: ``positions`` (N, 3) m and ``labels`` (N,) of both, in
     the odometry frame of the ``segment``; ``centres`` (C,): rows of the new ones; ``entries`` (N,): numbers of all in
-    the index, -1 of those that it does not have.
+    the index, -1 of those that it does not have; ``vocabulary``: the classes.
     """
 
     positions: FloatArray
@@ -28,6 +28,7 @@ class Batch:
     centres: IntArray
     entries: IntArray
     segment: int
+    vocabulary: tuple[str, ...]
 
 
 class LearnedPairs:
@@ -37,9 +38,8 @@ class LearnedPairs:
         self._index = index
         self._batches = list[Batch]()
 
-    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+    def add(self, batch: Batch) -> None:
         """Add landmarks; all are indexed again if their spacing has changed by a quarter since they were."""
-        del vocabulary  # classes are compared by their numbers
         self._batches.append(batch)
         is_first = len(self._batches) == 1
         unit_m = spacing_m(
@@ -68,9 +68,9 @@ class VectorPairs:
         self._plane, self._segments = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
         self._vocabulary: tuple[str, ...] = ()
 
-    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+    def add(self, batch: Batch) -> None:
         """Add landmarks."""
-        self._vocabulary = vocabulary
+        self._vocabulary = batch.vocabulary
         self._index.add(self._constellations(batch.positions, batch.labels, batch.centres))
         self._plane = np.concatenate([self._plane, batch.positions[batch.centres, :2]])
         self._segments = np.concatenate([self._segments, np.full(len(batch.centres), batch.segment)])

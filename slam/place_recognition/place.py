@@ -13,7 +13,6 @@ class Place:
     of a ``segment``.
 
     ``proposer``: one of :data:`logs.messages.PROPOSERS`;
-    ``rank``: from 1, among the places retrieved for a query, 0 for a place that was not retrieved;
     ``predicted_by``: the keyframe whose closure predicts the pose, None if none does.
     """
 
@@ -21,5 +20,4 @@ class Place:
     travel_m: float
     segment: int
     proposer: str
-    rank: int = 0
     predicted_by: int | None = None

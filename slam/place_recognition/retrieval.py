@@ -6,8 +6,6 @@ once.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from descriptors.descriptellation_lr.pair_index import PairIndex
@@ -91,19 +89,20 @@ class PlaceRetriever:
         entry_of[self._rows] = np.arange(first + len(new))
         batch = Batch(
             landmarks["position_local"][around],
-            self._map.classes(around),
+            self._map.labels.classes(around),
             np.asarray(np.searchsorted(around, new)),
             entry_of[around],
             segment,
+            self._map.labels.vocabulary,
         )
-        self._pairs.add(batch, tuple(self._map.vocabulary))
+        self._pairs.add(batch)
         self._search = None
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
         imported = self._imported
-        known = np.bincount(self._map.classes(self._rows)) if imported is None else imported.class_counts
-        counts = np.ones(len(self._map.vocabulary))
+        known = np.bincount(self._map.labels.classes(self._rows)) if imported is None else imported.class_counts
+        counts = np.ones(len(self._map.labels.vocabulary))
         counts[: len(known)] += known
         return np.asarray(counts / counts.sum())
 
@@ -116,9 +115,7 @@ class PlaceRetriever:
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
         usable &= ~landmarks["is_active"]
         places = self._places(query, usable[self._rows])
-        if self._imported is not None:
-            places += self._imported.propose(query, count=self._count)
-        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+        return places if self._imported is None else places + self._imported.propose(query, count=self._count)
 
     def _places(self, query: Submap, allowed: BoolArray) -> list[Place]:
         """The likeliest places of a query among entries that are ``allowed`` (M,)."""
@@ -153,7 +150,7 @@ class PlaceRetriever:
             for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
         }
         placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(of)
-        return PlaceSearch(self._pairs, placed, self._map.classes(self._rows), len(self._map.vocabulary))
+        return PlaceSearch(self._pairs, placed, self._map.labels.classes(self._rows), len(self._map.labels.vocabulary))
 
     def _traversal_m(self, rows: IntArray) -> float:
         """Middle travel [m] of the traversal that most of the landmarks ``rows`` (K,) of a segment are from.
@@ -172,7 +169,7 @@ class PlaceRetriever:
         """
         pairs = PairIndex(self._likelihood)
         pairs.add(query.positions, query.labels)
-        search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.vocabulary))
+        search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.labels.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
         poses = search.find_poses(query, map_sigma_m=sigma_m, count=self._count + 1)  # the identity is among them
         return np.concatenate([np.eye(4)[None], poses])

@@ -37,7 +37,6 @@ def make_candidate(
         covariance=sigma**2 * np.eye(6),
         log_likelihood_ratios=np.array(list(llr_of.values())),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
-        matched_fraction=1.0,
         odometry_penalty=odometry_penalty,
         unpredicted_penalty=0.0,
     )

@@ -83,7 +83,7 @@ def _decision(closure: LoopClosureRecord) -> tuple[Any, ...]:
         closure.stage,
         closure.inserted,
         closure.inlier_count,
-        closure.rank,
+        closure.proposer,
     )
 
 

@@ -16,7 +16,7 @@ def linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) ->
 
     Rows are in the order of the factors, columns in that of the keys of the variables.
     """
-    linear = _without_kernels(factors, values).linearize(values)
+    linear = without_kernels(factors, values).linearize(values)
     row, column, entry = np.asarray(linear.sparseJacobian_())
     # Both are counted from one; the last column is the right side.
     places = row.astype(np.int32) - 1, column.astype(np.int32) - 1
@@ -24,7 +24,7 @@ def linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) ->
     return sparse.csr_array(system[:, :-1]), system[:, -1].toarray().ravel()
 
 
-def _without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
     """A graph of factors at their optimum ``values``, with kernels at outliers only.
 
     Kernels weight observations and closures, by about half in the mean where the configured noise is true. These

@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
 
 import gtsam
 import numpy as np
-from scipy import sparse
 
-from slam.backend.covariance.linear_system import linearize
-from slam.backend.covariance.selected_inverse import diagonal_blocks_of_inverse
+from slam.backend.covariance.linear_system import without_kernels
 from slam.common.arrays import FloatArray
 
 
 def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> dict[int, FloatArray]:
     """Covariances, (6, 6) of poses and (3, 3) of points, of all variables of an optimised graph, by their keys.
 
-    GTSAM's own marginals eliminate anew for each variable, which takes twenty times as long where loops are closed.
+    Elimination leaves ``R x + S y = d`` for each variable x, given those y that follow. With the covariance P of y,
+    ``A = -R^-1 S``, that of x is ``R^-1 R^-T + A P A^T``, and ``A P`` that of both. All of y, but for the first one,
+    are what that one is given, so the covariances follow from the last variable to the first. GTSAM's own marginals
+    eliminate anew for each variable, which takes twenty times as long where loops are closed.
 
     Raises:
-        np.linalg.LinAlgError: the graph does not determine all variables.
+        RuntimeError: the graph does not determine all variables.
     """
-    jacobian, _ = linearize(factors, values)
-    keys = sorted(values.keys())
-    sizes = np.array([6 if gtsam.symbolChr(key) == ord("x") else 3 for key in keys])
-    owners, starts = np.repeat(np.arange(len(keys)), sizes), np.cumsum(sizes) - sizes
-    rows, columns, entries = diagonal_blocks_of_inverse(sparse.csc_array(jacobian.T @ jacobian), owners)
-    owner = owners[rows]
-    blocks = np.zeros((len(keys), 6, 6))
-    blocks[owner, rows - starts[owner], columns - starts[owner]] = entries
-    blocks[owner, columns - starts[owner], rows - starts[owner]] = entries
-    return {key: block[:size, :size] for key, block, size in zip(keys, blocks, sizes.tolist(), strict=True)}
+    net = without_kernels(factors, values).linearize(values).eliminateSequential()
+    conditionals = {(each := net.at(row)).firstFrontalKey(): each for row in range(net.size())}
+    order = {key: row for row, key in enumerate(conditionals)}
+    children = defaultdict[int | None, list[int]](list)
+    for key, conditional in conditionals.items():
+        children[min(conditional.keys()[1:], key=order.__getitem__, default=None)].append(key)
+    covariances = dict[int, FloatArray]()
+    waiting = [(key, np.zeros(0, dtype=np.int64), np.zeros((0, 0))) for key in children[None]]
+    while waiting:
+        key, given, P = waiting.pop()
+        conditional = conditionals[key]
+        rows = np.concatenate([np.flatnonzero(given == each) for each in conditional.keys()[1:]] or [given])
+        P = P.take(rows, axis=0).take(rows, axis=1)
+        R_inverse = np.linalg.inv(conditional.R())
+        A = -R_inverse @ conditional.S()
+        across = A @ P
+        covariances[key] = own = R_inverse @ R_inverse.T + across @ A.T
+        joint = np.block([[own, across], [across.T, P]])
+        owners = np.concatenate([np.full(len(own), key), given[rows]])
+        # Those without children are done at once, so that few joint covariances wait.
+        waiting += [(child, owners, joint) for child in sorted(children[key], key=lambda child: -len(children[child]))]
+    return covariances

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 import gtsam
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
 from scipy.special import chdtr
 
 from slam.backend.covariance.linear_system import linearize
-from slam.backend.covariance.selected_inverse import factorize
 from slam.backend.factors import Edge, EdgeKind, Factor
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
@@ -80,7 +80,7 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
         return np.ones(6)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).round().astype(np.int64)
     sums = _sums_of(samples[spread], len(residuals))
-    information = factorize(sparse.csc_array(jacobian.T @ jacobian))
+    information = _factorized(sparse.csc_array(jacobian.T @ jacobian))
     columns = (sums @ jacobian).toarray().T
     errors = (sums @ residuals).reshape(-1, 6)
     posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)
@@ -88,6 +88,16 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
     measured = 1.0 / posterior - 1.0
     measured = np.where(measured < 0.01, 0.0, measured)
     return np.where(_differs(errors, posterior, measured), _maximize(errors, posterior, measured), 1.0)
+
+
+def _factorized(matrix: sparse.csc_array) -> SuperLU:
+    """The factors of a symmetric ``matrix`` (n, n), in an order that keeps them sparse."""
+    try:
+        return splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
+        )
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
 
 
 def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:

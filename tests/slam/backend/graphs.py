@@ -63,7 +63,7 @@ def sightings(seed: int = 2, sigma_m: float = 0.005) -> list[Observation]:
 def build(edges: list[Edge], observations: list[Observation], kernel_width: float = PLAIN) -> FactorGraph:
     """The graph as a drive builds it: keyframe by keyframe, with an update after each."""
     graph = FactorGraph(kernel_width=kernel_width)
-    graph.add_first_keyframe(0, true_poses()[0])
+    graph.add_keyframe(0, true_poses()[0])
     for k in range(KEYFRAMES):
         if k > 0:
             graph.add_next_keyframe(edges[k - 1])

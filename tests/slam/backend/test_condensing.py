@@ -38,7 +38,7 @@ def driven(rounds: int, kernel_width: float = PLAIN, *, seed: int = 1) -> Factor
     rng = np.random.default_rng(seed)
     T, landmarks = true_poses(rounds), true_landmarks()
     graph = FactorGraph(kernel_width=kernel_width)
-    graph.add_first_keyframe(0, T[0])
+    graph.add_keyframe(0, T[0])
     for k in range(len(T)):
         if k > 0:
             error = gtsam.Pose3.Expmap(rng.multivariate_normal(np.zeros(6), STEP_COVARIANCE)).matrix()
@@ -130,7 +130,7 @@ def test_merged_landmarks_can_be_condensed_and_removed():
 def test_edges_to_keyframes_that_stay_remain():
     step = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
     graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_keyframe(0, np.eye(4))
     for k in range(5):
         graph.add_next_keyframe(Edge(k, k + 1, step, STEP_COVARIANCE, "odometry"))
     graph.add_edge(Edge(1, 3, step @ step, STEP_COVARIANCE, "closure"))

@@ -112,7 +112,7 @@ def test_the_record_holds_the_graph():
 
 def test_the_record_of_a_graph_without_edges_and_observations():
     graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_keyframe(0, np.eye(4))
     graph.optimize()
     record = graph.to_record(0, np.array([1]))
     assert record.edge_transforms.shape == (0, 4, 4)
@@ -128,7 +128,7 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     graph = FactorGraph(kernel_width=PLAIN)
     soft, loose = np.diag(np.repeat([1e-2, 1.0], 3)), np.diag(np.repeat([1.0, 1e4], 3))
     step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
-    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_keyframe(0, np.eye(4))
     graph.add_next_keyframe(Edge(0, 1, step, soft, EdgeKind.ODOMETRY))
     graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
     graph.add_next_keyframe(Edge(2, 3, step, soft, EdgeKind.ODOMETRY))
@@ -136,7 +136,7 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
     T_far = transform_from_xyz_yaw(np.array([-60.0, 45.0, 0.0]), 2.5)
     T_from_to = T_far if ends == (0, 3) else invert(T_far)
-    number = graph.add_joining_edge(Edge(ends[0], ends[1], T_from_to, soft, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
+    number = graph.add_joining_edge(Edge(ends[0], ends[1], T_from_to, soft, EdgeKind.LOOP_CLOSURE), {2, 3})
     poses = [np.eye(4), step, T_far @ invert(step), T_far]
     np.testing.assert_allclose(graph.poses(), poses, atol=1e-6)
     (break_now,) = (f for f in graph.factors.values() if isinstance(f, Edge) and f.kind == EdgeKind.DISCONTINUITY)
@@ -161,7 +161,7 @@ def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it():
 def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
     T_0_1 = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
     graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_keyframe(0, np.eye(4))
     graph.add_next_keyframe(Edge(0, 1, T_0_1, 0.01 * np.eye(6), "odometry"))
     other = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
     graph.add_edge(Edge(0, 1, other, 0.01 * np.eye(6), "odometry"))
@@ -195,7 +195,7 @@ def test_landmarks_may_stand_for_others_and_for_themselves_again():
 def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> None:
     T = true_poses()
     graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_first_keyframe(0, T[0])
+    graph.add_keyframe(0, T[0])
     graph.add_next_keyframe(noisy_edges()[0], invert(T[0]) @ T[1])
     np.testing.assert_allclose(graph.pose(1), T[1], atol=1e-9)
     graph.update()

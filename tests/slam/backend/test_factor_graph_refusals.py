@@ -71,7 +71,7 @@ def test_it_is_refused_by_name_and_nothing_is_left_of_it(name):
 @pytest.mark.parametrize(
     ("add", "told"),
     [
-        (lambda graph: graph.add_first_keyframe(17, NOWHERE), "keyframe 17"),
+        (lambda graph: graph.add_keyframe(17, NOWHERE), "keyframe 17"),
         (lambda graph: graph.add_next_keyframe(edge(0, 1, HERE)), "keyframe 0"),
     ],
 )

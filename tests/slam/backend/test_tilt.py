@@ -33,7 +33,7 @@ def drive(drift_rad: float, seed: int) -> FactorGraph:
     R = T[:, :3, :3]
     landmarks = rng.uniform([-5.0, -8.0, -3.0], [KEYFRAMES * STEP_M + 5.0, 8.0, 3.0], (200, 3))
     graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_first_keyframe(0, T[0])
+    graph.add_keyframe(0, T[0])
     upright = np.diag([TILT_RAD**2, TILT_RAD**2, 1e-6])
     for k in range(KEYFRAMES):
         if k:
@@ -77,6 +77,6 @@ def test_drifting_tilt_is_estimated(seed):
 
 def test_graph_without_odometry_is_optimised():
     graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_keyframe(0, np.eye(4))
     hold_tilt(graph)
     assert graph.match_noise().converged

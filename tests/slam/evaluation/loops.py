@@ -54,7 +54,6 @@ def closure(
     turn_rad: float = 0.0,
     stage: str = "accepted",
     reason: str = "",
-    rank: int = 0,
     seed: int | None = None,
 ) -> LoopClosureRecord:
     """A candidate between the poses of two indices, off the truth by ``shift_m`` along its x and by ``turn_rad``.
@@ -76,7 +75,6 @@ def closure(
         T_reference_query=T_reference_query,
         reference_stamp_ns=at_ns(reference),
         inserted=stage == "accepted",
-        rank=rank,
         seed_query_keyframe_id=seed,
     )
 

@@ -44,7 +44,7 @@ def made_log() -> list[tuple[str, Record]]:
     for t, gt, est, odom in zip(at, T_gt, T_map_body, T_odom, strict=True):
         log.append(("/odom", Odometry(t, odom)))
         log.append(("/ground_truth", GroundTruthPose(t, gt)))
-        log.append(("/slam/pose", SlamPose(t, est, np.eye(4))))
+        log.append(("/slam/pose", SlamPose(t, est)))
     names, ids = tuple(map(str, range(10))), tuple(f"o{index}" for index in range(10))
     sightings, at_frames = [], []
     for index, (truth, landmark) in enumerate(zip(ids, names, strict=True)):
@@ -64,7 +64,7 @@ def made_log() -> list[tuple[str, Record]]:
     log.append(("/slam/map", object_map(names, in_map, ("tree",) * 10, first_seen_ns=first)))
     log.append(("/slam/trajectory_stamped", TrajectoryRecord(at[-1], "map", stamps(COUNT), T_map_body)))
     T_reference_query = invert(T_map_body[10]) @ T_map_body[300]
-    right = LoopClosureRecord(at[300], 150, 5, True, "accepted", "", 9, 0.9, 1.0, T_reference_query, None, at[10])
+    right = LoopClosureRecord(at[300], 150, 5, True, "accepted", "", 9, 1.0, T_reference_query, None, at[10])
     wrong = replace(right, T_reference_query=np.eye(4), reference_keyframe_id=10, reference_stamp_ns=at[20])
     log.append(("/slam/closures", replace(right, accepted=False, stage="consistency", reason="waits for others")))
     log.append(("/slam/closures", wrong))

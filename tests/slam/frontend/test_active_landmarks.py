@@ -49,7 +49,7 @@ class Bench:
         rows = self.map.add(
             positions,
             np.tile(SIGMA_M**2 * np.eye(3), (len(positions), 1, 1)),
-            self.map.label_indices(labels or ("tree",) * len(positions)),
+            self.map.labels.indices(labels or ("tree",) * len(positions)),
             stamp_ns=round(self.x * 1e9),
             scan=scan,
             travel_m=self.x,
@@ -67,7 +67,7 @@ class Bench:
                 rows,
                 self.map.rows["position_local"][rows],
                 P,
-                self.map.label_indices(labels),
+                self.map.labels.indices(labels),
                 stamp_ns=round(self.x * 1e9),
                 scan=scan,
                 travel_m=self.x,

@@ -114,7 +114,9 @@ def test_objects_are_the_same_landmarks_in_every_scan():
         assert associations.landmark_ids == first.landmark_ids
         assert not associations.created.any()
     np.testing.assert_allclose(bench.map.rows["position_local"], OBJECTS, atol=1e-9)
-    assert [bench.map.vocabulary[i] for i in bench.map.beliefs(np.arange(4)).argmax(axis=1)] == list(LABELS)
+    assert [bench.map.labels.vocabulary[i] for i in bench.map.labels.beliefs(np.arange(4)).argmax(axis=1)] == list(
+        LABELS
+    )
 
 
 def test_landmark_is_confirmed_by_enough_sightings_and_then_enters_the_graph_with_all_of_them(young):

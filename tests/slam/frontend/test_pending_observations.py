@@ -30,7 +30,7 @@ class Drive:
 
     def __init__(self, odometry: dict[str, float]) -> None:
         self.map = ObjectMap(ObjectCalibration())
-        labels = self.map.label_indices(("tree", "tree"))
+        labels = self.map.labels.indices(("tree", "tree"))
         covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
         self.rows = self.map.add(np.eye(2, 3), covariances, labels, stamp_ns=0, scan=0, travel_m=0.0)
         self.pending = PendingObservations(Config.model_validate({"calibration": {"odometry": odometry}}), self.map)
@@ -92,7 +92,7 @@ def test_what_is_held_back_can_be_dropped():
 def summed(scans, *, own: bool = True):
     """The observations of keyframe 7, of confirmed landmarks, by (rows, positions, covariances) of each scan."""
     object_map = ObjectMap(ObjectCalibration())
-    labels = object_map.label_indices(("tree",) * 5)
+    labels = object_map.labels.indices(("tree",) * 5)
     rows = object_map.add(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)), labels, stamp_ns=0, scan=0, travel_m=0.0)
     object_map.confirm(rows)
     detection = {"common_sigma_m": 0.3, "covariance_inflation": 25.0}

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.localization.pose_prior import MapArea, PosePrior
-from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
+from slam.localization.pose_prior import PosePrior
 
 COVARIANCE = np.diag([1e-4, 1e-4, 0.02**2, 0.2**2, 0.2**2, 0.1**2])
 VOLUME = (2.0 * np.pi) ** 1.5 * 0.02 * 0.2 * 0.2
@@ -58,17 +56,3 @@ def test_far_from_the_prediction_only_a_failure_of_the_odometry_is_left():
 def test_it_is_a_probability():
     assert prior(sigma_m=1e-6, sigma_rad=1e-6).log_mass(T_PREDICTED, COVARIANCE) <= 0.0
     assert prior(sigma_m=np.inf, area_m2=1e-6).log_mass(T_PREDICTED, COVARIANCE) == 0.0
-
-
-def test_the_area_is_that_of_the_cells_with_a_keyframe():
-    def keyframe(number: int, x_m: float, segment: int) -> Keyframe:
-        T = transform_from_xyz_yaw(np.array([x_m, 1.0, 0.0]), 0.0)
-        return Keyframe(number, OdometryPose(number, T, x_m, segment, 1.0), T)
-
-    area = MapArea(cell_m=10.0)
-    assert area.area_m2 == 100.0
-    keyframes = [keyframe(0, 1.0, 0), keyframe(1, 9.0, 0), keyframe(2, 11.0, 0), keyframe(3, 1.0, 1)]
-    area.cover(keyframes[:2])
-    assert area.area_m2 == 100.0
-    area.cover(keyframes)
-    assert area.area_m2 == 300.0

@@ -34,11 +34,11 @@ def seen_from(T: FloatArray, keyframe: int, rows: dict[int, FloatArray]) -> list
 @pytest.fixture
 def saved() -> SavedMap:
     object_map = ObjectMap(ObjectCalibration())
-    labels = object_map.label_indices(("tree", "lamp", "tree", "bench"))
+    labels = object_map.labels.indices(("tree", "lamp", "tree", "bench"))
     rows = object_map.add(OBJECTS, np.tile(SEEN, (4, 1, 1)), labels, stamp_ns=5, scan=0, travel_m=0.0)
     object_map.confirm(rows)
     graph = FactorGraph(kernel_width=WIDTH)
-    graph.add_first_keyframe(0, POSES[0])
+    graph.add_keyframe(0, POSES[0])
     for k in (1, 2):
         graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
     for k, T in enumerate(POSES):
@@ -120,7 +120,7 @@ def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved:
     _, graph = loaded(saved, fixed=True)
     see_again(graph)
     far = transform_from_xyz_yaw(np.array([[40.0, 9.0, 0.0]]), np.array([1.0]))[0]
-    graph.add_joining_edge(Edge(0, 3, far, SURE, "closure"), np.array([3]))
+    graph.add_joining_edge(Edge(0, 3, far, SURE, "closure"), {3})
     np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=0.05)
 

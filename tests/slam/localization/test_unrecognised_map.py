@@ -12,8 +12,11 @@ from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.common.georeference import Georeference
+from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import MIN_LANDMARKS, MIRRORED, why_doubtful, why_not_recognised
+from slam.object_map.map_io import SavedMap
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
+from tests.slam.evaluation.results import graph
 
 SIGMA_M = 0.1
 CLASSES = ("bench", "lamp", "tree")
@@ -58,9 +61,15 @@ def test_likeliest_reason_is_told(known: ImportedMap, reason: str) -> None:
     assert re.search(reason, why_not_recognised(known, *driven(town()), SIGMA_M))
 
 
-def test_fixes_far_from_the_map_come_first() -> None:
+@pytest.mark.parametrize("is_driven", [False, True])
+def test_fixes_far_from_the_map_come_first(is_driven: bool) -> None:
     fixes = [GeodeticFix(0, "gps", 10.0, 25.0, 0.0)]
-    assert "km from the nearest object" in why_not_recognised(town(), *driven(town()), SIGMA_M, fixes)
+    known: PriorMap = town()
+    if is_driven:
+        known = SavedMap(
+            known.objects, graph(np.arange(1), np.eye(4)[None]), {"georeference": Georeference(60.0, 25.0).to_json()}
+        )
+    assert "km from the nearest object" in why_not_recognised(known, *driven(town()), SIGMA_M, fixes)
 
 
 def test_landmarks_of_the_drive_alone_count_and_a_few_are_too_few() -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.special import logit
 
+from logs.closures import Stage
 from slam.common.config import Config, LocalizationConfig
 from slam.loop_closure.acceptance import Acceptance
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 

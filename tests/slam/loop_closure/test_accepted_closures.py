@@ -33,7 +33,7 @@ class Drive:
             segment = second_segment if number >= ROUND else 0
             self.keyframes.append(make_keyframe(number, STEP_M * number, segment=segment))
             if number == 0:
-                graph.add_first_keyframe(0, at(0.0))
+                graph.add_keyframe(0, at(0.0))
             else:
                 covariance = np.diag(np.repeat([1e-6, 1e-2], 3))
                 graph.add_next_keyframe(Edge(number - 1, number, at(STEP_M), covariance, "odometry"))
@@ -57,7 +57,7 @@ class Drive:
 
     @property
     def closed(self) -> list[int]:
-        return self.closures.keyframes[:, 0].tolist()
+        return list(self.closures.closed)
 
     @property
     def factors(self) -> list[int]:
@@ -124,7 +124,7 @@ def test_keyframes_near_a_closure_can_be_compared_once_they_are_localized(street
 
 def test_landmarks_are_compared_near_a_place_that_was_recognised_without_a_closure(street):
     assert street.closures.keyframes_nearby() == set()
-    street.closures.add_tracked(street.keyframes[100], street.keyframes[100 - ROUND])
+    street.closures.tracked[100] = 100 - ROUND
     nearby = street.closures.keyframes_nearby()
     assert {10, 100} <= nearby
     assert 50 not in nearby
@@ -132,7 +132,7 @@ def test_landmarks_are_compared_near_a_place_that_was_recognised_without_a_closu
 
 
 def test_a_place_recognised_without_a_closure_is_forgotten_once_the_robot_is_lost(street):
-    street.closures.add_tracked(street.keyframes[100], street.keyframes[100 - ROUND])
+    street.closures.tracked[100] = 100 - ROUND
     street.declare_lost(since=100)
     assert street.closures.keyframes_nearby() == set()
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure import loop_closer as module
 from slam.loop_closure.acceptance import Decision
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
 from slam.object_map.submap import Submap
@@ -53,7 +54,7 @@ class Parts(Patterns):
         self.is_connected = True
         self.kidnapped_after_m: float | None = None
         self.closed: dict[int, int] = {}
-        self.recognised: list[tuple[int, int]] = []
+        self.tracked: dict[int, int] = {}
 
     def recent_submap(self, *_: Any) -> Submap:
         self.first_row += self.new_rows
@@ -104,9 +105,6 @@ class Parts(Patterns):
         return Decision((), best) if self.is_acceptable(best) else Decision((best.record(Stage.ACCEPTANCE, "weak"),))
 
     # Accepted closures.
-    def is_closed(self, keyframe: int) -> bool:
-        return keyframe in self.closed
-
     def is_localized(self, keyframe: Keyframe) -> bool:
         return self.is_connected
 
@@ -114,9 +112,6 @@ class Parts(Patterns):
         assert candidate.query.id not in self.closed
         self.closed[candidate.query.id] = candidate.reference.id
         return candidate.record(Stage.ACCEPTED, "")
-
-    def add_tracked(self, query: Keyframe, reference: Keyframe) -> None:
-        self.recognised.append((query.id, reference.id))
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         return [], True
@@ -226,7 +221,7 @@ def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts
     assert [record.stage for record in records] == stages
     is_known = stages[0] == "association"
     nearest = (STEP_M * (FIRST + 1) - 100.0) / STEP_M - 1  # all stand along one street
-    assert parts.recognised == ([(FIRST + 1, nearest)] if is_known else [])
+    assert parts.tracked == ({FIRST + 1: nearest} if is_known else {})
     if is_known:
         np.testing.assert_allclose(records[0].T_reference_query, at(STEP_M * (FIRST + 1 - nearest)))
 

@@ -44,7 +44,7 @@ class Street:
             {"loop_closure": {"min_travel_m": min_travel_m}, "calibration": {"detection": {"sensor_range_m": 3.0}}}
         )
         self.closures = AcceptedClosures(config, self.map, self.graph, self.keyframes)
-        self.graph.add_first_keyframe(0, at(0.0))
+        self.graph.add_keyframe(0, at(0.0))
         for number in range(PASSES * STATIONS):
             self._visit(number)
         self.map.confirm(np.arange(PASSES * STATIONS))
@@ -56,7 +56,7 @@ class Street:
             back_m = SPACING_M if station else DRIFT_M - (STATIONS - 1) * SPACING_M
             self.graph.add_next_keyframe(edge(number - 1, number, back_m, 0.01 if station else 5.0))
         odom_m = drive * DRIFT_M + station * SPACING_M
-        labels = self.map.label_indices(("lamp" if station % 2 else "tree",))
+        labels = self.map.labels.indices(("lamp" if station % 2 else "tree",))
         travel_m = drive * self.pass_m + station * SPACING_M
         self.keyframes.append(Keyframe(number, OdometryPose(10**9 * number, at(odom_m), travel_m, 0, 5.0), at(odom_m)))
         self.map.add(
@@ -268,7 +268,7 @@ def test_segments_are_connected_as_long_as_a_closure_does_it(street):
         street.keyframes[number] = replace(keyframe, odometry=pose_of)
     street.close(7, 2, [])
     street.close(12, 7, [])
-    assert street.closures._segments.are_connected(0, 14)
+    assert street.closures.is_localized(street.keyframes[14])
     street.revoke(0)
-    assert not street.closures._segments.are_connected(0, 14)
-    assert street.closures._segments.are_connected(7, 12)
+    assert not street.closures.is_localized(street.keyframes[14])
+    assert street.closures._component_of(7) == street.closures._component_of(12)

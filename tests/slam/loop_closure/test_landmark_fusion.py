@@ -26,11 +26,11 @@ def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[Obje
         FactorGraph(kernel_width=1e6),
     )
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
-    graph.add_first_keyframe(0, T[0])
+    graph.add_keyframe(0, T[0])
     for k in range(1, KEYFRAMES):
         graph.add_next_keyframe(Edge(k - 1, k, invert(T[k - 1]) @ T[k], SURE, "odometry"))
     places = np.array([place for _, place, _ in landmarks])
-    labels = object_map.label_indices(tuple(label for label, _, _ in landmarks))
+    labels = object_map.labels.indices(tuple(label for label, _, _ in landmarks))
     rows = object_map.add(places, np.tile(SEEN, (len(landmarks), 1, 1)), labels, stamp_ns=0, scan=0, travel_m=0.0)
     object_map.confirm(np.setdiff1d(rows, tentative))
     for row, (_, place, keyframes) in enumerate(landmarks):
@@ -116,8 +116,6 @@ def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     graph = FactorGraph()
     known = {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])}
     graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
-    for row in (0, 1):
-        graph.add_first_keyframe(row, np.eye(4))
-        graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
-    graph.update()
+    seen = [Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN) for row in (0, 1)]
+    graph.restore(np.tile(np.eye(4), (2, 1, 1)), [Edge(0, 1, np.eye(4), np.eye(6), "odometry")], seen)
     assert find_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == []

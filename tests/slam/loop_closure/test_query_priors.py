@@ -29,7 +29,7 @@ PLACE = Place(at(7.0), 0.0, 0, "descriptor")
 
 def make_priors(keyframes: list[Keyframe], *, bent_m: float = 0.0) -> Verifier:
     """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
-    track = KeyframeTrack(CONFIG.calibration.odometry)
+    track = KeyframeTrack(CONFIG.calibration)
     for keyframe in keyframes:
         track.add(keyframe)
 
@@ -65,7 +65,7 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(
     keyframes: list[Keyframe], query: Query, since: int
 ) -> None:
     priors = make_priors(keyframes)
-    track = KeyframeTrack(CONFIG.calibration.odometry)
+    track = KeyframeTrack(CONFIG.calibration)
     for keyframe in keyframes:
         track.add(keyframe)
     sigma_m, sigma_rad = track.drift_sigmas(since, COUNT - 1)

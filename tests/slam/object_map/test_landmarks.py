@@ -16,7 +16,7 @@ CONFIG = ObjectCalibration(label_accuracy=0.8)
 def new_map(vocabulary: str = "abc", count: int = 1, positions=None) -> ObjectMap:
     """A map of ``count`` landmarks of class "a", each seen once at time 0, scan 1."""
     object_map = ObjectMap(CONFIG)
-    object_map.label_indices(tuple(vocabulary))
+    object_map.labels.indices(tuple(vocabulary))
     see_new(object_map, np.zeros((count, 3)) if positions is None else np.array(positions, dtype=float))
     return object_map
 
@@ -51,7 +51,7 @@ def see(
 @pytest.mark.parametrize("sightings", ["a", "aab", "abc", "bbbac", "c" * 12])
 def test_the_belief_is_bayes_rule_applied_label_by_label(sightings):
     object_map = ObjectMap(CONFIG)
-    object_map.label_indices(("a", "b", "c"))
+    object_map.labels.indices(("a", "b", "c"))
     see_new(object_map, np.zeros((1, 3)), label="abc".index(sightings[0]))
     for seen in sightings[1:]:
         see(object_map, 0, "abc".index(seen))
@@ -59,22 +59,22 @@ def test_the_belief_is_bayes_rule_applied_label_by_label(sightings):
     for seen in sightings:
         posterior = posterior * [0.8 if name == seen else 0.1 for name in "abc"]
         posterior /= posterior.sum()
-    np.testing.assert_allclose(object_map.beliefs(np.array([0]))[0], posterior, atol=1e-12)
+    np.testing.assert_allclose(object_map.labels.beliefs(np.array([0]))[0], posterior, atol=1e-12)
 
 
 def test_of_one_class_no_label_lies_beyond_the_limit():
     object_map = ObjectMap(ObjectCalibration(max_classes=1))
-    assert object_map.label_indices(("a", "b")).tolist() == [0, 0]
-    assert object_map.unlisted_labels == 0
+    assert object_map.labels.indices(("a", "b")).tolist() == [0, 0]
+    assert object_map.labels.unlisted == 0
 
 
 def test_classes_beyond_the_limit_are_one_class():
     object_map = ObjectMap(ObjectCalibration(max_classes=3))
-    assert object_map.label_indices(("a", "b", "c", "d", "a")).tolist() == [0, 1, 2, 2, 0]
-    assert object_map.vocabulary == ("a", "b", "other")
-    assert object_map.unlisted_labels == 2
+    assert object_map.labels.indices(("a", "b", "c", "d", "a")).tolist() == [0, 1, 2, 2, 0]
+    assert object_map.labels.vocabulary == ("a", "b", "other")
+    assert object_map.labels.unlisted == 2
     see_new(object_map, np.zeros((1, 3)), label=2)
-    np.testing.assert_array_equal(object_map.classes(np.array([0])), [2])
+    np.testing.assert_array_equal(object_map.labels.classes(np.array([0])), [2])
 
 
 def test_the_life_of_a_landmark():
@@ -124,7 +124,7 @@ def test_the_noise_of_a_velocity_is_that_along_it_at_each_sighting(direction):
     t, sigmas = np.arange(9.0), np.linspace(5.0, 1.0, 9)  # along x it shrinks as the object comes nearer
     covariances = np.array([np.diag([sigma**2, 0.01, 0.01]) for sigma in sigmas])
     object_map = ObjectMap(CONFIG)
-    labels = object_map.label_indices(("a",))
+    labels = object_map.labels.indices(("a",))
     object_map.add(np.zeros((1, 3)), covariances[:1], labels, stamp_ns=0, scan=1, travel_m=0.0)
     for second, covariance in zip(t[1:].tolist(), covariances[1:], strict=True):
         see(object_map, 0, position=second * np.array(direction), covariance=covariance, seconds=second)
@@ -154,7 +154,9 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     together = new_map(count=1)
     for label in (0, 1, 0, 0):
         see(together, 0, label)
-    np.testing.assert_allclose(record.class_probabilities[2, :2], together.beliefs(np.array([0]))[0, :2], rtol=1e-6)
+    np.testing.assert_allclose(
+        record.class_probabilities[2, :2], together.labels.beliefs(np.array([0]))[0, :2], rtol=1e-6
+    )
 
 
 def test_merges_are_of_the_landmarks_given():
@@ -188,17 +190,17 @@ def test_the_map_grows_and_forgets_nothing():
         assert rows.tolist() == list(range(start, start + 44))
     assert len(object_map) == 500
     np.testing.assert_array_equal(object_map.rows[:60], first)
-    assert object_map.beliefs(np.arange(500)).argmax(axis=1).tolist() == [0] * 60 + [1] * 440
+    assert object_map.labels.beliefs(np.arange(500)).argmax(axis=1).tolist() == [0] * 60 + [1] * 440
 
 
 def test_the_vocabulary_grows_and_old_labels_keep_their_index():
     object_map = new_map("a")
     names = tuple(f"class {i}" for i in range(40))
-    assert object_map.label_indices(("a", *names[:20])).tolist() == list(range(21))
+    assert object_map.labels.indices(("a", *names[:20])).tolist() == list(range(21))
     see(object_map, 0, label=20)
-    assert object_map.label_indices((names[3], *names)).tolist() == [4, *range(1, 41)]
-    assert object_map.vocabulary == ("a", *names)
-    beliefs = object_map.beliefs(np.array([0]))[0]
+    assert object_map.labels.indices((names[3], *names)).tolist() == [4, *range(1, 41)]
+    assert object_map.labels.vocabulary == ("a", *names)
+    beliefs = object_map.labels.beliefs(np.array([0]))[0]
     assert beliefs.shape == (41,)
     assert np.flatnonzero(beliefs > 0.3).tolist() == [0, 20]
-    assert object_map.label_indices(()).shape == (0,)
+    assert object_map.labels.indices(()).shape == (0,)

@@ -21,7 +21,7 @@ def objects(*places: tuple[float, float, int, bool]) -> ObjectMap:
     """Landmarks at x, last seen at a travel, on a segment, confirmed or not."""
     found = ObjectMap(ObjectCalibration())
     for x_m, travel_m, segment, is_confirmed in places:
-        labels = found.label_indices(("tree",))
+        labels = found.labels.indices(("tree",))
         rows = found.add(
             np.array([[x_m, 0.0, 1.0]]), OWN[None], labels, stamp_ns=1, scan=1, travel_m=travel_m, segment=segment
         )

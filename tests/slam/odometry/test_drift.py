@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.calibration import OdometryCalibration
+from slam.common.calibration import Calibration, OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -28,7 +28,7 @@ def winding_path() -> tuple[FloatArray, FloatArray]:
 def track_of(
     config: OdometryCalibration, *, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)
 ) -> KeyframeTrack:
-    track = KeyframeTrack(config)
+    track = KeyframeTrack(Calibration(odometry=config))
     for keyframe in keyframes_of(break_at=break_at, origin=origin):
         track.add(keyframe)
     return track
@@ -132,11 +132,11 @@ def test_the_nearest_keyframe_is_the_one_that_brute_force_finds():
 @pytest.mark.parametrize(("from_m", "to_m"), [(300.0, 400.0), (-50.0, -1.0), (50.0, 40.0)])
 def test_no_keyframe_is_nearest_where_there_is_none(from_m, to_m):
     assert track_of(OdometryCalibration()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
-    assert KeyframeTrack(OdometryCalibration()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
+    assert KeyframeTrack(Calibration()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
 
 
 def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
-    track = KeyframeTrack(odometry_noise())
+    track = KeyframeTrack(Calibration(odometry=odometry_noise()))
     for number in range(20):  # to and fro; then from the beginning, as another segment
         x_m = 2.0 * (number % 10)
         T = transform_from_xyz_yaw(np.array([x_m, 0.5 if number >= 10 else 0.0, 0.0]), 0.0)
@@ -160,3 +160,11 @@ def test_replaced_keyframes_are_a_segment_of_their_own():
     place = winding_path()[0][last]
     of = {"from_m": -np.inf, "to_m": np.inf}
     assert [track.nearest(place, segment=1, **of)[0], track.nearest(place, segment=0, **of)[0] < first] == [last, True]
+
+
+def test_keyframes_of_a_segment_share_cells_of_a_sensor_range():
+    track = KeyframeTrack(Calibration())
+    for number, (x_m, segment) in enumerate([(1.0, 0), (29.0, 0), (31.0, 0), (1.0, 1)]):
+        T = transform_from_xyz_yaw(np.array([x_m, 1.0, 0.0]), 0.0)
+        track.add(Keyframe(number, OdometryPose(number, T, x_m, segment, 1.0), T))
+    assert track.cells == {(0, 0.0, 0.0), (0, 1.0, 0.0), (1, 0.0, 0.0)}

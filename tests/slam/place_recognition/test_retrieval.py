@@ -37,7 +37,7 @@ class Places:
     def __init__(self, config: Config = CONFIG) -> None:
         self.map = ObjectMap(config.calibration.objects)
         self.retriever = PlaceRetriever(config, self.map)
-        self.labels = self.map.label_indices(("tree", "lamp", "bench", "bin"))
+        self.labels = self.map.labels.indices(("tree", "lamp", "bench", "bin"))
 
     def add(self, x_m: float, travel_m: float, *, segment: int = 0, seed: int = 1) -> np.ndarray:
         """The objects of ``seed`` around a place."""
@@ -61,7 +61,7 @@ class Places:
         rows = here.add(x_m, 0.0, seed=seed)
         T_local_query = transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.4)
         positions = apply(invert(T_local_query), here.map.rows["position_local"][rows])
-        return Submap(positions, np.full(COUNT, 0.4), here.map.classes(rows), 10_000 + rows)
+        return Submap(positions, np.full(COUNT, 0.4), here.map.labels.classes(rows), 10_000 + rows)
 
     def found_m(self, x_m: float, seed: int = 1) -> list[float]:
         """Where the first place is said to be, if there is one."""
@@ -150,7 +150,7 @@ class _Batches:
     def __init__(self) -> None:
         self.added: list[Batch] = []
 
-    def add(self, batch: Batch, vocabulary: tuple[str, ...]) -> None:
+    def add(self, batch: Batch) -> None:
         self.added.append(batch)
 
 
@@ -200,7 +200,7 @@ def test_vectors_see_lengths_in_sensor_ranges(places, sensor_range_m):
         descriptor = _Recorded()
         landmarks = VectorPairs(config, VectorIndex(descriptor))
         scaled = query.positions * range_m / CONFIG.sensor_range_m
-        landmarks.add(Batch(scaled, query.labels, entries, entries, 0), tuple(places.map.vocabulary))
+        landmarks.add(Batch(scaled, query.labels, entries, entries, 0, places.map.labels.vocabulary))
         seen.append(descriptor.seen[0].positions)
     np.testing.assert_allclose(seen[0], seen[1])
 
@@ -212,7 +212,7 @@ def test_matches_by_vectors_are_pairs_of_one_length_in_one_segment(places):
     for segment, more in ((0, [[20.0, 0.0, 0.0]]), (1, [])):
         positions = np.concatenate([ends, np.reshape(more, (-1, 3))])
         rows = np.arange(len(positions))
-        landmarks.add(Batch(positions, np.zeros_like(rows), rows, rows, segment), ("tree",))
+        landmarks.add(Batch(positions, np.zeros_like(rows), rows, rows, segment, ("tree",)))
     found = landmarks.search(ends, np.zeros(2, dtype=np.int64), sigmas_m=np.full(2, 0.1))
     assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1}), frozenset({3, 4})}
     allowed = np.array([True, True, True, True, False])
@@ -247,5 +247,5 @@ def test_class_shares_are_those_of_what_is_indexed(places):
     rows = places.add(50.0, 100.0)
     places.retriever.index_inactive_landmarks(after(NOW_M))
     shares = places.retriever.class_shares()
-    counts = 1.0 + np.bincount(places.map.classes(rows), minlength=len(places.map.vocabulary))
+    counts = 1.0 + np.bincount(places.map.labels.classes(rows), minlength=len(places.map.labels.vocabulary))
     np.testing.assert_allclose(shares, counts / (COUNT + len(counts)))

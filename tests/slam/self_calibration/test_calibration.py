@@ -64,7 +64,7 @@ def test_every_setting_in_metres_is_derived(surveyed):
     stay = {"detection.ground_z_m", "detection.tag_size_m", "detection.max_range_m"}
     stay |= {"objects.height_sigma_m"}
     # Corrections are made where the log needs them only.
-    stay |= {"detection.x_m", "detection.y_m"}
+    stay |= {"detection.x_m", "detection.y_m", "detection.resolution_m"}
     assert in_metres - derived == stay
 
 

@@ -25,7 +25,7 @@ from logs.importers.maps.map_objects import MapObjects
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
-from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratio
+from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratios
 from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
@@ -127,7 +127,7 @@ def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
         pairs.add(objects.positions, objects.labels)
     else:
         pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
-        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0), objects.vocabulary)
+        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0, objects.vocabulary))
     return PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary)), index.nbytes
 
 
@@ -147,9 +147,9 @@ def verify(
         found = register(query, reference, T_proposed, registering)
         if found.T_reference_query is None:
             continue
-        ratio = compute_log_likelihood_ratio(query, reference, found.T_reference_query, found.pairs, range_m)
-        if ratio.total > best_llr:
-            best, best_llr = found.T_reference_query, ratio.total
+        ratios = compute_log_likelihood_ratios(query, reference, found.T_reference_query, found.pairs, range_m)
+        if ratios.sum() > best_llr:
+            best, best_llr = found.T_reference_query, ratios.sum()
     log_odds = best_llr - np.log(max(len(objects), 1))
     return best, bool(log_odds >= -logit(config.localization.error_probability))
 

@@ -126,11 +126,9 @@ def _localize(localizer: ScanLocalizer, objects: LabelledMap, query: LocalQuery)
     scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query)))
     asked = localizer.query(scan)
     started = time.process_time()
-    accepted, candidates = None, list[Candidate]()
-    if localizer.has_enough_objects(asked):
-        verified = localizer.propose(asked)
-        accepted = localizer.decide(asked, verified).accepted
-        candidates = [each for each in verified if isinstance(each, Candidate)]
+    verified = localizer.propose(asked)
+    accepted = localizer.decide(asked, verified).accepted
+    candidates = [each for each in verified if isinstance(each, Candidate)]
     seconds = time.process_time() - started
     likeliest = max(candidates, key=lambda each: each.score, default=None)
     return {

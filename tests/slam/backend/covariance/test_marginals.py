@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
+from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, Observation
+from slam.backend.factors import (
+    OBSERVATION_KERNEL_WIDTH,
+    Edge,
+    Observation,
+    between_factor,
+    observation_factors,
+    prior_factor,
+)
+from slam.backend.gtsam_calls import graph_of
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from tests.slam.backend.graphs import PLAIN, edge, noisy_edges, sightings, true_landmarks, true_poses
 
-PLAIN = 1e6
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
 SEEN_COVARIANCE = 0.01 * np.eye(3)
 
@@ -29,9 +40,9 @@ def drive(*, is_straight: bool) -> tuple[FloatArray, list[Edge]]:
 
 def built(T: FloatArray, edges: list[Edge], observations: list[Observation], kernel_width: float) -> FactorGraph:
     graph = FactorGraph(kernel_width=kernel_width)
-    graph.add_first_keyframe(0, T[0])
-    for edge in edges:
-        graph.add_next_keyframe(edge)
+    graph.add_keyframe(0, T[0])
+    for each in edges:
+        graph.add_next_keyframe(each)
     graph.add_observations(observations)
     graph.optimize()
     return graph
@@ -42,6 +53,33 @@ def test_a_keyframe_and_a_landmark_are_as_sure_as_the_one_measurement_of_each() 
     graph = built(T[:2], edges[:1], [Observation(0, 7, np.array([3.0, 1.0, 0.5]), SEEN_COVARIANCE)], PLAIN)
     np.testing.assert_allclose(graph.pose_covariances()[1], EDGE_COVARIANCE, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(graph.landmark_covariances(np.array([7]))[0], SEEN_COVARIANCE, rtol=1e-3, atol=1e-6)
+
+
+def test_covariances_are_the_blocks_of_the_inverse() -> None:
+    closure = edge(11, 0, invert(true_poses()[11]) @ true_poses()[0])
+    factors = [
+        *map(between_factor, [*noisy_edges(), closure]),
+        *observation_factors(sightings(), PLAIN, sensor_range_m=30.0),
+    ]
+    factors += [prior_factor(keyframe, gtsam.Pose3(), 0.1) for keyframe in (0, 99)]  # nothing couples the last
+    values = gtsam.Values()
+    for keyframe, T in enumerate(true_poses()):
+        values.insert(X(keyframe), gtsam.Pose3(T))
+    values.insert(X(99), gtsam.Pose3())
+    for row in {each.landmark for each in sightings()}:
+        values.insert(L(row), true_landmarks()[row])
+    found, known = compute_marginals(factors, values), gtsam.Marginals(graph_of(factors), values)
+    assert sorted(found) == sorted(values.keys())
+    for key, covariance in found.items():
+        np.testing.assert_allclose(covariance, known.marginalCovariance(key), rtol=1e-6, atol=1e-12)
+
+
+def test_a_variable_that_nothing_determines_is_refused() -> None:
+    values = gtsam.Values()
+    for keyframe in (0, 1):
+        values.insert(X(keyframe), gtsam.Pose3())
+    with pytest.raises(RuntimeError):
+        compute_marginals([between_factor(edge(0, 1, np.eye(4)))], values)
 
 
 def test_the_record_holds_them_and_they_follow_the_graph() -> None:
@@ -64,7 +102,7 @@ def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(
     place, squares = np.array([8.0, 3.0, 1.0]), list[float]()
     for _ in range(80):
         graph = FactorGraph(kernel_width=width)
-        graph.add_first_keyframe(0, np.eye(4))
+        graph.add_keyframe(0, np.eye(4))
         seen = place + rng.normal(scale=0.1, size=(30, 3))
         graph.add_observations([Observation(0, 0, each, SEEN_COVARIANCE, covariance_inflation) for each in seen])
         graph.optimize()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.closures import STAGES, find_final_decisions
+from logs.closures import Stage, find_final_decisions
 from logs.messages import LoopClosureRecord
 from slam.common.geometry import make_transform
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
@@ -178,8 +178,8 @@ def test_decisions_and_stages_are_in_order() -> None:
     records = [closure(9, 3), closure(5, 2), closure(9, 1), closure(5, 2, stage="retrieval")]
     final = [(r.query_keyframe_id, r.reference_keyframe_id, r.stage) for r in find_final_decisions(records)]
     assert final == [(5, 2, "retrieval"), (9, 1, "accepted"), (9, 3, "accepted")]
-    found = judge([closure(200 + k, k, stage=stage) for k, stage in enumerate(reversed(STAGES))], TRUTH)
-    assert list(found["stage_counts"]) == list(STAGES)
+    found = judge([closure(200 + k, k, stage=stage) for k, stage in enumerate(reversed(Stage))], TRUTH)
+    assert list(found["stage_counts"]) == list(Stage)
 
 
 def test_two_keyframes_with_one_stamp() -> None:

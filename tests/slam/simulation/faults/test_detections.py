@@ -105,8 +105,9 @@ def test_known_covariances_contain_reported_noise(fault: str, added: float) -> N
 
 def test_second_detections_are_of_the_same_objects_and_nearly_in_their_place() -> None:
     changed = faulty("detected_twice=0.01")
-    scans, before = (records(log, ObjectDetections) for log in (changed, drive()))
-    errors = np.stack([scan.positions - np.tile(old.positions, (2, 1)) for scan, old in zip(scans, before, strict=True)])
+    before = records(drive(), ObjectDetections)
+    pairs = zip(records(changed, ObjectDetections), before, strict=True)
+    errors = np.stack([scan.positions - np.tile(old.positions, (2, 1)) for scan, old in pairs])
     first, second = np.split(errors, 2, axis=1)
     assert not first.any()
     ranges = np.stack([np.linalg.norm(scan.positions, axis=1) for scan in before])[..., None]
