@@ -38,26 +38,25 @@ class ScanPairs:
         self._tree = cKDTree(reference)
 
     @classmethod
+    def by_travel(cls, scans: Sequence[SurveyScan], spacing_m: float) -> ScanPairs:
+        """Pairs between which the body travels."""
+        return cls._of(scans, _evenly(_travels(scans, spacing_m), FEW), spacing_m)
+
+    @classmethod
     def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> ScanPairs:
         """Pairs between which the body travels, and pairs between which it turns, ``fastest``: most for the time."""
-        poses = upright(np.stack([scan.T_odom_body for scan in scans]))
-        moved_m = MOVED_SPACINGS * spacing_m
-        travel_m = _path(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))
-        # An odometry that trembles while the body stands goes nowhere.
-        travels = [
-            (first, second)
-            for first, second in _reached(travel_m, moved_m)
-            if 2.0 * np.linalg.norm(poses[second, :2, 3] - poses[first, :2, 3]) > moved_m
-        ]
-        turned_rad = _path(np.abs(np.diff(np.unwrap(yaw_rad(poses)))))
-        turns = _reached(turned_rad, moved_m / max(median_range(scans), 1e-9))
+        turned_rad = _path(np.abs(np.diff(np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans]))))))
+        turns = _reached(turned_rad, MOVED_SPACINGS * spacing_m / max(median_range(scans), 1e-9))
         if fastest:
             rates = np.array([(turned_rad[second] - turned_rad[first]) / (second - first) for first, second in turns])
             chosen = np.argsort(-rates, kind="stable")[: max(len(turns) // 4, FEW)]
             turns = [turns[index] for index in np.sort(chosen)]
         turns = _evenly(turns, round(MAX_DETECTIONS * len(scans) / sum(len(scan.labels) for scan in scans)))
-        rows = _evenly(travels, max(len(turns), FEW)) + turns
-        return cls(scans, np.array(rows, dtype=np.int64).reshape(-1, 2), spacing_m)
+        return cls._of(scans, _evenly(_travels(scans, spacing_m), max(len(turns), FEW)) + turns, spacing_m)
+
+    @classmethod
+    def _of(cls, scans: Sequence[SurveyScan], pairs: _Pairs, spacing_m: float) -> ScanPairs:
+        return cls(scans, np.array(pairs, dtype=np.int64).reshape(-1, 2), spacing_m)
 
     def motions_by(self, T_odom_body: FloatArray) -> FloatArray:
         """Motions (P, 4, 4) of the body by poses (K, 4, 4), without roll and pitch."""
@@ -131,6 +130,17 @@ def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -
 def upright(T_odom_body: FloatArray) -> FloatArray:
     """Poses (K, 4, 4) without roll and pitch."""
     return transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))
+
+
+def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> _Pairs:
+    """Pairs between which the body goes past its objects."""
+    positions, moved_m = np.stack([scan.T_odom_body[:2, 3] for scan in scans]), MOVED_SPACINGS * spacing_m
+    # An odometry that trembles while the body stands goes nowhere.
+    return [
+        (first, second)
+        for first, second in _reached(_path(np.linalg.norm(np.diff(positions, axis=0), axis=1)), moved_m)
+        if 2.0 * np.linalg.norm(positions[second] - positions[first]) > moved_m
+    ]
 
 
 def _path(steps: FloatArray) -> FloatArray:

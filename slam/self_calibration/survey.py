@@ -27,6 +27,7 @@ from slam.self_calibration.object_tracks import (
 )
 from slam.self_calibration.resolution import find_resolution
 from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_of
+from slam.self_calibration.units import find_unit, is_unit_right
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95
@@ -98,11 +99,10 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     """
     given = given or Calibration()
     detour = max((log.detour() for log in logs), default=1.0)
-    known = given
-    resolution = _resolution(logs, given)
-    known = known.with_values(resolution)
-    corrected = resolution | _frame(logs, known, given)
-    labels = _label_noise(logs, known.with_values(corrected))
+    corrected = _resolution(logs, given)
+    corrected |= _frame(logs, given.with_values(corrected), given)
+    known = given.with_values(corrected)
+    labels = _label_noise(logs, known)
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
     now = known.with_values(corrected)
@@ -114,7 +114,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
         tracks = objects_among(follow_objects(scans, motion.headings)) if len(scans) > 1 else None
         found = estimate_corrections(tracks, motion) if tracks is not None else ()
-        change = _first_change(found, corrected, known.with_values(corrected), given, scans)
+        change = _first_change(found, corrected, known, given, scans)
         if not change:
             break
         delay_s += change.pop("delay_s", 0.0)
@@ -158,7 +158,7 @@ def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]
 def _first_change(
     found: tuple[Correction, ...],
     corrected: Mapping[str, float],
-    now: Calibration,
+    known: Calibration,
     given: Calibration,
     scans: Sequence[SurveyScan],
 ) -> dict[str, float]:
@@ -167,6 +167,7 @@ def _first_change(
     Ranges of detections that are too long explain the same as lengths of the odometry that are too short. The map
     takes its scale from the ranges, which outnumber the steps, so that the odometry is the one to fit them.
     """
+    now = known.with_values(corrected)
     for each in found:
         key = SETTINGS.get(each.term, "")
         # What is left of a correction is small, and needs to be sure only.
@@ -185,7 +186,7 @@ def _first_change(
         if each.term in SCALES and is_wanted and not given.is_given(key):
             scale = _value(each, now)
             # Objects that seem to move with the body are in another frame than is believed.
-            return {key: scale} if abs(scale - 1.0) < MAX_SHARE else {}
+            return {key: scale} if abs(scale / _known(key, known) - 1.0) < MAX_SHARE else {}
     return {}
 
 
@@ -196,9 +197,13 @@ def _suspected(found: tuple[Correction, ...], now: Calibration) -> dict[str, flo
 
 def _value(each: Correction, now: Calibration) -> float:
     """What the correction changes its setting to."""
-    branch, name = SETTINGS[each.term].split(".")
-    value = float(getattr(getattr(now, branch), name))
+    value = _known(SETTINGS[each.term], now)
     return value * (1.0 + each.value) if each.term in SCALES else value + each.value
+
+
+def _known(key: str, calibration: Calibration) -> float:
+    branch, name = key.split(".")
+    return float(getattr(getattr(calibration, branch), name))
 
 
 def _is_turned_by_hand(given: Calibration) -> bool:
@@ -215,12 +220,16 @@ def _angles(R: FloatArray) -> dict[str, float]:
 
 
 def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) -> dict[str, float]:
-    """The frame and the axes in which objects stand still, as far as they are not those that messages name; what was
-    given by hand is kept.
+    """The frame, the axes and the unit of the odometry in which objects stand still, as far as they are not those that
+    messages name; what was given by hand is kept.
     """
     scans, _ = scans_of(logs, known)
     orientation = _orientation(scans, known, given)
     as_they_are = scans_of(logs, known.with_values(orientation))[0] if orientation else scans
+    may_have_a_unit = known.odometry.length_scale == 1.0 and not given.is_given("odometry.length_scale")
+    if may_have_a_unit and not is_unit_right(as_they_are) and (factor := find_unit(scans)) != 1.0:
+        unit = {"odometry.length_scale": factor}
+        return unit | _frame(logs, known.with_values(unit), given)
     if any(given.is_given(f"detection.{name}") for name in FRAMES):
         return orientation
     others = {name: scans_of(logs, known.with_values({f"detection.{name}": True}))[0] for name in FRAMES}

@@ -242,6 +242,7 @@ def winding_records(turn: float) -> list[Record]:
         *((pitched_records, pitch_deg, "detection.pitch_deg", pitch_deg, 1.5) for pitch_deg in (15.0, -10.0)),
         *((partial(scaled_records, 1.0), climb, "odometry.climb", -climb, 0.002) for climb in (0.1, -0.02)),
         *((scaled_records, length, "odometry.length_scale", 1.0 / length, 0.01) for length in (1.2, 0.8)),
+        (scaled_records, 1000.0, "odometry.length_scale", 0.001, 1e-5),
         *((winding_records, turn, "odometry.turn_scale", 1.0 / turn, 0.01) for turn in (1.1, 0.85)),
     ],
 )
