@@ -41,7 +41,7 @@ class ActiveLandmarks:
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
-        self._noise = NoiseScale(SLIP_INFLATION**2)
+        self._noise = NoiseScale(SLIP_INFLATION**2, _useless(config))
         self._variances = np.zeros(6)  # of the errors of the odometry since the last correction, rotation first
         self._detections_innovation_ratio = 0.0  # by the median squared distance of detections from their landmarks
         self.pose_covariance: FloatArray | None = None
@@ -223,6 +223,13 @@ class ActiveLandmarks:
         """Write the positions and covariances of the active landmarks to the object map."""
         positions, covariances = self.predict()
         self._map.assign(self.rows, position_local=positions, covariance_local=covariances)
+
+
+def _useless(config: Config) -> FloatArray:
+    """Factors (3,) on the variances of an odometry that errs by the sensor range, or half a turn, over that travel."""
+    odometry, range_m = config.calibration.odometry, config.sensor_range_m
+    sigmas = np.array([odometry.translation_sigma, odometry.tilt_sigma, odometry.yaw_sigma])
+    return np.asarray(np.square([range_m, np.pi, np.pi]) / (sigmas**2 * range_m))
 
 
 def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:

@@ -28,11 +28,12 @@ AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
 
 class NoiseScale:
     """``factors`` (3,) on the variances of the odometry's translation, tilt and heading, ``least`` where its model is
-    right: a slip is larger than the noise of a step.
+    right: a slip is larger than the noise of a step; at ``most`` (3,) where it tells nothing.
     """
 
-    def __init__(self, least: float) -> None:
+    def __init__(self, least: float, most: FloatArray) -> None:
         self._least = least
+        self._most = np.maximum(most, least)
         self.factors = np.full(3, least)
         self.innovation_ratio = 0.0
         """The last squared correction by its variance and the gate, the largest of the three."""
@@ -59,7 +60,7 @@ class NoiseScale:
         ratios = np.array([_weighted_median(*each) for each in windows])
         ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
         gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
-        self.factors = np.maximum(self.factors * gains, self._least)
+        self.factors = np.clip(self.factors * gains, self._least, self._most)
         self._ratios, self._weights = [], []
 
 

@@ -3,7 +3,8 @@ climb: what brings the detections of scans nearest to one another.
 
 The terms are found one after another, the one that explains most first, each by a search from what was found so far. If
 lengths or turns of the odometry that are wrong by a share, or a sensor that sits elsewhere, explain more, no further
-term is found: over pairs of scans all these look much the same, and objects that are followed tell them apart.
+term but a climb is found: over pairs of scans all these look much the same, and objects that are followed tell them
+apart.
 """
 
 from __future__ import annotations
@@ -67,6 +68,8 @@ def find_alignment(
         suspected = {term: each[term] for term, each in found.items() if term not in large}
         explaining = large | better(RIVALS) if large else {}
         nearest = min(explaining, key=lambda term: float(np.sum(distances(explaining[term])[:, 0])), default="")
+        if nearest in RIVALS:
+            nearest = "climb_share"  # which looks like none of them
         if nearest not in large:
             break
         values = large[nearest]

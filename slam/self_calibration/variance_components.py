@@ -53,7 +53,7 @@ ROOM_SIGMAS = 4.0
 LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
-EXACT = 1e-13
+EXACT = 1e-10
 """Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.odometry.noise_scale import NoiseScale
+from slam.odometry.noise_scale import WINDOW, NoiseScale
 
 TRANSLATION, TILT, HEADING = range(3)
+NO_LIMIT = np.full(3, np.inf)
 FACTOR_OF_AXIS = np.array([TILT, TILT, HEADING, TRANSLATION, TRANSLATION, TRANSLATION])
 Q = np.repeat([1e-4, 1e-2], 3)
 """Variances of a step by the model of the odometry, rotation first."""
@@ -38,7 +39,7 @@ class Filter:
 def test_factors_grow_to_the_ratio_of_the_variances(sigmas: tuple[float, ...], R_ratio: float) -> None:
     found = []
     for seed in range(5):
-        scale = NoiseScale(1.0)
+        scale = NoiseScale(1.0, NO_LIMIT)
         Filter(scale, seed, R_ratio).run(400, np.array(sigmas))
         found.append(scale.factors)
     ratios = np.median(found, axis=0) / np.square(sigmas)
@@ -47,14 +48,14 @@ def test_factors_grow_to_the_ratio_of_the_variances(sigmas: tuple[float, ...], R
 
 @pytest.mark.parametrize("least", [1.0, 9.0])
 def test_factors_are_the_least_where_the_model_is_right(least: float) -> None:
-    scale = NoiseScale(least)
+    scale = NoiseScale(least, NO_LIMIT)
     Filter(scale, 0).run(600, np.ones(3))
     assert scale.factors.min() >= least
     assert scale.factors.max() < 1.5 * least
 
 
 def test_factors_fall_back_once_the_odometry_is_as_good_as_its_model() -> None:
-    scale = NoiseScale(1.0)
+    scale = NoiseScale(1.0, NO_LIMIT)
     simulated = Filter(scale, 0)
     simulated.run(200, np.array([10.0, 1.0, 10.0]))
     assert scale.factors[[TRANSLATION, HEADING]].min() > 30.0
@@ -67,7 +68,7 @@ def test_one_coordinate_of_a_scan_tells_the_noise_of_what_moves_it(ratio: float)
     """One landmark, whose bearing alone is measured: of the axes, only the heading moves it much."""
     found = []
     for seed in range(5):
-        scale, rng = NoiseScale(1.0), np.random.default_rng(seed)
+        scale, rng = NoiseScale(1.0, NO_LIMIT), np.random.default_rng(seed)
         for _ in range(600):
             of_heading, of_place, noise = 0.1**2, 0.001**2, 0.02**2
             S = scale.factors[HEADING] * of_heading + scale.factors[TRANSLATION] * of_place + noise
@@ -81,7 +82,7 @@ def test_one_coordinate_of_a_scan_tells_the_noise_of_what_moves_it(ratio: float)
 
 
 def test_single_outliers_among_innovations_do_not_change_the_scale() -> None:
-    scale = NoiseScale(1.0)
+    scale = NoiseScale(1.0, NO_LIMIT)
     for count in range(200):
         scale.add(np.array([0.0, 0.0, 0.0, 50.0 if count % 7 == 0 else 0.0, 0.0, 0.0]), 0.7 * np.eye(6))
     np.testing.assert_array_equal(scale.factors, 1.0)
@@ -89,7 +90,7 @@ def test_single_outliers_among_innovations_do_not_change_the_scale() -> None:
 
 def test_scans_that_tell_little_count_little() -> None:
     """Three of four scans follow steps so short that they say nothing of the odometry, and fit."""
-    scale, rng = NoiseScale(1.0), np.random.default_rng(0)
+    scale, rng = NoiseScale(1.0, NO_LIMIT), np.random.default_rng(0)
     for count in range(800):
         share = 0.9 if count % 4 == 0 else 1e-6
         S = share * scale.factors[TRANSLATION] + 1.0 - share
@@ -99,13 +100,20 @@ def test_scans_that_tell_little_count_little() -> None:
 
 
 def test_innovations_that_nothing_of_the_odometry_moves_change_nothing() -> None:
-    scale = NoiseScale(4.0)
+    scale = NoiseScale(4.0, NO_LIMIT)
     for _ in range(40):
         scale.add(np.full(3, 9.0), np.zeros((3, 6)))
     np.testing.assert_array_equal(scale.factors, 4.0)
 
 
 def test_tilt_keeps_the_least_factor_however_large_its_corrections_are() -> None:
-    scale = NoiseScale(1.0)
+    scale = NoiseScale(1.0, NO_LIMIT)
     Filter(scale, 0).run(200, np.array([1.0, 30.0, 1.0]))
     assert scale.factors[TILT] == 1.0
+
+
+def test_factors_do_not_grow_without_end() -> None:
+    scale = NoiseScale(1.0, np.array([50.0, 1.0, 0.1]))
+    for _ in range(10 * WINDOW):
+        scale.add(np.full(6, 1e6), np.eye(6))
+    np.testing.assert_array_equal(scale.factors, [50.0, 1.0, 1.0])
