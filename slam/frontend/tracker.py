@@ -108,12 +108,15 @@ class Tracker:
         self._scans += 1
         is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self.active.T_local_body[:3, 3])
         self._failures = self._failures + 1 if is_failing else 0
+        is_lost = is_failing
         is_ambiguous = tracked.assignment.is_contested and tracked.assignment.is_uncertain
         if len(self.active.rows) > 1 and (is_failing or is_ambiguous):
             search = self._search_of(tracked)
             if is_failing or search.is_pose_uncertain:
-                tracked = self._decided(tracked, search.modes(self._components(pose, is_failing=is_failing)))
-        is_lost = self._failures > 0
+                modes = search.modes(self._components(pose, is_failing=is_failing))
+                sure = self._sure_mode(tracked, modes)
+                is_lost = is_failing and sure is None
+                tracked = self._decided(tracked, modes, sure)
         if is_lost and self._failures <= WAITED_SCANS:
             rows = tracked.assignment.landmark_rows
             undecided = replace(tracked.assignment, landmark_rows=np.where(rows == NEW, AMBIGUOUS, rows))
@@ -238,14 +241,12 @@ class Tracker:
         spread = np.array([1e-3, 1e-3, np.pi, *extent_m[:2], 1e-1 * extent_m[:2].max()])
         return PriorComponent(weight, np.diag(spread**2), is_anywhere=True)
 
-    def _decided(self, tracked: Tracked, modes: list[Mode]) -> Tracked:
-        """The scan by the posterior of the pose."""
-        sure = self._sure_mode(tracked, modes)
-        if sure is not None:
+    def _decided(self, tracked: Tracked, modes: list[Mode], sure: Mode | None) -> Tracked:
+        """The scan by the posterior of the pose, and by the mode that is ``sure``."""
+        if sure is not None and sure.component.added.any():
+            self._slips += 1
             self._failures = 0
-            if sure.component.added.any():
-                self._slips += 1
-                return self._shifted(tracked, sure)
+            return self._shifted(tracked, sure)
         weights, best = probabilities(modes), modes[0]
         # A detection that another mode takes for another landmark waits for scans that decide.
         pairs = np.array([mode.assignment.landmark_rows for mode in modes])

@@ -4,6 +4,10 @@ or in optical axes, or that of the body, or that of the odometry, in which the o
 In the right frame, the motion of the body between two scans brings their detections nearer to one another than the
 inverse motion does; in a wrong one, neither motion is better than the other. The mean log ratio of the two distances
 is the evidence for a frame. Scans that share no object are as far apart by both motions, and tell nothing.
+
+The same tells the unit of the odometry's lengths: with lengths that are too long by far, both motions are as wrong, and
+with lengths that are too short, scans that are a part of the spacing of the objects apart share no object. So the
+evidence has one maximum, at the right octave.
 """
 
 from __future__ import annotations
@@ -22,7 +26,11 @@ from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, is_positive, seen_by, spacing_of
 
 FACTOR = 1.25
-"""By which there is more evidence for another frame: with less, it is a matter of degrees."""
+"""By which there is more evidence for another frame: with less, it is a matter of degrees. By so much, at least,
+lengths of another unit bring scans nearer than the inverse motion does; in wrong axes, some lengths do so by a tenth.
+"""
+OCTAVES = 20
+"""Factors of up to two to that power are tried, a million either way."""
 
 
 def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequence[SurveyScan]]) -> str | None:
@@ -56,6 +64,27 @@ def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
     return turns[best] if is_better(distances[best], distances[0], FACTOR) else np.eye(3)
 
 
+def is_unit_right(scans: Sequence[SurveyScan]) -> bool:
+    """Whether the travel of the odometry brings scans (K), in the order of their stamps, nearer to one another than its
+    inverse does.
+    """
+    return len(scans) > 1 and is_positive(_evidence(scans, spacing_of(scans)))
+
+
+def find_unit(scans: Sequence[SurveyScan]) -> float:
+    """The power of two by which lengths of the odometry must be multiplied; 1 where no other one is sure.
+
+    ``scans``: (K) in the order of their stamps.
+    """
+    if len(scans) < 2:
+        return 1.0
+    spacing_m, factors = spacing_of(scans), 2.0 ** np.arange(-OCTAVES, OCTAVES + 1)
+    found = [_evidence(scans, spacing_m, factor) for factor in factors.tolist()]
+    best = int(np.argmax([np.sum(each) for each in found]))
+    is_sure = is_positive(found[best]) and np.mean(found[best]) > np.log(FACTOR)
+    return float(factors[best]) if is_sure else 1.0
+
+
 def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
     """The scans (K) of a body that heads in the direction of its path."""
     positions = np.stack([scan.T_odom_body[:3, 3] for scan in scans])
@@ -80,3 +109,17 @@ def _quarter_turns() -> list[FloatArray]:
         if np.linalg.det(R) > 0.0:
             found.append(R)
     return found
+
+
+def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float = 1.0) -> FloatArray:
+    """Evidence (P,) of pairs of scans, where the lengths of the odometry are multiplied by a factor."""
+    pairs = ScanPairs.by_travel(
+        [replace(scan, T_odom_body=_scaled(scan.T_odom_body, factor)) for scan in scans], spacing_m
+    )
+    return evidence(pairs.log_distances(pairs.motions))
+
+
+def _scaled(T: FloatArray, factor: float) -> FloatArray:
+    T = T.copy()
+    T[:3, 3] *= factor
+    return T

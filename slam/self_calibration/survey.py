@@ -14,7 +14,14 @@ from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.corrections import Correction, estimate_corrections
-from slam.self_calibration.frames import better_frame, facing_ahead, find_orientation, roll_pitch_yaw_deg
+from slam.self_calibration.frames import (
+    better_frame,
+    facing_ahead,
+    find_orientation,
+    find_unit,
+    is_unit_right,
+    roll_pitch_yaw_deg,
+)
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (
     Detectability,
@@ -27,7 +34,6 @@ from slam.self_calibration.object_tracks import (
 )
 from slam.self_calibration.resolution import find_resolution
 from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_of
-from slam.self_calibration.units import find_unit, is_unit_right
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from slam.self_calibration.frames import find_unit, is_unit_right
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.units import find_unit, is_unit_right
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}

@@ -54,7 +54,7 @@ PARTS: dict[str, Part] = {
     "calibration": Part(("calibrate=false",)),
     "mode search in tracking": Part(
         replaced={
-            "slam.frontend.tracker.Tracker._decided": lambda self, tracked, modes: tracked,
+            "slam.frontend.tracker.Tracker._decided": lambda self, tracked, modes, sure: tracked,
             "slam.frontend.tracker.Tracker._sure_mode": lambda self, tracked, modes: None,
         }
     ),
