@@ -13,7 +13,7 @@ from slam.common.config import Config
 from slam.common.geometry import apply, invert, relative, rotation_angle_rad
 from slam.frontend.input.scan import Scan
 from slam.frontend.mapper import Mapper
-from slam.frontend.tracker import Tracked
+from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from tests.helpers.poses import pose_at
@@ -183,6 +183,17 @@ def test_scan_without_landmarks_teaches_nothing() -> None:
     assert not tracked.assignment.matched.any()
     assert tracked.correction is None
     assert known(drive.located()) > 0.9
+
+
+def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odometry(monkeypatch) -> None:
+    drive = Drive(forest())
+    drive.drive(12)
+    first, judge = iter([True]), Tracker._is_failing
+    monkeypatch.setattr(Tracker, "_is_failing", lambda self, *scan: next(first, False) or judge(self, *scan))
+    tracked = drive.located()
+    assert tracked.correction is None
+    assert not tracked.is_lost
+    assert known(tracked) > 0.9
 
 
 # After a step that no body can have made
