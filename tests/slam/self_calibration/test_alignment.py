@@ -108,9 +108,10 @@ def test_nothing_is_found_where_lengths_or_turns_of_the_odometry_explain_more(sc
     assert found(log) == {}
 
 
-def test_a_climb_that_the_odometry_lacks_is_found():
+@pytest.mark.parametrize("shift_m", [0.0, 2.0])
+def test_a_climb_that_the_odometry_lacks_is_found_beside_a_shift_that_explains_more(shift_m):
     falling = CalibratedOdometry(OdometryCalibration(climb=-0.1))
-    records = records_of(SurveyedDrive(0, NOISE, scans=600, objects=80), 0.0, None, 0.0)
+    records = records_of(SurveyedDrive(0, NOISE, scans=600, objects=80), 0.0, None, shift_m)
     log = SurveyedLog.of(falling.correct(each) if isinstance(each, Odometry) else each for each in records)
     assert found(log) == {"climb_share": pytest.approx(0.1, abs=0.01)}
 
