@@ -19,7 +19,7 @@ from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.scan_pairs import MIN_PAIRS, median_range, upright
 
 MAX_DISTANCES = 1_000_000
-"""Distances by which the size of clusters is found."""
+"""Distances by which the size of clusters is found; scans that have more are left out."""
 CLUSTERED = 1.5
 """Within twice the size of a cluster are less than so many times as many pairs as within it; in rows there are twice as
 many, spread over the ground four times as many.
@@ -33,6 +33,7 @@ def find_resolution(scans: Sequence[SurveyScan]) -> float:
 
     ``scans``: (K) in the order of their stamps.
     """
+    scans = [scan for scan in scans if len(scan.labels) ** 2 <= MAX_DISTANCES]
     if not scans:
         return 0.0
     size_m = _cluster_size(_distances(scans), 0.5 * median_range(scans))

@@ -78,11 +78,11 @@ def _is_repeated(detections: ObjectDetections, resolution_m: float) -> NDArray[n
     one with the same, that is not repeated itself: non-maximum suppression.
     """
     is_repeated = np.zeros(len(detections.labels), dtype=np.bool_)
-    near = cKDTree(detections.positions).query_ball_point(detections.positions, resolution_m)
+    tree, labels = cKDTree(detections.positions), detections.labels
     for best in np.argsort(-detections.scores, kind="stable").tolist():
         if not is_repeated[best]:
-            same = [row for row in near[best] if row != best and detections.labels[row] == detections.labels[best]]
-            is_repeated[same] = True
+            near = tree.query_ball_point(detections.positions[best], resolution_m)
+            is_repeated[[row for row in near if row != best and labels[row] == labels[best]]] = True
     return is_repeated
 
 

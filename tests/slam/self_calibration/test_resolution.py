@@ -71,5 +71,11 @@ def test_second_detections_of_another_class_are_kept(scans):
     assert find_resolution([replace(s, labels=each) for s, each in zip(twice, labels, strict=True)]) == 0.0
 
 
+def test_a_scan_of_many_detections_is_left_out(scans):
+    twice = scattered(scans, 0.1)
+    heap = replace(scans[0], positions=np.zeros((30_000, 3)), labels=np.zeros(30_000, dtype=np.int64))
+    assert find_resolution([heap, *twice, heap]) == find_resolution(twice) > 0.0
+
+
 def test_few_pairs_tell_nothing(scans):
     assert find_resolution(scattered(scans[:2], 0.1)) == 0.0

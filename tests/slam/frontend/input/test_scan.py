@@ -56,6 +56,12 @@ def test_a_repeated_detection_hides_no_other():
     assert used.tolist() == [True, False, False]
 
 
+def test_many_detections_of_one_object_take_little_memory():
+    """Their pairs would take 7 GB."""
+    message = replace(detections(np.zeros((30_000, 3))), labels=("pole",) * 30_000)
+    assert make_scan(message, np.eye(4), DetectionCalibration(resolution_m=1.0)).used.sum() == 1
+
+
 def test_a_detection_without_a_place_hides_no_other():
     message = replace(detections([[np.nan, 0, 0], [0, 0, 0]]), labels=("pole",) * 2)
     assert make_scan(message, np.eye(4), DetectionCalibration(resolution_m=1.0)).used.tolist() == [False, True]
