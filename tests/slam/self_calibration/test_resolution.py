@@ -78,4 +78,11 @@ def test_a_scan_of_many_detections_is_left_out(scans):
 
 
 def test_few_pairs_tell_nothing(scans):
-    assert find_resolution(scattered(scans[:2], 0.1)) == 0.0
+    """Three objects in each of ten scans."""
+    few = [replace(s, positions=s.positions[:3], labels=s.labels[:3], variances=s.variances[:3]) for s in scans[:10]]
+    assert find_resolution(scattered(few, 0.1)) == 0.0
+
+
+def test_a_body_that_moves_by_more_than_the_resolution_tells_it(scans):
+    """By 1.2 m from scan to scan."""
+    assert find_resolution(scattered(scans[:150:4], 0.05)) > 0.2

@@ -252,6 +252,49 @@ def test_a_systematic_error_is_corrected_and_nothing_else(make, wrong, key, righ
     assert {name: value for name, value in corrected.items() if value} == expected
 
 
+def doubled(records: list[Record]) -> list[Record]:
+    """With a second detection of each object, off by 0.1 m."""
+    rng = np.random.default_rng(0)
+    return [
+        replace(
+            each,
+            positions=np.concatenate([each.positions, each.positions + rng.normal(0.0, 0.1, each.positions.shape)]),
+            labels=each.labels * 2,
+            scores=np.tile(each.scores, 2),
+        )
+        if isinstance(each, ObjectDetections)
+        else each
+        for each in records
+    ]
+
+
+def test_an_object_that_is_detected_twice_is_one_unless_a_resolution_was_given():
+    records = doubled(turned_records(0.0, scans=150, objects=40))
+    found = survey(records, ON_BODY)
+    assert 0.3 < found.corrected["detection.resolution_m"] < 1.5
+    assert found.spacing_m > found.corrected["detection.resolution_m"]
+    given = DetectionCalibration(assume_body_frame=True, resolution_m=0.0)
+    assert "detection.resolution_m" not in survey(records, given).corrected
+
+
+def test_lengths_of_another_unit_are_corrected_to_the_last_percent_unless_a_scale_was_given():
+    """By 1 / 1300, of which the octave is 1 / 1024."""
+    wrong = CalibratedOdometry(OdometryCalibration(length_scale=1300.0))
+    records = turned_records(0.0, scans=300, objects=60)
+    records = [wrong.correct(each) if isinstance(each, Odometry) else each for each in records]
+    assert survey(records, ON_BODY).corrected["odometry.length_scale"] == pytest.approx(1.0 / 1300.0, rel=0.02)
+    given = OdometryCalibration(length_scale=1.0)
+    assert "odometry.length_scale" not in survey(records, ON_BODY, odometry=given).corrected
+
+
+def test_a_unit_is_sought_only_where_no_orientation_fits(monkeypatch):
+    """In regular rows, wrong lengths may fit in wrong axes."""
+    monkeypatch.setattr("slam.self_calibration.survey.find_unit", lambda _: 0.5)
+    corrected = survey(turned_records(180.0, scans=300, objects=60), ON_BODY).corrected
+    assert corrected["detection.yaw_deg"] == pytest.approx(180.0)
+    assert "odometry.length_scale" not in corrected
+
+
 @pytest.mark.slow
 def test_angles_are_added_to_the_quarter_turn_of_the_sensor():
     """It hangs upside down, and the body pitches."""

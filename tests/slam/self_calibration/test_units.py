@@ -42,6 +42,10 @@ def test_a_sensor_that_is_turned_tells_no_unit(drive):
     assert find_unit([replace(scan, positions=scan.positions @ R) for scan in drive]) == 1.0
 
 
+def test_few_pairs_of_scans_tell_no_unit(drive):
+    assert find_unit(scaled(drive[:30], 1e3)) == 1.0
+
+
 def test_without_shared_objects_there_is_no_unit(drive):
     rng = np.random.default_rng(0)
     assert find_unit([replace(e, positions=rng.uniform(-15.0, 15.0, e.positions.shape)) for e in drive]) == 1.0
