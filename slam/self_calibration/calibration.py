@@ -82,6 +82,20 @@ _MEANINGS = {
     "objects.max_classes": "labels of one object change at random, or all at once: they are ignored",
 }
 """What a correction says, for people."""
+_CHANGES = {
+    "delay_s": "detections become later by {0:+.3f} s",
+    "roll_rad": "the sensor turns by a roll of {1:+.1f} deg",
+    "pitch_rad": "the sensor turns by a pitch of {1:+.1f} deg",
+    "yaw_rad": "the sensor turns by a yaw of {1:+.1f} deg",
+    "length_share": "the lengths of the odometry, by the ranges of detections, need another {0:+.1%}",
+    "turn_share": "the rotations of the odometry need another {0:+.1%}",
+    "climb_share": "the odometry lacks another climb of {0:+.3f} of its path",
+    "x_m": "the sensor moves ahead by {0:+.2f} m",
+    "y_m": "the sensor moves to the left by {0:+.2f} m",
+    "near_m": "ranges of detections need another {0:+.2f} m",
+    "low_share": "detections need another height of {0:+.3f} of their range",
+}
+"""What a change within the log says: of its value, and of that in degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,6 +325,13 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
             yield f"{meaning.format(corrections[key])}: corrected ({key})"
         elif key in survey.suspected:
             yield f"{meaning.format(survey.suspected[key])}: suspected, not corrected ({key})"
+    if survey.change is not None:
+        value = survey.change.value
+        yield (
+            f"about {survey.change_s:.0f} s after the first scan, "
+            f"{_CHANGES[survey.change.term].format(value, np.rad2deg(value))}: not corrected; cut the log there, and "
+            "replay the second part with the map of the first (--map)"
+        )
     if survey.lacks_heading:
         yield (
             "the heading of the odometry never changes although objects seem to turn: it seems to hold positions "

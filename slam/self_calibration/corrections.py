@@ -16,6 +16,9 @@ terms together fit what none of them explains; by a share of what is left, and m
 block's gain either sign (the sign-flip test). The value of a term is what fits best without the others: where a robot
 turns too little near objects, a sensor that is shifted and turns that are right in part fit together better, and are
 both wrong.
+
+A term *changes* at the begin of a block if a second value of it from there on is earned in the same way, beside all
+terms.
 """
 
 from __future__ import annotations
@@ -87,21 +90,30 @@ class Correction:
         return self.is_sure and self.gain >= MIN_GAIN
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """By how much the ``value`` of a term is larger from the scan ``scan`` (its number) on."""
+
+    term: str
+    value: float
+    scan: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Regression:
+    """Sums of the blocks by :func:`_block_sums`, units (T,) of the terms, and the first scan (B,) of each block."""
+
+    sums: tuple[FloatArray, FloatArray, FloatArray]
+    scale: FloatArray
+    scans: IntArray
+
+
 def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Correction, ...]:
     """The terms, the one with the largest gain first; none where too few objects could be tracked."""
-    first, second = _lagged(tracks)
-    if len(first) < MIN_PAIRS:
+    regression = _regression(tracks, motion)
+    if regression is None:
         return ()
-    effects = _effects(tracks, motion)
-    X = effects[first] - effects[second]  # (P, 3, terms)
-    # Turns before the first scan of a pair would multiply the errors of its offsets: they turn all that comes after.
-    at = motion.positions[tracks.scan, :2] + tracks.offsets
-    X[:, :2, TERMS.index("turn_share")] -= motion.headings[tracks.scan[first], None] * ((at[first] - at[second]) @ J.T)
-    y = np.column_stack([tracks.points[second] - tracks.points[first], tracks.heights[second] - tracks.heights[first]])
-    block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
-    scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
-    sums = _block_sums(X / scale, y, block)
-    everything = np.ones(len(TERMS), dtype=np.bool_)
+    sums, everything = regression.sums, np.ones(len(TERMS), dtype=np.bool_)
     parts, with_all = _held_out(*sums, everything)
     _, with_none = _held_out(*sums, ~everything)
     found = []
@@ -111,10 +123,51 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
         alone, _ = _held_out(*sums, is_term)
         gain, is_sure = _gain(without, with_all)
         gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
-        values = alone[:, number] / scale[number]
+        values = alone[:, number] / regression.scale[number]
         gain, is_sure = min(gain, gain_of_part), is_sure and is_sure_of_part
         found.append(Correction(term, float(values.mean()), gain, is_sure))
     return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
+    """The change of a term that explains most, if it is earned. Each value must be held out, so that it has two blocks
+    at least.
+    """
+    regression = _regression(tracks, motion)
+    if regression is None:
+        return None
+    normal, right, squared = regression.sums
+    everything = np.ones(len(TERMS) + 1, dtype=np.bool_)
+    _, before = _held_out(normal, right, squared, everything[1:])
+    best, most = None, MIN_GAIN
+    for number, start in product(range(len(TERMS)), range(2, BLOCKS - 1)):
+        columns = [*range(len(TERMS)), number]
+        later = np.ones((BLOCKS, len(columns)))
+        later[:start, -1] = 0.0
+        both = normal[:, columns][:, :, columns] * later[:, :, None] * later[:, None, :]
+        parts, after = _held_out(both, right[:, columns] * later, squared, everything)
+        gain, is_sure = _gain(before, after)
+        if is_sure and gain >= most:
+            value = float(parts[:, -1].mean() / regression.scale[number])
+            best, most = Change(TERMS[number], value, int(regression.scans[start])), gain
+    return best
+
+
+def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
+    """Apparent motion by the differences of all terms; None where too few objects could be tracked."""
+    first, second = _lagged(tracks)
+    if len(first) < MIN_PAIRS:
+        return None
+    effects = _effects(tracks, motion)
+    X = effects[first] - effects[second]  # (P, 3, terms)
+    # Turns before the first scan of a pair would multiply the errors of its offsets: they turn all that comes after.
+    at = motion.positions[tracks.scan, :2] + tracks.offsets
+    X[:, :2, TERMS.index("turn_share")] -= motion.headings[tracks.scan[first], None] * ((at[first] - at[second]) @ J.T)
+    y = np.column_stack([tracks.points[second] - tracks.points[first], tracks.heights[second] - tracks.heights[first]])
+    block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
+    scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
+    scans = np.sort(tracks.scan[second])[np.searchsorted(np.sort(block), np.arange(BLOCKS))]
+    return _Regression(_block_sums(X / scale, y, block), scale, scans)
 
 
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:

@@ -13,7 +13,7 @@ from slam.common.calibration import Calibration, DetectionCalibration
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
-from slam.self_calibration.corrections import Correction, estimate_corrections
+from slam.self_calibration.corrections import Change, Correction, estimate_corrections, find_change
 from slam.self_calibration.frames import (
     better_frame,
     facing_ahead,
@@ -71,7 +71,8 @@ class Survey:
     predict what is held out better, but are too small or have another explanation; ``delay_s``: by how much
     detections are of a later time than their stamps say, against the odometry; ``lacks_heading``: whether the heading
     of the odometry never changes, and that of its path is better; ``detour``: the length of the odometry's path
-    by that of its every second message.
+    by that of its every second message; ``change``: of a systematic error within the log, ``change_s`` after its first
+    scan.
     """
 
     scans: int
@@ -96,6 +97,8 @@ class Survey:
     delay_s: float = 0.0
     lacks_heading: bool = False
     detour: float = 1.0
+    change: Change | None = None
+    change_s: float = 0.0
 
 
 def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Survey | None:
@@ -128,6 +131,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     if not any(np.any(scan.positions) for scan in scans):
         return None
     now = known.with_values(corrected)
+    later = find_change(tracks, motion) if tracks is not None else None
     return replace(
         summarize(scans, tracks),
         labels=labels,
@@ -136,6 +140,8 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         delay_s=delay_s,
         lacks_heading=_lacks_heading(scans, motion.headings),
         detour=detour,
+        change=later,
+        change_s=(scans[later.scan].stamp_ns - scans[0].stamp_ns) * 1e-9 if later is not None else 0.0,
     )
 
 

@@ -12,6 +12,7 @@ from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
+from slam.self_calibration.corrections import TERMS, Change
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
 from slam.self_calibration.survey import Survey, summarize
@@ -316,6 +317,18 @@ def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
 def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed):
     rare = replace(surveyed, scans=2, shared_bias_m=0.0, travel_m=surveyed.median_range_m)
     assert calibrate(Config(), rare).config.calibration.detection.covariance_inflation == pytest.approx(2.0)
+
+
+def test_change_within_the_log_is_told(surveyed):
+    change = Change("yaw_rad", np.deg2rad(15.0), 40)
+    (note,) = calibrate(Config(), replace(surveyed, change=change, change_s=61.2)).notes
+    assert note.startswith("about 61 s after the first scan, the sensor turns by a yaw of +15.0 deg: not corrected")
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_change_of_each_term_has_a_meaning(surveyed, term):
+    (note,) = calibrate(Config(), replace(surveyed, change=Change(term, -0.125, 1), change_s=1.0)).notes
+    assert any(value in note for value in ("-0.12", "-12.5%", "-7.2 deg"))
 
 
 @pytest.mark.parametrize(("detour", "told"), [(1.4, False), (1.6, True)])

@@ -9,7 +9,7 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.self_calibration import corrections
-from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, estimate_corrections
+from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, estimate_corrections, find_change
 from slam.self_calibration.object_tracks import ObjectTracks
 
 SCANS, PERIOD_S, SPEED_MPS = 600, 0.1, 4.0
@@ -75,6 +75,35 @@ def test_each_error_is_told_from_the_others(term):
     first = estimate_corrections(wrong, motion)[0]  # what explains most is corrected before the others
     assert first.is_earned
     assert (first.term, first.value) == (term, pytest.approx(0.1, abs=0.015))
+
+
+def changed(term: str, motion: BodyMotion, *, before: float, after: float, noise_m: float = 0.02) -> ObjectTracks:
+    """Tracks with an error of a term that has another size from the middle of the drive on."""
+    made = tracks(motion, noise_m=noise_m)
+    size = np.where(made.scan < SCANS // 2, before, after)[:, None]
+    return replace(made, points=made.points - size * _effects(made, motion)[:, :2, TERMS.index(term)])
+
+
+@pytest.mark.parametrize("term", ["yaw_rad", "turn_share", "length_share", "delay_s"])
+@pytest.mark.parametrize("before", [0.0, 0.1])
+def test_change_of_an_error_is_told_from_the_others(term, before):
+    motion = weaving()
+    change = find_change(changed(term, motion, before=before, after=before + 0.2), motion)
+    assert change is not None
+    assert (change.term, change.value) == (term, pytest.approx(0.2, abs=0.05))
+    assert abs(change.scan - SCANS // 2) < SCANS // corrections.BLOCKS
+
+
+def test_error_that_stays_or_explains_almost_nothing_is_no_change():
+    motion = weaving()
+    assert find_change(tracks(motion), motion) is None
+    assert find_change(changed("yaw_rad", motion, before=0.2, after=0.2), motion) is None
+    assert find_change(changed("yaw_rad", motion, before=0.0, after=0.01, noise_m=0.3), motion) is None
+
+
+def test_few_tracks_tell_no_change():
+    motion, made = weaving(), changed("yaw_rad", weaving(), before=0.0, after=0.2)
+    assert find_change(made.of(made.track < 2), motion) is None
 
 
 def test_turns_are_corrected_after_many_of_them():

@@ -295,6 +295,17 @@ def test_a_unit_is_sought_only_where_no_orientation_fits(monkeypatch):
     assert "odometry.length_scale" not in corrected
 
 
+def test_sensor_that_is_turned_on_the_way_is_told():
+    before, after = (turned_records(yaw_deg, scans=600, objects=60) for yaw_deg in (0.0, 20.0))
+    middle_ns = (before[0].stamp_ns + before[-1].stamp_ns) // 2
+    records = [a if a.stamp_ns < middle_ns else b for a, b in zip(before, after, strict=True)]
+    found = survey(records, ON_BODY)
+    assert survey(before, ON_BODY).change is None
+    assert found.change is not None
+    assert (found.change.term, found.change.value) == ("yaw_rad", pytest.approx(np.deg2rad(20.0), abs=0.05))
+    assert found.change_s == pytest.approx((middle_ns - before[0].stamp_ns) * 1e-9, rel=0.2)
+
+
 @pytest.mark.slow
 def test_angles_are_added_to_the_quarter_turn_of_the_sensor():
     """It hangs upside down, and the body pitches."""
