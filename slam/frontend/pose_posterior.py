@@ -145,7 +145,7 @@ class ModeSearch:
             elsewhere = _log_elsewhere(found) if component.is_anywhere else 0.0
             log_weight = float(np.logaddexp(log_weight, np.log(component.weight) + elsewhere))
             for mode in found:
-                key = mode.assignment.landmark_rows.tobytes()
+                key = np.maximum(mode.assignment.landmark_rows, NEW).tobytes()
                 if key not in best or best[key].log_weight < mode.log_weight:
                     best[key] = mode
         nowhere = Mode(components[0].T_motion, self._common, components[0], log_weight, none)

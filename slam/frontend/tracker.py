@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -77,20 +78,19 @@ class Tracker:
         self._map = object_map
         self._scans, self._slips = PRIOR_SCANS, 1
         self._failures = 0
-        self._stamp_ns = 0
-        self._T_local_body: FloatArray | None = None
+        self._lost = deque[tuple[Tracked, OdometryPose]](maxlen=WAITED_SCANS)
+        # Stamps [ns] and poses of the body at the scans placed since the last restart.
+        self._path = deque[tuple[int, FloatArray]](maxlen=RECENT_STEPS + 1)
         self._T_odom_body: FloatArray | None = None
-        self._speeds = deque([np.zeros(2)], maxlen=RECENT_STEPS)  # rad/s, m/s
-        self._velocity = np.eye(4), 1.0  # a motion of the body, and how many seconds it took
 
     @property
     def is_tracking(self) -> bool:
         """Whether scans have been placed since the last restart, and landmarks are active."""
-        return self._T_local_body is not None and len(self.active.rows) > 1
+        return len(self._path) > 0 and len(self.active.rows) > 1
 
     def restart(self) -> None:
         """Forget the motion, as after a discontinuity of the odometry."""
-        self._T_local_body = None
+        self._path.clear()
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to, and
@@ -111,17 +111,23 @@ class Tracker:
         is_lost = is_failing
         is_ambiguous = tracked.assignment.is_contested and tracked.assignment.is_uncertain
         if len(self.active.rows) > 1 and (is_failing or is_ambiguous):
-            search = self._search_of(tracked)
+            gathered = self._gathered(tracked, pose, self._lost if is_failing else ())
+            search = self._search_of(gathered)
             if is_failing or search.is_pose_uncertain:
                 modes = search.modes(self._components(pose, is_failing=is_failing))
-                sure = self._sure_mode(tracked, modes)
+                sure = self._sure_mode(gathered, modes)
                 is_lost = is_failing and sure is None
                 tracked = self._decided(tracked, modes, sure)
         if is_lost and self._failures <= WAITED_SCANS:
             rows = tracked.assignment.landmark_rows
             undecided = replace(tracked.assignment, landmark_rows=np.where(rows == NEW, AMBIGUOUS, rows))
             tracked = replace(tracked, assignment=undecided)
-        return replace(tracked, is_lost=is_lost)
+        tracked = replace(tracked, is_lost=is_lost)
+        if is_lost:
+            self._lost.append((tracked, pose))
+        else:
+            self._lost.clear()
+        return tracked
 
     def rejoin(self, scan: Scan, pose: OdometryPose, untold: Sequence[tuple[Tracked, OdometryPose]]) -> Tracked:
         """The same for a ``pose`` after a step that no body can have made; lost where the detections do not tell.
@@ -143,7 +149,6 @@ class Tracker:
         if mode is None:
             return replace(tracked, is_lost=True)
         moved = self._shifted(tracked, mode)
-        moved = replace(moved, assignment=moved.assignment.of(len(tracked.labels)))
         T_odom = rigid(self.active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
         moved = replace(moved, correction=Correction(T_odom, moved.correction.variances))
@@ -169,11 +174,13 @@ class Tracker:
         return replace(tracked, seen=tracked.scan.seen_from(self.active.T_local_body))
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
-        """The pose if the body has gone on as before."""
+        """The pose if the body has gone on as in the last interval between scans, which may come in bursts."""
         assert self._T_odom_body is not None
-        step, took_s = self._velocity
-        seconds = (pose.stamp_ns - self._stamp_ns) * 1e-9
-        T_step = blend(np.eye(4), step, seconds / took_s)
+        now_ns, T_now = self._path[-1]
+        interval_ns = (now_ns - self._path[0][0]) / max(len(self._path) - 1, 1)
+        before_ns, T_before = next(each for each in reversed(self._path) if now_ns - each[0] >= interval_ns)
+        took_ns = max(now_ns - before_ns, 1)
+        T_step = blend(np.eye(4), relative(T_before, T_now), (pose.stamp_ns - now_ns) / took_ns)
         return replace(pose, T_odom_body=self._T_odom_body @ T_step)
 
     def _associated(self, scan: Scan) -> Tracked:
@@ -213,7 +220,7 @@ class Tracker:
         components = [PriorComponent(1.0 - slips, np.zeros((6, 6)))]
         if is_failing or self._slips > 1:
             components.append(PriorComponent(slips, self._slip(pose.stamp_ns, *self._odometry_step(pose))))
-        if is_failing and self._T_local_body is not None:
+        if is_failing and self._path:
             T_expected = self.active.T_local_odom @ self._expected(pose).T_odom_body
             T_motion = T_expected @ invert(self.active.T_local_body)
             components.append(PriorComponent(JUMP_PROBABILITY, self._slip(pose.stamp_ns, 0.0, 0.0), T_motion))
@@ -230,9 +237,13 @@ class Tracker:
         return float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))
 
     def _slip(self, stamp_ns: int, turn_rad: float, length_m: float) -> FloatArray:
-        """Covariance (6, 6) of an error as large as the motion since the last scan."""
-        speeds = np.max(self._speeds, axis=0, initial=0.0)
-        turn, shift = np.maximum([turn_rad, length_m], speeds * (stamp_ns - self._stamp_ns) * 1e-9)
+        """Covariance (6, 6) of an error as large as the motion since the last scan, at the recent speed."""
+        share = 0.0
+        if len(self._path) > 1:
+            share = (stamp_ns - self._path[-1][0]) / max(self._path[-1][0] - self._path[0][0], 1)
+        steps = [relative(before, after) for (_, before), (_, after) in pairwise(self._path)]
+        turn = max(turn_rad, share * sum(float(rotation_angle_rad(step)) for step in steps))
+        shift = max(length_m, share * sum(float(np.linalg.norm(step[:3, 3])) for step in steps))
         return np.diag(np.repeat([turn**2 + 1e-8, shift**2 + 1e-8], 3))
 
     def _anywhere(self, weight: float) -> PriorComponent:
@@ -249,12 +260,15 @@ class Tracker:
             return self._shifted(tracked, sure)
         weights, best = probabilities(modes), modes[0]
         # A detection that another mode takes for another landmark waits for scans that decide.
-        pairs = np.array([mode.assignment.landmark_rows for mode in modes])
+        count = len(tracked.labels)
+        pairs = np.array([mode.assignment.landmark_rows[:count] for mode in modes])
         agrees = ((pairs == pairs[0]) * weights[:, None]).sum(axis=0)
         contradicts = (((pairs != pairs[0]) & (pairs >= 0)) * weights[:, None]).sum(axis=0)
         is_sure = contradicts <= (1.0 - DECIDED) * (agrees + contradicts)
-        rows = np.where(is_sure, best.assignment.landmark_rows, AMBIGUOUS)
-        ratios = np.where(rows >= 0, best.assignment.log_likelihood_ratios, 0.0)
+        # What it matches elsewhere than at the predicted pose would be taken for an error of the landmarks.
+        is_elsewhere = bool(best.component.added.any())
+        rows = np.where(is_sure & (not is_elsewhere), pairs[0], AMBIGUOUS)
+        ratios = np.where(rows >= 0, best.assignment.log_likelihood_ratios[:count], 0.0)
         assignment = replace(tracked.assignment, landmark_rows=rows, log_likelihood_ratios=ratios)
         return replace(tracked, assignment=assignment)
 
@@ -280,7 +294,8 @@ class Tracker:
         tilt, heading, position = np.diagonal(mode.covariance)[[0, 2, 3]]
         variances = np.array([position + shift_m2, tilt + turn_rad2, heading + turn_rad2])
         seen = tracked.scan.seen_from(self.active.T_local_body)
-        return replace(tracked, seen=seen, assignment=mode.assignment, correction=Correction(T_odom, variances))
+        assignment = mode.assignment.of(len(tracked.labels))
+        return replace(tracked, seen=seen, assignment=assignment, correction=Correction(T_odom, variances))
 
     def _with_expected_noise(self, tracked: Tracked) -> Tracked:
         """The scan with the noise of detections by the ranges of their landmarks."""
@@ -297,12 +312,6 @@ class Tracker:
         self.active.update(rows, tracked.scan.of(known), is_uncertain=is_uncertain)
 
     def _follow(self, stamp_ns: int) -> None:
-        """Remember the pose, corrected by the landmarks, and its velocity."""
-        T, before = self.active.T_local_body, self._T_local_body
-        seconds = (stamp_ns - self._stamp_ns) * 1e-9
-        if before is not None and seconds > 0.0:
-            step = relative(before, T)
-            self._velocity = step, seconds
-            motion = np.array([float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))])
-            self._speeds.append(motion / seconds)
-        self._stamp_ns, self._T_local_body, self._T_odom_body = stamp_ns, T, self.active.T_odom_body
+        """Remember the pose, corrected by the landmarks."""
+        self._path.append((stamp_ns, self.active.T_local_body))
+        self._T_odom_body = self.active.T_odom_body

@@ -29,37 +29,59 @@ def forest(count: int = 60, seed: int = 0) -> FloatArray:
     return np.column_stack([rng.uniform([-20.0, -20.0], [50.0, 20.0], (count, 2)), np.zeros(count)])
 
 
-def T_true(step: int) -> FloatArray:
+def T_true(step: float) -> FloatArray:
     """A gentle curve at 5 m/s, ten scans a second."""
     return pose_at(STEP_M * step, 0.01 * STEP_M * step**1.5, yaw=0.01 * step)
 
 
 class Drive:
-    """A mapper and scans with noise; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
+    """A mapper and scans with noise; ``T_fault`` (4, 4) leads from the true frame to that of the odometry.
 
-    def __init__(self, objects: FloatArray, *, range_m: float = RANGE_M) -> None:
-        config = Config.model_validate({"calibration": {"detection": {"common_sigma_m": 0.0}}})
-        self.objects, self.rng, self.range_m = objects, np.random.default_rng(0), range_m
+    ``bursts``: scans come in pairs, the second one a hundredth of a step after the first. ``spacing_m``: of objects of
+    a class; where it is given, labels are identities.
+    """
+
+    def __init__(
+        self, objects: FloatArray, *, range_m: float = RANGE_M, bursts: bool = False, spacing_m: float | None = None
+    ) -> None:
+        given: dict[str, dict[str, float]] = {"detection": {"common_sigma_m": 0.0}}
+        if spacing_m is not None:
+            given["objects"] = {"spacing_m": spacing_m}
+        config = Config.model_validate({"calibration": given})
+        self.are_identities = spacing_m is not None
+        self.objects, self.rng, self.range_m, self.bursts = objects, np.random.default_rng(0), range_m, bursts
         object_map = ObjectMap(config.calibration.objects)
         self.mapper = Mapper(config, object_map, FactorGraph())
         self.object_of: dict[int, int] = {}  # of each landmark
         self.T_fault, self.step, self.corrections = np.eye(4), 0, 0
         self.mapper.add_odometry(self.pose())
 
+    def time(self, step: int) -> float:
+        """In steps."""
+        return step - 0.99 * (step % 2) if self.bursts else step
+
+    def T_body(self, ahead: int = 0) -> FloatArray:
+        """The true pose at the step, or so many after it."""
+        return T_true(self.time(self.step + ahead))
+
+    def stamp_ns(self) -> int:
+        return round(self.time(self.step) * STEP_NS)
+
     def pose(self, segment: int = 0) -> OdometryPose:
-        T = self.T_fault @ T_true(self.step)
-        return OdometryPose(self.step * STEP_NS, T, STEP_M * self.step, segment, 5.0)
+        T = self.T_fault @ self.T_body()
+        return OdometryPose(self.stamp_ns(), T, STEP_M * self.time(self.step), segment, 5.0)
 
     def seen(self) -> IntArray:
         """The objects in range."""
-        return np.flatnonzero(np.linalg.norm(self.objects - T_true(self.step)[:3, 3], axis=1) < self.range_m)
+        return np.flatnonzero(np.linalg.norm(self.objects - self.T_body()[:3, 3], axis=1) < self.range_m)
 
     def scan(self, which: IntArray) -> Scan:
-        positions = apply(invert(T_true(self.step)), self.objects[which])
+        positions = apply(invert(self.T_body()), self.objects[which])
         positions += self.rng.normal(scale=SIGMA_M, size=positions.shape)
         used = np.ones(len(which), dtype=np.bool_)
         P = np.tile(SIGMA_M**2 * np.eye(3), (len(which), 1, 1))
-        return Scan(self.step * STEP_NS, "lidar", positions, P, ("tree",) * len(which), used, used)
+        labels = tuple(f"tag {each}" if self.are_identities else "tree" for each in which.tolist())
+        return Scan(self.stamp_ns(), "lidar", positions, P, labels, used, used)
 
     def located(self, which: IntArray | None = None) -> Tracked:
         """The next scan, tracked and mapped."""
@@ -90,10 +112,14 @@ class Drive:
         """So many steps; ``fault`` (4, 4) is added to the odometry at each, in the frame of the body."""
         found = []
         for step in range(steps):
-            body = T_true(self.step + 1)
-            self.T_fault = self.T_fault @ body @ fault(step) @ invert(body)
+            self.err(fault(step))
             found.append(self.located())
         return found
+
+    def err(self, T_error: FloatArray) -> None:
+        """Add an error (4, 4) to the odometry at the next scan, in the frame of the body."""
+        body = self.T_body(1)
+        self.T_fault = self.T_fault @ body @ T_error @ invert(body)
 
     def wrong_pairs(self, tracked: Tracked, which: IntArray) -> int:
         """Detections with another object's landmark."""
@@ -104,7 +130,7 @@ class Drive:
 
     def error(self) -> tuple[float, float]:
         """How far the odometry as corrected is from the truth, in metres and radians."""
-        left = relative(T_true(self.step), self.pose().T_odom_body)
+        left = relative(self.T_body(), self.pose().T_odom_body)
         return float(np.linalg.norm(left[:3, 3])), float(rotation_angle_rad(left))
 
 
@@ -139,6 +165,32 @@ def test_jump_of_the_odometry_is_corrected(x: float, y: float, yaw: float) -> No
     assert heading >= 0.9 * yaw**2
 
 
+def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
+    """The speed within a burst is that of the noise of its scans."""
+    drive = Drive(forest(), bursts=True)
+    drive.drive(15)
+    drive.err(pose_at(yaw=1.5))
+    near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))[:4]
+    tracked = drive.located(near)
+    assert drive.corrections == 1
+    assert known(tracked) == 1.0
+    assert drive.wrong_pairs(tracked, near) == 0
+
+
+def test_scans_that_do_not_fit_are_decided_together() -> None:
+    """Each has one object, which tells too little by itself."""
+    drive = Drive(forest(), spacing_m=1e6)
+    drive.drive(15)
+    drive.err(pose_at(yaw=1.5))
+    near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))
+    before = len(drive.object_of)
+    for each in near[:3].tolist():
+        drive.located(np.array([each]))
+    assert drive.corrections == 1
+    assert len(drive.object_of) == before
+    assert drive.error()[1] < 0.1
+
+
 def test_frozen_odometry_is_corrected_scan_by_scan() -> None:
     drive = Drive(forest())
     drive.drive(15)
@@ -153,8 +205,7 @@ def test_error_while_nothing_was_in_view_is_corrected() -> None:
     drive = Drive(forest())
     drive.drive(12)
     turn = pose_at(0.3, 0.3, yaw=0.2)
-    body = T_true(drive.step + 1)
-    drive.T_fault = drive.T_fault @ body @ turn @ invert(body)
+    drive.err(turn)
     drive.located(np.zeros(0, dtype=np.int64))
     found = drive.drive(8)
     assert drive.corrections == 1
@@ -212,8 +263,7 @@ def test_gap_over_which_the_odometry_was_right_is_rejoined() -> None:
 def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
     drive = Drive(forest())
     drive.drive(12)
-    body = T_true(drive.step + 1)
-    drive.T_fault = body @ pose_at(yaw=2.5) @ invert(body)
+    drive.err(pose_at(yaw=2.5))
     assert not drive.rejoined().is_lost
     assert drive.error()[0] < 0.2
     assert drive.error()[1] < 0.02
