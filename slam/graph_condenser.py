@@ -98,7 +98,7 @@ class GraphCondenser:
         settled_m = min(self._closures.settled_before_m(now_m), now_m - self._min_travel_m)
         return find_anchors(
             [
-                (each.keyframe, self._map.canonical_id(each.landmark))
+                (each.keyframe, self._map.canonical[each.landmark])
                 for each in self._graph.factors.values()
                 if isinstance(each, Observation)
             ],

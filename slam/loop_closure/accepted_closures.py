@@ -14,9 +14,7 @@ from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.common.arrays import BoolArray
 from slam.common.config import Config
-from slam.common.union_find import UnionFind
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -50,7 +48,7 @@ class AcceptedClosures:
         self._trusted_after_m = 2.0 * config.sensor_range_m
         self._min_travel_m = config.closure_travel_m
         self._map, self._graph, self._keyframes = object_map, graph, keyframes
-        self._segments = UnionFind()  # of the odometry; those that closures connect are a set, named by the first one
+        self._components: dict[int, int] = {}  # the first of the segments that closures connect with a segment
         self.closed: dict[int, int] = {}
         """Query and reference keyframe of each."""
         self.tracked: dict[int, int] = {}
@@ -151,7 +149,7 @@ class AcceptedClosures:
         else:
             away = {each.id for each in self._keyframes if self._component_of(each.id) == moved}
             factor = self._graph.add_joining_edge(edge, away)
-            self._segments.merge(kept, moved)
+            self._connect(kept, moved)
         for query, reference in candidate.pairs.tolist():
             if self._may_merge(query, reference):
                 self._map.merge(reference, query, closure=factor)
@@ -170,24 +168,26 @@ class AcceptedClosures:
             self._graph.remove_factor(factor)
         self._map.undo_merges(gone)
         self._graph.alias_landmarks(self._map.aliases)
-        self._segments = UnionFind()
+        self._components = {}
         for candidate in self._across_breaks:
-            self._segments.merge(*sorted(map(self._component_of, (candidate.reference.id, candidate.query.id))))
+            self._connect(*sorted(map(self._component_of, (candidate.reference.id, candidate.query.id))))
+
+    def _connect(self, kept: int, moved: int) -> None:
+        """Make one component of two."""
+        of_moved = [segment for segment, component in self._components.items() if component == moved]
+        self._components |= dict.fromkeys([moved, *of_moved], kept)
 
     def _component_of(self, keyframe: int) -> int:
         """The first of the segments that are connected with that of a keyframe."""
-        return self._segments.find(self._keyframes[keyframe].odometry.segment)
+        segment = self._keyframes[keyframe].odometry.segment
+        return self._components.get(segment, segment)
 
     def _may_merge(self, query: int, reference: int) -> bool:
         """Whether the query landmark is not merged, and neither landmark is of both traversals."""
-        kept = self._map.canonical_id(reference)
-        if self._map.canonical_id(query) != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
+        canonical, travel_m = self._map.canonical, self._map.rows["last_seen_travel_m"]
+        kept = canonical[reference]
+        if canonical[query] != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
             return False
+        in_traversal = np.abs(travel_m - travel_m[query]) < self._min_travel_m
         # Two landmarks of one traversal are two objects; one that stands for two traversals is not merged into a third.
-        is_of_both = self._in_traversal(query, [kept, *self._map.absorbed(kept)]).any()
-        return not is_of_both and bool(self._in_traversal(query, self._map.absorbed(query)).all())
-
-    def _in_traversal(self, landmark: int, others: list[int]) -> BoolArray:
-        """Which other landmarks (N,) were last seen on the same traversal as a landmark."""
-        travel_m = self._map.rows["last_seen_travel_m"]
-        return np.asarray(np.abs(travel_m[others] - travel_m[landmark]) < self._min_travel_m)
+        return bool(in_traversal[canonical == query].all() and not in_traversal[canonical == kept].any())

@@ -8,11 +8,12 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.union_find import find_components
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
@@ -29,10 +30,11 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
 
 
 def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
-    """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
-    row_of = {int(keyframe): row for row, keyframe in enumerate(graph.keyframe_ids)}
-    ends = np.array([row_of[int(keyframe)] for keyframe in graph.edge_keyframe_ids[counts].ravel()], dtype=np.int64)
-    return find_components(len(row_of), ends.reshape(-1, 2))
+    """The number (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
+    order = np.argsort(graph.keyframe_ids)
+    ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
+    size = len(graph.keyframe_ids)
+    return connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=(size, size)), directed=False)[1]
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:

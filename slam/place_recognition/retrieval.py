@@ -62,18 +62,11 @@ class PlaceRetriever:
             behind &= landmarks["segment"] != SEGMENT
         for segment in np.unique(landmarks["segment"][behind]):
             new = np.flatnonzero(behind & (landmarks["segment"] == segment))
-            often = self._is_well_indexed(new)
+            counts = np.bincount(self._map.canonical[self._rows], minlength=len(self._map))
+            often = counts[self._map.canonical[new]] >= INDEXED_TRAVERSALS
             self._left_out = np.concatenate([self._left_out, new[often]])
             if not often.all():
                 self._enter(new[~often], int(segment))
-
-    def _is_well_indexed(self, new: IntArray) -> BoolArray:
-        """Which landmarks (N,) are indexed as ``INDEXED_TRAVERSALS`` of earlier traversals."""
-        indexed = np.zeros(len(self._map), dtype=np.bool_)
-        indexed[self._rows] = True
-        kept = [self._map.canonical_id(row) for row in new.tolist()]
-        counts = [np.count_nonzero(indexed[[row, *self._map.absorbed(row)]]) for row in kept]
-        return np.array(counts, dtype=np.int64) >= INDEXED_TRAVERSALS
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows

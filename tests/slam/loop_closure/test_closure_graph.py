@@ -96,7 +96,7 @@ class Street:
         self.closures._remove([self.accepted[number]])
 
     def names(self) -> list[int]:
-        return [self.map.canonical_id(row) for row in range(len(self.map))]
+        return self.map.canonical.tolist()
 
     def facts(self) -> dict[str, object]:
         """All that the records of the map and the graph say, in an order of its own, estimates apart."""
