@@ -200,7 +200,7 @@ class ObjectMap:
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> list[int]:
         """Retire landmarks and all that were merged into them; returns the rows of all these, ascending."""
-        ended = np.union1d(rows, np.flatnonzero(np.isin(self.canonical, rows))).tolist()
+        ended: list[int] = np.union1d(rows, np.flatnonzero(np.isin(self.canonical, rows))).tolist()
         self._rows["state"][ended] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(ended, reason.value))
         return ended

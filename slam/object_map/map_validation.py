@@ -34,7 +34,8 @@ def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
     order = np.argsort(graph.keyframe_ids)
     ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
     size = len(graph.keyframe_ids)
-    return connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=(size, size)), directed=False)[1]
+    pairs = coo_array((np.ones(ends.shape[1]), ends), shape=(size, size))
+    return connected_components(pairs, directed=False)[1].astype(np.int64)
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
