@@ -23,7 +23,6 @@ from slam.backend.factors import (
 )
 from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import FactorGraphError
 
 
 class EditableGraph:
@@ -60,7 +59,8 @@ class EditableGraph:
     @property
     def landmarks(self) -> IntArray:
         """Ids (L,) of the landmarks that are estimated, ascending; those of a fixed map are constants and left out."""
-        return np.array(sorted(self._variables() - self._fixed_landmarks), dtype=np.int64)
+        variables = {self._variable_of(landmark) for landmark in self._observations}
+        return np.array(sorted(variables - self._fixed_landmarks), dtype=np.int64)
 
     def add_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Add a keyframe at a pose (4, 4), which edges have to tie to the others before the next update.
@@ -68,8 +68,6 @@ class EditableGraph:
         The first one has a prior, which fixes the map frame.
         """
         pose = checked_pose(T_map_body, f"keyframe {keyframe}")
-        if keyframe in self._keyframes:
-            raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
         prior = None if self._keyframes else prior_factor(keyframe, pose, self.prior_sigma_m)
         self._solver.insert(X(keyframe), pose, prior)
         self._keyframes[keyframe] = None
@@ -85,10 +83,9 @@ class EditableGraph:
 
         ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
-        between_factor(edge)  # refuses an edge before its keyframe is there
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
         self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
-        self._add(edge)
+        self.add_edge(edge)
 
     def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
         """Announce landmarks of a prior map; each enters the graph when something is merged into it.
@@ -105,8 +102,10 @@ class EditableGraph:
 
     def add_edge(self, edge: Edge) -> int:
         """Add a factor between two keyframes; returns its number."""
-        self._check_ends(edge)
-        return self._add(edge)
+        edge = self._attached.edge(edge)
+        factor, number = self._between_factor(edge), self._number(edge)
+        self._solver.add(number, factor)
+        return number
 
     def add_observations(self, observations: Sequence[Observation]) -> None:
         """Add factors between landmarks and the keyframes that observed them.
@@ -128,7 +127,7 @@ class EditableGraph:
                 or (isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY and each.to_keyframe == edge.to_keyframe)
             ]
         )
-        self._add(edge)
+        self.add_edge(edge)
 
     def remove_factor(self, number: int) -> None:
         """Remove a factor, and landmarks without any other observation."""
@@ -171,32 +170,14 @@ class EditableGraph:
             return self._fixed_poses[keyframe]
         return self._solver.pose(keyframe) if values is None else np.asarray(values.atPose3(X(keyframe)).matrix())
 
-    def _check_ends(self, edge: Edge) -> None:
-        for keyframe in (edge.from_keyframe, edge.to_keyframe):
-            if keyframe not in self._keyframes:
-                raise FactorGraphError(
-                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
-                )
-
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
         return self._aliases.get(landmark, landmark)
-
-    def _variables(self) -> set[int]:
-        """The landmarks that have a variable of their own."""
-        return {self._variable_of(landmark) for landmark in self._observations}
 
     def _number(self, record: Factor) -> int:
         self._next_factor += 1
         self._factors[self._next_factor - 1] = record
         return self._next_factor - 1
-
-    def _add(self, edge: Edge) -> int:
-        """Add an edge between keyframes that are there; returns its number."""
-        edge = self._attached.edge(edge)
-        factor, number = self._between_factor(edge), self._number(edge)
-        self._solver.add(number, factor)
-        return number
 
     def _insert(self, numbers: Sequence[int], factors: Sequence[gtsam.NonlinearFactor], positions: FloatArray) -> None:
         """Hand observations with these numbers to the solver; ``positions`` (N, 3) of new landmarks."""

@@ -78,7 +78,6 @@ class FactorGraph(EditableGraph):
         No solver would find there: to its robust kernel the edge would be as wrong as any, and an update with the edge
         before the segment is moved would bend both stretches towards each other.
         """
-        self._check_ends(edge)
         self.update()
         with gtsam_errors("the joining of two segments"):
             values = self._moved_estimate(edge, away)
@@ -197,7 +196,7 @@ class FactorGraph(EditableGraph):
             return
         moved = self._attached.edge(edge)
         if moved.from_keyframe != moved.to_keyframe:
-            self._add(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
+            self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
         """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
@@ -208,7 +207,6 @@ class FactorGraph(EditableGraph):
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
-        self._check_landmarks(landmarks)
         values = self._solver.values()
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
@@ -231,7 +229,6 @@ class FactorGraph(EditableGraph):
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
         self.update()
-        self._check_landmarks(landmarks)
         marginals = self._marginal_covariances()
         return np.array([marginals[L(landmark)] for landmark in landmarks.tolist()]).reshape(-1, 3, 3)
 
@@ -265,9 +262,3 @@ class FactorGraph(EditableGraph):
             with gtsam_errors("the marginal covariances"):
                 self._marginals = values, compute_marginals(self._solver.factors.values(), values)
         return self._marginals[1]
-
-    def _check_landmarks(self, landmarks: IntArray) -> None:
-        variables = self._variables()
-        for landmark in landmarks.tolist():
-            if landmark not in variables:
-                raise FactorGraphError(f"landmark {landmark} is not in the graph")

@@ -13,7 +13,6 @@ from gtsam.symbol_shorthand import X
 
 from slam.backend.gtsam_calls import first_line, graph_of, gtsam_errors
 from slam.common.arrays import FloatArray
-from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
 
@@ -61,23 +60,19 @@ class Solver:
         self._begin(None, values)
         for number, factor in factors.items():
             self.add(number, factor)
-        self._held = set(self._uses)
 
     def holds(self, key: int) -> bool:
-        """Whether a variable is there."""
-        return key in self._held
+        """Whether a factor is on a variable."""
+        return self._uses[key] > 0
 
     def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
-        """Add a variable with its initial value; one that was about to leave stays where it was.
+        """Add a variable with its initial value; one that left since the last update stays where it was.
 
         ``prior``: a factor on it; that of a landmark leaves with it.
         """
-        self._held.add(key)
         if prior is not None:
             self.add(-key, prior)
-        if key in self._leaving:
-            self._leaving.remove(key)
-        else:
+        if not (self.values().exists(key) if self._isam is None else self._isam.valueExists(key)):
             self._new_values.insert(key, value)
 
     def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
@@ -96,28 +91,18 @@ class Solver:
                 continue
             if self._uses[key] == 1 and -key in self._factors:
                 self.remove(-key)
-            elif not self._uses[key]:
-                self._held.remove(key)
-                if self._new_values.exists(key):
-                    self._new_values.erase(key)
-                else:
-                    self._leaving.add(key)
+            elif not self._uses[key] and self._new_values.exists(key):
+                self._new_values.erase(key)
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
         key = X(keyframe)
-        if key not in self._held:
-            raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
-        if self._new_values.exists(key):
-            return np.asarray(self._new_values.atPose3(key).matrix())
-        if keyframe not in self._poses:
-            with gtsam_errors(f"the estimate of keyframe {keyframe}"):
-                if self._values is not None:
-                    self._poses[keyframe] = self._values.atPose3(key)
-                else:
-                    assert self._isam is not None
-                    self._poses[keyframe] = self._isam.calculateEstimatePose3(key)
-        return np.asarray(self._poses[keyframe].matrix())
+        with gtsam_errors(f"the estimate of keyframe {keyframe}"):
+            if self._new_values.exists(key):
+                return np.asarray(self._new_values.atPose3(key).matrix())
+            if self._isam is None or self._values is not None:
+                return np.asarray(self.values().atPose3(key).matrix())
+            return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
 
     def values(self) -> gtsam.Values:
         """The estimate of all variables as of the last update; iSAM2 computes those that were not queried only here."""
@@ -180,9 +165,7 @@ class Solver:
     def _begin(self, isam: gtsam.ISAM2 | None, values: gtsam.Values | None) -> None:
         """Begin with an estimate of all variables: ``values``, or those of iSAM2."""
         self._isam, self._values = isam, values
-        self._poses: dict[int, gtsam.Pose3] = {}  # those queried since then
         self._new_values = gtsam.Values()
-        self._leaving = set[int]()
 
     def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
         """Put all factors into a new iSAM2.
