@@ -114,8 +114,7 @@ class EditableGraph:
         under-constrained.
         """
         seen = [self._attached.observation(each) for each in observations]
-        factors, positions = self._observation_factors(seen), self._positions_map(seen)
-        self._insert([self._number(each) for each in seen], factors, positions)
+        self._insert({self._number(each): each for each in seen})
 
     def break_before(self, edge: Edge) -> None:
         """Replace the odometry to a keyframe by an edge, and remove what was observed from there on."""
@@ -142,20 +141,18 @@ class EditableGraph:
 
         Observations of a landmark, earlier and later ones, count as those of the one that it was merged into.
         """
-        moved = [
-            number
+        moved = {
+            number: each
             for landmark, numbers in self._observations.items()
             if aliases.get(landmark, landmark) != self._variable_of(landmark)
             for number in numbers
-        ]
-        observations = [each for number in moved if isinstance(each := self._factors[number], Observation)]
+            if isinstance(each := self._factors[number], Observation)
+        }
         self._aliases = dict(aliases)
-        factors, positions = self._observation_factors(observations), self._positions_map(observations)
-        for number in moved:
+        for number, each in moved.items():
             self._solver.remove(number)
-        for landmark in {each.landmark: None for each in observations}:
-            del self._observations[landmark]
-        self._insert(moved, factors, positions)
+            self._observations.pop(each.landmark, None)
+        self._insert(moved)
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
@@ -179,13 +176,17 @@ class EditableGraph:
         self._factors[self._next_factor - 1] = record
         return self._next_factor - 1
 
-    def _insert(self, numbers: Sequence[int], factors: Sequence[gtsam.NonlinearFactor], positions: FloatArray) -> None:
-        """Hand observations with these numbers to the solver; ``positions`` (N, 3) of new landmarks."""
-        for number, factor, position in zip(numbers, factors, positions, strict=True):
-            observation = self._factors[number]
-            assert isinstance(observation, Observation)
-            self._observations.setdefault(observation.landmark, []).append(number)
-            variable = self._variable_of(observation.landmark)
+    def _insert(self, observations: Mapping[int, Observation]) -> None:
+        """Hand observations, by their numbers, to the solver; each is of the variable of its landmark."""
+        seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations.values()]
+        factors = observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
+        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in seen)}
+        T = np.array([poses[each.keyframe] for each in seen]).reshape(-1, 4, 4)
+        in_body = np.array([each.position for each in seen]).reshape(-1, 3, 1)
+        positions = (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
+        for (number, each), factor, position in zip(observations.items(), factors, positions, strict=True):
+            self._observations.setdefault(each.landmark, []).append(number)
+            variable = self._variable_of(each.landmark)
             if not self._solver.holds(L(variable)):
                 prior = self._known.get(variable)
                 self._solver.insert(L(variable), position if prior is None else prior.prior(), prior)
@@ -200,18 +201,6 @@ class EditableGraph:
                 remaining.remove(number)
                 if not remaining:
                     del self._observations[factor.landmark]
-
-    def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
-        """Positions (N, 3) m, map frame, of the landmarks by their observations (N,)."""
-        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
-        T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
-        positions = np.array([each.position for each in observations]).reshape(-1, 3, 1)
-        return np.asarray((T[:, :3, :3] @ positions)[..., 0] + T[:, :3, 3])
-
-    def _observation_factors(self, observations: Sequence[Observation]) -> list[gtsam.NonlinearFactor]:
-        """The solver's factors of observations, each of the variable of its landmark."""
-        seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations]
-        return observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
 
     def _between_factor(self, edge: Edge) -> gtsam.NonlinearFactor:
         """The solver's factor of an edge."""

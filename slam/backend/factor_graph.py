@@ -16,9 +16,8 @@ from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
 from slam.backend.graph_record import make_graph_record
-from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.observation_sums import summed
-from slam.backend.solver import Optimization
+from slam.backend.solver import Optimization, gtsam_errors
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError

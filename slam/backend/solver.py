@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.gtsam_calls import first_line, graph_of, gtsam_errors
 from slam.common.arrays import FloatArray
+from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
 
@@ -132,7 +134,7 @@ class Solver:
                     result = isam.update(graph_of(self._added.values()), self._new_values, removed)
                     self._take(isam, list(self._added), result)
             except RuntimeError as error:
-                logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
+                logger.info("the incremental update failed (%s); solving again with QR", _first_line(error))
                 # A failed update of iSAM2 has the new variables already.
                 values = self.values_with_new() if isam is None else isam.getLinearizationPoint()
                 self._solve_afresh(values, "QR")
@@ -202,3 +204,33 @@ def _values_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
         is_pose = gtsam.symbolChr(key) == ord("x")
         kept.insert(key, values.atPose3(key) if is_pose else values.atPoint3(key))
     return kept
+
+
+@contextmanager
+def gtsam_errors(what: str) -> Iterator[None]:
+    """Exceptions of GTSAM become a ``FactorGraphError``: ``what`` failed, with the keyframe or landmark it concerns."""
+    try:
+        yield
+    except (RuntimeError, ValueError, IndexError) as error:
+        raise FactorGraphError(f"{what} failed{_variable_in(str(error))}: {_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    """The first line of the message of an exception."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+
+
+def _variable_in(message: str) -> str:
+    """The keyframe or landmark that a GTSAM message names as a symbol, e.g. x12 or l7."""
+    found = re.search(r"\b([xl])(\d+)\b", message)
+    if found is None:
+        return ""
+    return f" at {'keyframe' if found[1] == 'x' else 'landmark'} {found[2]}"
+
+
+def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """A graph of factors, in their order."""
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    return graph

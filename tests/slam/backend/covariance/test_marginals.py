@@ -18,7 +18,7 @@ from slam.backend.factors import (
     observation_factors,
     prior_factor,
 )
-from slam.backend.gtsam_calls import graph_of
+from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
 from tests.slam.backend.graphs import PLAIN, edge, noisy_edges, sightings, true_landmarks, true_poses
