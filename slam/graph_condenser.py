@@ -75,8 +75,8 @@ class GraphCondenser:
     def fuse_landmarks(self) -> None:
         """Fuse duplicate landmarks at the optimum."""
         self._graph.optimize(roughly=True)
-        nearby = self._closures.keyframes_nearby()
-        fused = fuse_duplicate_landmarks(self._map, self._graph, nearby, radius_m=self._radius_m)
+        localized = self._closures.localized_keyframes()
+        fused = fuse_duplicate_landmarks(self._map, self._graph, localized, radius_m=self._radius_m)
         self._counters["landmarks_fused"] += fused
 
     def _condense(self, anchors: dict[int, int]) -> None:

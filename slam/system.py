@@ -176,8 +176,9 @@ class Slam:
         return optimization
 
     def _passed_landmarks(self) -> IntArray:
-        """Those of the prior map that this drive passed."""
-        near = [keyframe for keyframe in self._closer.closures.keyframes_nearby() if keyframe >= self._first_keyframe]
+        """Those of the prior map that this drive passed, where it closed loops."""
+        closures = self._closer.closures
+        near = sorted(closures.localized_keyframes() & closures.closed.keys())
         places = self._graph.poses(np.array(near, dtype=np.int64))[:, :3, 3]
         return find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m)
 

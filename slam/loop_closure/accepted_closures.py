@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
@@ -41,7 +40,6 @@ class AcceptedClosures:
     def __init__(
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
     ) -> None:
-        self._propagation_distance_m = config.propagation_distance_m
         # Least travel between two closures that become factors.
         self._insert_travel_m = 2.0 / 3.0 * config.sensor_range_m
         # A relocalization that stayed consistent over that travel is taken to be true.
@@ -51,30 +49,15 @@ class AcceptedClosures:
         self._components: dict[int, int] = {}  # the first of the segments that closures connect with a segment
         self.closed: dict[int, int] = {}
         """Query and reference keyframe of each."""
-        self.tracked: dict[int, int] = {}
-        """The same of places that were recognised by landmarks still associated: there is no loop to close."""
         self._accepted: list[Accepted] = []
 
     def is_localized(self, keyframe: Keyframe) -> bool:
         """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
         return self._component_of(0) == self._component_of(keyframe.id)
 
-    def keyframes_nearby(self) -> set[int]:
-        """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
-        landmarks still associated: their positions can be compared.
-        """
-        ends = np.unique(np.array([*self.closed.items(), *self.tracked.items()], dtype=np.int64))
-        segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
-        near: set[int] = set()
-        for segment in np.unique(segments[ends]).tolist():
-            members = np.flatnonzero(segments == segment)
-            of_segment = [self._keyframes[row] for row in members.tolist()]
-            along = np.array([[keyframe.odometry.travel_m] for keyframe in of_segment])
-            if of_segment[0].is_prior:  # those have positions and no travel
-                along = np.stack([keyframe.T_local_body[:2, 3] for keyframe in of_segment])
-            distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
-            near.update(members[distances_m <= self._propagation_distance_m].tolist())
-        return {row for row in near if self.is_localized(self._keyframes[row])}
+    def localized_keyframes(self) -> set[int]:
+        """The keyframes that are localized: what they saw can be compared."""
+        return {each.id for each in self._keyframes if self.is_localized(each)}
 
     def add(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one nearby represents it."""
@@ -102,7 +85,6 @@ class AcceptedClosures:
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
-        self.tracked = {query: reference for query, reference in self.tracked.items() if query < since}
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
         revoked = [each for each in self._accepted if max(each.candidate.query.id, each.represented_by) >= since]
         self._remove(revoked)

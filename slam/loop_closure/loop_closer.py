@@ -114,21 +114,14 @@ class LoopCloser:
             return Outcome([record], query.travel_m - self._sensor_range_m)
         if (propagated := self._confirmed(predicted)) is not None:
             return Outcome([self._accept(propagated)])
-        # 2. Where landmarks of an earlier traversal are still associated there is no loop to close, ...
-        records = list[LoopClosureRecord]()
-        if (tracked := self._tracked_place(query)) is not None:
-            records.append(tracked)
-            if len(query.submap) < MIN_INLIERS:
-                return Outcome(records)
-        # 3. ... unless there are enough others. Retrieval proposes places.
+        # 2. Elsewhere retrieval proposes places.
         if (alike := self._looked_up_alike(query)) is not None:
             refusal = query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")
-            return Outcome([*records, refusal])
+            return Outcome([refusal])
         self._looked_up = query
-        # 4. The candidate with the highest score is accepted or rejected.
+        # 3. The candidate with the highest score is accepted or rejected.
         decision = self._acceptance.decide(*self._look_up(query, initial_pose))
-        records += decision.rejected
-        best = decision.accepted
+        records, best = [*decision.rejected], decision.accepted
         if best is None:
             return Outcome(records)
         if self._has_prior_map and predicted is not None and self._is_elsewhere(predicted, best):
@@ -159,34 +152,13 @@ class LoopCloser:
         began_m = self._keyframes[first].odometry.travel_m if first else -np.inf
         before_m = max(pose.travel_m - self._config.closure_travel_m, began_m)
         around = recent_submap(self._map, keyframe, self._config.calibration)
+        # Those of an earlier traversal that are still associated would match themselves.
         is_new = self._map.rows["first_seen_travel_m"][around.rows] >= before_m
-        tracked = int(np.count_nonzero(~is_new))
-        query = Query(keyframe, around.of(is_new), gravity_frame(keyframe.T_local_body), before_m, tracked)
+        query = Query(keyframe, around.of(is_new), gravity_frame(keyframe.T_local_body), before_m)
         self._recent.append(query)
         while self._recent[0].travel_m < pose.travel_m - self._config.propagation_distance_m:
             self._recent.popleft()
         return query
-
-    def _tracked_place(self, query: Query) -> LoopClosureRecord | None:
-        """The record of the nearest keyframe of the earlier traversal that most landmarks around are from, still
-        associated.
-
-        None if they are too few for a pose, or the robot is lost, so that they do not tell where it is.
-        """
-        keyframe = query.keyframe
-        is_known = query.tracked >= max(MIN_INLIERS, len(query.submap) + 1)
-        if not is_known or not self.closures.is_localized(keyframe):
-            return None
-        place, segment = query.T_local_gravity[:3, 3], keyframe.odometry.segment
-        found = self._track.nearest(place, segment=segment, from_m=-np.inf, to_m=query.before_m)
-        if found is None:
-            return None
-        reference = self._keyframes[found[0]]
-        self.closures.tracked[keyframe.id] = reference.id
-        reason = "its landmarks are still associated: there is no loop to close"
-        T_reference_query = invert(reference.T_local_body) @ keyframe.T_local_body
-        refusal = query.refusal(Stage.ASSOCIATION, reason, reference)
-        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
 
     def _predict(self, seed: Candidate | None, query: Query) -> Predicted | None:
         """What a closure predicts for a query; None without one that is near enough."""

@@ -54,7 +54,6 @@ class Parts(Patterns):
         self.is_connected = True
         self.kidnapped_after_m: float | None = None
         self.closed: dict[int, int] = {}
-        self.tracked: dict[int, int] = {}
 
     def recent_submap(self, *_: Any) -> Submap:
         self.first_row += self.new_rows
@@ -197,41 +196,6 @@ def test_landmarks_of_an_earlier_traversal_are_no_part_of_a_query(parts):
     drive.map.rows["first_seen_travel_m"][[0, 3, 4]] = 10.0
     drive.close(FIRST)
     assert [query.submap.rows.tolist() for query in parts.queries] == [[1, 2, 5, 6, 7, 8, 9]]
-
-
-@pytest.mark.parametrize(
-    ("objects", "count", "stages"),
-    [
-        pytest.param(10, 5, ["accepted"], id="half of the landmarks are of this traversal"),
-        pytest.param(10, 10 - MIN_INLIERS, ["association", "accepted"], id="enough are of this traversal for a pose"),
-        pytest.param(10, 11 - MIN_INLIERS, ["association"], id="too few are of this traversal for a pose"),
-        pytest.param(MIN_INLIERS, MIN_INLIERS - 1, ["retrieval"], id="too few are of either for a pose"),
-        pytest.param(MIN_INLIERS, MIN_INLIERS, ["association"], id="all are of the earlier one"),
-    ],
-)
-def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts, objects, count, stages):
-    drive = Drive(parts)
-    parts.objects = objects
-    parts.llrs, parts.new_rows = {FIRST: WEAK_LLR, FIRST + 1: SURE_LLR}, 10
-    assert accepted(drive.close(FIRST)) == {}
-    parts.new_rows = 0
-    parts.first_row = 0
-    drive.map.rows["first_seen_travel_m"][:count] = 10.0
-    records = drive.close(FIRST + 1)
-    assert [record.stage for record in records] == stages
-    is_known = stages[0] == "association"
-    nearest = (STEP_M * (FIRST + 1) - 100.0) / STEP_M - 1  # all stand along one street
-    assert parts.tracked == ({FIRST + 1: nearest} if is_known else {})
-    if is_known:
-        np.testing.assert_allclose(records[0].T_reference_query, at(STEP_M * (FIRST + 1 - nearest)))
-
-
-def test_landmarks_that_a_lost_robot_has_seen_for_long_do_not_tell_where_it_is(parts):
-    drive = Drive(parts)
-    parts.is_connected = False
-    drive.map.rows["first_seen_travel_m"] = 10.0
-    parts.llrs = {FIRST: SURE_LLR}
-    assert accepted(drive.close(FIRST)) == {FIRST: None}
 
 
 def test_a_closure_predicts_no_keyframe_far_before_it(parts):

@@ -61,9 +61,6 @@ PARTS: dict[str, Part] = {
     "existence of landmarks": Part(
         replaced={"slam.frontend.mapper.which_exist": lambda landmarks, seen, scan: np.ones(len(seen), dtype=np.bool_)}
     ),
-    "tracked places": Part(
-        replaced={"slam.loop_closure.loop_closer.LoopCloser._tracked_place": lambda self, query: None}
-    ),
     "association after a loop": Part(
         replaced={
             "slam.loop_closure.accepted_closures.AcceptedClosures._may_merge": lambda *each: False,
