@@ -324,7 +324,7 @@ def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: 
     return LocalizationRecord(
         stamp_ns,
         state.value,
-        1.0 if state == State.LOST else closer.kidnapping_probability,
+        1.0 if state == State.LOST else closer.continuity.kidnapping_probability,
         tuple(ratios),
         np.array(list(ratios.values())),
         active.pose_covariance,

@@ -19,7 +19,7 @@ from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.geometry import invert
-from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
+from slam.localization.continuity_monitor import ContinuityMonitor
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
@@ -80,17 +80,12 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self._continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
+        self.continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
         self._seed: Candidate | None = None  # the last accepted closure, which predicts the next ones
         self._recent: deque[Query] = deque()  # those that a closure may predict
         self._looked_up: Query | None = None
-
-    @property
-    def kidnapping_probability(self) -> float:
-        """Probability of a recent kidnapping, by the landmarks around."""
-        return self._continuity.kidnapping_probability
 
     def close(self, keyframe: Keyframe, initial_pose: InitialPose | None = None) -> Outcome:
         """Look for loops at the newest keyframe.
@@ -100,8 +95,7 @@ class LoopCloser:
         self._track.add(keyframe)
         self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
-        seen = recent_landmarks(self._map, keyframe.odometry, self._continuity.memory_m)
-        kidnapped_after_m = self._continuity.update(keyframe, seen)
+        kidnapped_after_m = self.continuity.update(keyframe, self._map)
         if kidnapped_after_m is not None:
             reason = "kidnapped: other landmarks are in view than a moment ago"
             return Outcome([query.refusal(Stage.CONSISTENCY, reason)], kidnapped_after_m)
@@ -137,7 +131,7 @@ class LoopCloser:
         """
         self._seed = self._looked_up = None
         self._recent.clear()
-        self._continuity.restart()
+        self.continuity.restart()
         return self.closures.revoke_since(keyframe, since)
 
     def begin_segment(self, first: int) -> None:

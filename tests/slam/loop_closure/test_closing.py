@@ -116,7 +116,6 @@ class Parts(Patterns):
         return [], True
 
     # Continuity monitor.
-    memory_m = 60.0
 
     def update(self, *arguments: Any) -> float | None:
         return self.kidnapped_after_m
@@ -139,7 +138,6 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
     parts = Parts()
     for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "ContinuityMonitor", "Acceptance"):
         monkeypatch.setattr(module, name, lambda *_, **__: parts)
-    monkeypatch.setattr(module, "recent_landmarks", lambda *_: None)
     monkeypatch.setattr(module, "recent_submap", parts.recent_submap)
     monkeypatch.setattr(
         module,

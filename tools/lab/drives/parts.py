@@ -72,7 +72,9 @@ PARTS: dict[str, Part] = {
     ),
     "robust back end": Part(replaced={"slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6}),
     "kidnappings noticed by landmarks": Part(
-        replaced={"slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, seen: None}
+        replaced={
+            "slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, object_map: None
+        }
     ),
 }
 """By name, in the order of the table."""
