@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from logs.messages import (
     FactorGraphRecord,
@@ -17,12 +18,12 @@ from logs.messages import (
 )
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 from slam.display.snapshot import MapSnapshot
 from slam.localization.pose_output import MAP_FRAME
-from slam.object_map.landmarks import ObjectMap
+from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
@@ -43,22 +44,14 @@ class FinalMap:
     trajectory_check: TrajectoryCheck
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """Result of the final optimisation, for the user."""
-
-    level: str
-    message: str
-
-
 def judge_outcome(
     optimization: Optimization,
     counters: Counter[str],
     doubts: Sequence[str] = (),
     *,
     uncorrected: str = "",
-) -> Outcome:
-    """Whether a result can be relied on.
+) -> tuple[str, str]:
+    """The level and the message of the final status: whether a result can be relied on.
 
     Args:
         optimization: the last one.
@@ -77,7 +70,23 @@ def judge_outcome(
         message += "; most odometry messages were unusable: their stamps do not increase"
     message = "; ".join([message, *doubts])
     has_trouble = not is_ordered or counters["covariances_missing"] or doubts or uncorrected
-    return Outcome("info" if optimization.converged and not has_trouble else "warning", message)
+    return "info" if optimization.converged and not has_trouble else "warning", message
+
+
+def find_passed(object_map: ObjectMap, segment: int, places: FloatArray, radius_m: float) -> IntArray:
+    """Rows (K,) of the confirmed landmarks of a segment that were passed at six keyframes.
+
+    Args:
+        object_map: at the end of the drive.
+        segment: of the landmarks.
+        places: (P, 3) m in the map, of keyframes.
+        radius_m: all objects so near to a keyframe have been seen there.
+    """
+    landmarks = object_map.rows
+    rows = np.flatnonzero((landmarks["state"] == LandmarkState.CONFIRMED) & (landmarks["segment"] == segment))
+    positions = landmarks["position_map"][rows, :2]
+    counts = cKDTree(places[:, :2]).query_ball_point(positions, radius_m, return_length=True)
+    return rows[np.asarray(counts) >= 6]
 
 
 def final_trajectory(

@@ -29,11 +29,10 @@ from slam.backend.solver import Optimization
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import IntArray
-from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
-from slam.final_map import FinalMap, final_trajectory, judge_outcome, place_landmarks
+from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, place_landmarks
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -45,7 +44,6 @@ from slam.localization.prior_map import PriorMap, restore_prior_map, with_height
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.passed_landmarks import find_passed
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
@@ -64,16 +62,14 @@ class Slam:
         config: Config,
         prior_map: PriorMap | None = None,
         *,
-        calibration: Calibration | None = None,
         extend: bool = True,
         initial_pose: InitialPose | None = None,
         frames: SensorFrames | None = None,
     ) -> None:
         """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``initial_pose``:
-        where in it the robot starts; ``calibration``: of the robot, instead of that of ``config``;
+        where in it the robot starts;
         ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
         """
-        config = config if calibration is None else config.model_copy(update={"calibration": calibration})
         self._config = config = with_heights_of(config, prior_map)
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
@@ -196,13 +192,13 @@ class Slam:
         check = self._check.judge(trajectory)
         doubts = assess(graph, object_map, self._config.calibration, self.counters, check)
         uncorrected = diagnose_uncorrected(graph, self.counters)
-        outcome = judge_outcome(optimization, self.counters, doubts, uncorrected=uncorrected)
+        level, message = judge_outcome(optimization, self.counters, doubts, uncorrected=uncorrected)
         return FinalMap(
             trajectory=trajectory,
             object_map=object_map,
             graph=graph,
             snapshot=self._snapshot(),
-            status=self._status(self.state, outcome.message, level=outcome.level),
+            status=self._status(self.state, message, level=level),
             trajectory_check=check,
         )
 
