@@ -28,7 +28,6 @@ from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
-from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
@@ -72,12 +71,9 @@ class LoopCloser:
         self._sensor_range_m = config.sensor_range_m
         self._map = object_map
         self._keyframes = keyframes
-        self._track = KeyframeTrack(config.calibration)
-        for keyframe in keyframes:  # of the prior map
-            self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)
         mapped = [] if imported is None else [imported.positions]
-        self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
+        self._verifier = Verifier(config, self._retriever, keyframes, graph.pose, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self.continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
@@ -92,7 +88,7 @@ class LoopCloser:
 
         ``initial_pose``: where in the prior map the robot is said to be; places elsewhere in it are left out.
         """
-        self._track.add(keyframe)
+        self._verifier.track.add(keyframe)
         self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
         kidnapped_after_m = self.continuity.update(keyframe, self._map)
@@ -136,7 +132,7 @@ class LoopCloser:
 
     def begin_segment(self, first: int) -> None:
         """Follow the keyframes from ``first`` on to a segment of their own."""
-        self._track.replace_since(self._keyframes[first:])
+        self._verifier.track.replace_since(self._keyframes[first:])
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         """The query of the newest keyframe, which later closures may predict."""

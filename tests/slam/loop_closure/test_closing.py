@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,7 @@ class Parts(Patterns):
         return np.full(len(query.submap), -2.0)
 
     reach_m = 6.0
+    track = SimpleNamespace(add=lambda keyframe: None)
 
     # Retriever.
     def index_inactive_landmarks(self, travel_m: float) -> None:
@@ -158,7 +160,7 @@ class Drive:
         parts.keyframes = self.keyframes
         config = Config.model_validate({"loop_closure": settings})
         self.map = Map()
-        self.closer = LoopCloser(config, self.map, None, self.keyframes)  # type: ignore[arg-type]
+        self.closer = LoopCloser(config, self.map, SimpleNamespace(pose=None), self.keyframes)  # type: ignore[arg-type]
         self.prior = prior
         self.initial_pose: InitialPose | None = None
         self.lost_after_m: float | None = None
