@@ -118,7 +118,7 @@ class EditableGraph:
 
     def break_before(self, edge: Edge) -> None:
         """Replace the odometry to a keyframe by an edge, and remove what was observed from there on."""
-        self._remove(
+        self.remove_factors(
             [
                 number
                 for number, each in self._factors.items()
@@ -128,13 +128,20 @@ class EditableGraph:
         )
         self.add_edge(edge)
 
-    def remove_factor(self, number: int) -> None:
-        """Remove a factor, and landmarks without any other observation."""
-        self._remove([number])
+    def remove_factors(self, numbers: Iterable[int]) -> None:
+        """Remove factors, and landmarks without any other observation."""
+        for number in list(numbers):
+            self._solver.remove(number)
+            factor = self._factors.pop(number)
+            if isinstance(factor, Observation):
+                remaining = self._observations[factor.landmark]
+                remaining.remove(number)
+                if not remaining:
+                    del self._observations[factor.landmark]
 
     def remove_landmarks(self, landmarks: Iterable[int]) -> None:
         """Remove all observations of landmarks; those that are not in the graph are ignored."""
-        self._remove([number for each in landmarks for number in self._observations.get(each, ())])
+        self.remove_factors([number for each in landmarks for number in self._observations.get(each, ())])
 
     def alias_landmarks(self, aliases: Mapping[int, int]) -> None:
         """Set the landmark that each merged landmark was merged into, by the id of the merged one.
@@ -191,16 +198,6 @@ class EditableGraph:
                 prior = self._known.get(variable)
                 self._solver.insert(L(variable), position if prior is None else prior.prior(), prior)
             self._solver.add(number, factor)
-
-    def _remove(self, numbers: Iterable[int]) -> None:
-        for number in list(numbers):
-            self._solver.remove(number)
-            factor = self._factors.pop(number)
-            if isinstance(factor, Observation):
-                remaining = self._observations[factor.landmark]
-                remaining.remove(number)
-                if not remaining:
-                    del self._observations[factor.landmark]
 
     def _between_factor(self, edge: Edge) -> gtsam.NonlinearFactor:
         """The solver's factor of an edge."""

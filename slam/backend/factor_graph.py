@@ -186,7 +186,7 @@ class FactorGraph(EditableGraph):
         for edge in edges.values():
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
-        self._remove([*observations, *edges])
+        self.remove_factors([*observations, *edges])
         self._solver.restart(self._solver.values_with_new(), self._solver.factors)
 
     def _add_condensed(self, edge: Edge, anchors: Mapping[int, int]) -> None:

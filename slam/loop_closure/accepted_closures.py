@@ -146,8 +146,7 @@ class AcceptedClosures:
         gone = {each.factor for each in revoked if each.factor is not None}
         if not gone:
             return
-        for factor in gone:
-            self._graph.remove_factor(factor)
+        self._graph.remove_factors(gone)
         self._map.undo_merges(gone)
         self._graph.alias_landmarks(self._map.aliases)
         self._components = {}

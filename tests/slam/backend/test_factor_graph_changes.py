@@ -75,7 +75,7 @@ def test_a_removed_edge_is_in_force_no_longer():
     graph.optimize()
     with pytest.raises(AssertionError):
         assert_is_true(graph)
-    graph.remove_factor(number)
+    graph.remove_factors([number])
     graph.optimize()
     assert_is_true(graph)
     assert number not in graph.factors
@@ -143,7 +143,7 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     np.testing.assert_allclose(break_now.T_from_to, invert(step) @ poses[2], atol=1e-6)
     expected = [[4.0, 3.0, 0.0], apply(poses[2], np.array([[4.0, 3.0, 0.0]]))[0]]
     np.testing.assert_allclose(graph.landmark_positions(np.array([5, 6])), expected, atol=1e-6)
-    graph.remove_factor(number)
+    graph.remove_factors([number])
     graph.update()
     assert number not in graph.factors
 

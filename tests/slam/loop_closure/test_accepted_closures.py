@@ -126,7 +126,7 @@ def test_a_condensed_closure_is_part_of_the_map_for_good(street):
     street.accept(110)
     (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure"
                  and each.to_keyframe == 95)  # fmt: skip
-    street.graph.remove_factor(factor)
+    street.graph.remove_factors([factor])
     street.closures.forget_condensed()
     assert street.closed == [95, 94, 110]
     assert street.declare_lost(since=0) == [110]
@@ -138,7 +138,7 @@ def test_segments_stay_connected_by_a_condensed_closure():
     street.accept(95)
     assert street.closures.is_localized(street.keyframes[95])
     (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure")
-    street.graph.remove_factor(factor)
+    street.graph.remove_factors([factor])
     street.closures.forget_condensed()
     street.accept(110)
     street.closures.revoke_since(make_keyframe(street.keyframes[-1].id, STEP_M * 95 + 61.0, segment=1), 110)
