@@ -125,24 +125,9 @@ def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved:
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=0.05)
 
 
-# A landmark that ends takes along what was merged into it
-
-
-def test_removing_a_landmark_removes_what_was_merged_into_it(saved: SavedMap) -> None:
-    _, graph = loaded(saved, fixed=False)
-    graph.alias_landmarks({0: 1, 2: 1})
-    graph.remove_landmarks([0, 1, 2])
-    graph.update()
-    assert graph.landmarks.tolist() == [3]
-    assert set(graph.to_record(9, np.arange(3)).observation_landmark_ids) == {"3"}
-
-
 def test_retiring_a_landmark_retires_what_was_merged_into_it(saved: SavedMap) -> None:
     object_map, _ = loaded(saved, fixed=False)
     object_map.merge(0, 2)
     object_map.retire(np.array([0]), RetirementReason.GONE)
     assert object_map.rows["state"].tolist() == [2, 1, 2, 1]
     assert object_map.to_record(9).reasons == ("gone", "", "merged into 0", "")
-
-
-# Many factors at once
