@@ -83,7 +83,7 @@ class Slam:
         track = OdometryTrack(self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m)
         self._frontend = Frontend(config.calibration.detection, self._frames, track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
-        self._initial_pose = None if prior_map is None else initial_pose
+        self._closer.initial_pose = None if prior_map is None else initial_pose
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
@@ -123,7 +123,7 @@ class Slam:
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
             if self._gnss is not None and self._path.latest is not None:
-                self._initial_pose = self._gnss.add(record, self._path.latest.travel_m)
+                self._closer.initial_pose = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
             self._frontend.add_detections(record)
         elif isinstance(record, Odometry):
@@ -290,7 +290,7 @@ class Slam:
         if not self._config.loop_closure.enabled:
             return Outcome([])
         started = time.perf_counter()
-        outcome = self._closer.close(keyframe, self._initial_pose)
+        outcome = self._closer.close(keyframe)
         self.closing_seconds.append(time.perf_counter() - started)
         return outcome
 

@@ -82,12 +82,11 @@ class LoopCloser:
         self._seed: Candidate | None = None  # the last accepted closure, which predicts the next ones
         self._recent: deque[Query] = deque()  # those that a closure may predict
         self._looked_up: Query | None = None
+        self.initial_pose: InitialPose | None = None
+        """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
 
-    def close(self, keyframe: Keyframe, initial_pose: InitialPose | None = None) -> Outcome:
-        """Look for loops at the newest keyframe.
-
-        ``initial_pose``: where in the prior map the robot is said to be; places elsewhere in it are left out.
-        """
+    def close(self, keyframe: Keyframe) -> Outcome:
+        """Look for loops at the newest keyframe."""
         self._verifier.track.add(keyframe)
         self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
@@ -110,7 +109,7 @@ class LoopCloser:
             return Outcome([refusal])
         self._looked_up = query
         # 3. The candidate with the highest score is accepted or rejected.
-        decision = self._acceptance.decide(*self._look_up(query, initial_pose))
+        decision = self._acceptance.decide(*self._look_up(query))
         records, best = [*decision.rejected], decision.accepted
         if best is None:
             return Outcome(records)
@@ -200,19 +199,17 @@ class LoopCloser:
         is_near = query.travel_m - last.travel_m < self._config.propagation_distance_m
         return last if is_alike and is_near else None
 
-    def _look_up(
-        self, query: Query, initial_pose: InitialPose | None
-    ) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
+    def _look_up(self, query: Query) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
         """The query that was asked last, and the candidates at the proposed places, or the reasons why there is none.
 
         If the robot is lost and no candidate is acceptable, landmarks that are not confirmed yet are used, too.
         """
-        verified = self._retrieve(query, initial_pose)
+        verified = self._retrieve(query)
         is_found = any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified)
         if not is_found and not self.closures.is_localized(query.keyframe):
             submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
             query, has_more = replace(query, submap=submap), len(submap) > len(query.submap)
-            verified += self._retrieve(query, initial_pose) if has_more else []
+            verified += self._retrieve(query) if has_more else []
         if not verified:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
             if len(query.submap) >= MIN_INLIERS:
@@ -220,22 +217,24 @@ class LoopCloser:
             verified = [query.refusal(Stage.RETRIEVAL, reason)]
         return query, verified
 
-    def _retrieve(self, query: Query, initial_pose: InitialPose | None) -> list[Candidate | LoopClosureRecord]:
+    def _retrieve(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
         if len(query.submap) < MIN_INLIERS:
             return []
         return [
             self._verifier.verify(query, place)
-            if initial_pose is None or self._is_allowed(query, place, initial_pose)
+            if self._is_allowed(query, place)
             else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
             for place in self._retriever.propose(query.submap, before_m=query.before_m)
         ]
 
-    def _is_allowed(self, query: Query, place: Place, initial_pose: InitialPose) -> bool:
+    def _is_allowed(self, query: Query, place: Place) -> bool:
         """Whether a place is where the robot may be; in what it has mapped itself that is anywhere."""
+        if self.initial_pose is None or place.segment != SEGMENT:
+            return True
         first = next(each for each in self._keyframes if not each.is_prior)
         T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
-        return place.segment != SEGMENT or initial_pose.allows(place.T_local_query, T_first_query, query.travel_m)
+        return self.initial_pose.allows(place.T_local_query, T_first_query, query.travel_m)
 
     def _accept_with_those_before(self, candidate: Candidate) -> list[LoopClosureRecord]:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""
@@ -247,12 +246,11 @@ class LoopCloser:
         )
         records, seed = [self._accept(candidate)], candidate
         for query in reversed(self._recent):
-            if query.keyframe.id == candidate.query.id or query.keyframe.id in self.closures.closed:
+            if query.keyframe.id in self.closures.closed:
                 continue
             if (propagated := self._confirmed(self._predict(seed, query))) is not None:
-                records.append(self._accept(propagated))
+                records.append(self.closures.add(propagated))
                 seed = propagated
-        self._seed = candidate
         return records
 
     def _accept(self, candidate: Candidate) -> LoopClosureRecord:

@@ -162,7 +162,6 @@ class Drive:
         self.map = Map()
         self.closer = LoopCloser(config, self.map, SimpleNamespace(pose=None), self.keyframes)  # type: ignore[arg-type]
         self.prior = prior
-        self.initial_pose: InitialPose | None = None
         self.lost_after_m: float | None = None
 
     def close(self, number: int, *, segment: int | None = None) -> list[LoopClosureRecord]:
@@ -172,7 +171,7 @@ class Drive:
             filler = len(self.keyframes)
             self.keyframes.append(make_keyframe(filler, STEP_M * filler, segment=own))
         self.keyframes.append(keyframe)
-        outcome = self.closer.close(keyframe, self.initial_pose)
+        outcome = self.closer.close(keyframe)
         self.lost_after_m = outcome.lost_after_m
         return outcome.records
 
@@ -423,17 +422,17 @@ def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
     parts.new_rows = 10
     drive = Drive(parts, prior=True, min_travel_m=1.0)
     parts.llrs = {FIRST: SURE_LLR, FIRST + 1: SURE_LLR}
-    drive.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
     (record,) = drive.close(FIRST)
     assert record.reason == "outside the prior of the pose"
-    drive.initial_pose = InitialPose(np.array([-300.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([-300.0, 0.0]), 10.0)
     assert accepted(drive.close(FIRST + 1))
 
 
 def test_a_place_of_another_segment_than_the_map_may_be_anywhere(parts):
     drive = Drive(parts, prior=True, min_travel_m=1.0)
     parts.llrs, parts.places = {FIRST: SURE_LLR}, [replace(PLACE, segment=2)]
-    drive.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
     assert accepted(drive.close(FIRST))
 
 
