@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -24,16 +24,6 @@ from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimates:
-    """Ids of keyframes (K,) and of landmarks (L,), and their positions (K, 3) and (L, 3) m in the map."""
-
-    keyframes: IntArray
-    keyframe_positions: FloatArray
-    landmarks: IntArray
-    landmark_positions: FloatArray
 
 
 class FactorGraph(EditableGraph):
@@ -198,32 +188,15 @@ class FactorGraph(EditableGraph):
             self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
-        self.update()
-        values = self._solver.values()
+        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,); nothing is solved."""
+        values = self._solver.values_with_new()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
         return np.array([self.pose(keyframe, values) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
-        """Positions (N, 3) m in the map of landmarks that are in the graph."""
-        values = self._solver.values()
-        return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
-
-    def estimates(self) -> Estimates:
-        """The current estimates of all variables, without solving."""
-        others = np.array([*self._fixed_poses, *self._attached.anchors], dtype=np.int64)
+        """Positions (N, 3) m in the map of landmarks that are in the graph; nothing is solved."""
         values = self._solver.values_with_new()
-        # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
-        numbers = np.array([gtsam.symbolIndex(key) for key in values.keys()], dtype=np.int64)  # noqa: SIM118 - no mapping
-        landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
-        keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
-        count = len(landmark_positions)
-        return Estimates(
-            np.concatenate([numbers[count:], others]),
-            np.concatenate([keyframe_positions, self.poses(others)[:, :3, 3]]),
-            numbers[:count],
-            landmark_positions,
-        )
+        return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
