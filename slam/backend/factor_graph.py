@@ -188,7 +188,7 @@ class FactorGraph(EditableGraph):
             self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,); nothing is solved."""
+        """``T_map_body`` (K, 4, 4) of all keyframes, as ``keyframes`` has them, or of some (K,); nothing is solved."""
         values = self._solver.values_with_new()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
         return np.array([self.pose(keyframe, values) for keyframe in wanted]).reshape(-1, 4, 4)
