@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +18,6 @@ from logs.messages import (
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 from slam.display.snapshot import MapSnapshot
 from slam.localization.pose_output import MAP_FRAME
@@ -28,8 +26,6 @@ from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 from slam.trajectory_check.judgement import TrajectoryCheck
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,12 +107,14 @@ def place_landmarks(
     T_map_body: FloatArray,
     *,
     first_segment: int,
-) -> int:
-    """Bring the object map to the final estimate; returns of how many landmarks the covariance is not known.
+    covariances: FloatArray | None,
+) -> None:
+    """Bring the object map to the final estimate.
 
     What never got into the graph has no place in the map but where the odometry put it when it was last seen;
     landmarks of a prior map, on segments before ``first_segment``, stay where they were. ``keyframes`` and their
-    ``T_map_body`` (K, 4, 4) are those of this drive.
+    ``T_map_body`` (K, 4, 4) are those of this drive. ``covariances`` (L, 3, 3) m^2 of landmarks in the graph; without
+    them stands what is known relative to the robot.
     """
     landmarks = object_map.rows
     own = landmarks["segment"] >= first_segment
@@ -126,14 +124,9 @@ def place_landmarks(
     T_map_local = (T_map_body @ invert(T_local_body))[np.maximum(last, 0)]
     R = T_map_local[:, :3, :3]
     positions = np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
-    covariances = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
-    object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=covariances)
+    around = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
+    object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=around)
     in_graph = graph.landmarks
     object_map.assign(in_graph, position_map=graph.landmark_positions(in_graph))
-    try:
-        object_map.assign(in_graph, covariance_map=graph.landmark_covariances(in_graph))
-    except FactorGraphError as error:
-        # The map is worth having without them; what stands there then is the covariance relative to the robot.
-        logger.warning("the map has local covariances only: %s", error)
-        return len(in_graph)
-    return 0
+    if covariances is not None:
+        object_map.assign(in_graph, covariance_map=covariances)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -30,7 +31,7 @@ from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import IntArray
 from slam.common.config import Config
-from slam.common.errors import InputDataError
+from slam.common.errors import FactorGraphError, InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, place_landmarks
 from slam.frontend.active_landmarks import ActiveLandmarks
@@ -52,6 +53,8 @@ from slam.odometry.track import OdometryTrack
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
 from slam.trajectory_check.drive_check import DriveCheck
+
+logger = logging.getLogger(__name__)
 
 
 class Slam:
@@ -181,13 +184,24 @@ class Slam:
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
         T_map_body = self._graph.poses()[self._first_keyframe :]
-        if unknown := place_landmarks(
-            self._object_map, self._graph, own, T_map_body, first_segment=self._first_segment
-        ):
-            self.counters["covariances_missing"] = unknown
+        pose_covariances = covariances = None
+        try:
+            pose_covariances, covariances = self._graph.covariances()
+        except FactorGraphError as error:  # the map is worth having without them
+            logger.warning("the map has local covariances only: %s", error)
+            self.counters["covariances_missing"] = len(self._graph.landmarks)
+        place_landmarks(
+            self._object_map,
+            self._graph,
+            own,
+            T_map_body,
+            first_segment=self._first_segment,
+            covariances=covariances,
+        )
         self.counters["labels_beyond_max_classes"] += self._object_map.labels.unlisted
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
-        graph, object_map = self._graph.to_record(stamp_ns, stamps_ns), self._object_map.to_record(stamp_ns)
+        graph = self._graph.to_record(stamp_ns, stamps_ns, pose_covariances)
+        object_map = self._object_map.to_record(stamp_ns)
         trajectory = final_trajectory(self._path, own, T_map_body, stamp_ns)
         check = self._check.judge(trajectory)
         doubts = assess(graph, object_map, self._config.calibration, self.counters, check)

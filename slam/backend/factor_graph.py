@@ -39,7 +39,6 @@ class FactorGraph(EditableGraph):
         kernel_width: float = OBSERVATION_KERNEL_WIDTH,
     ) -> None:
         super().__init__(kernel_width, sensor_range_m=sensor_range_m)
-        self._marginals: tuple[gtsam.Values, dict[int, FloatArray]] | None = None  # with the estimate that they are of
 
     @property
     def keyframe_variables(self) -> IntArray:
@@ -163,7 +162,7 @@ class FactorGraph(EditableGraph):
         Raises:
             FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
-        covariances = dict(zip(self._keyframes, self.pose_covariances(), strict=True))
+        covariances = dict(zip(self._keyframes, self.covariances()[0], strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self._factors.items():
@@ -198,39 +197,31 @@ class FactorGraph(EditableGraph):
         values = self._solver.values_with_new()
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
-    def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
-        """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
-        self.update()
-        marginals = self._marginal_covariances()
-        return np.array([marginals[L(landmark)] for landmark in landmarks.tolist()]).reshape(-1, 3, 3)
+    def covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Marginal covariances at the current estimate: of all keyframes (K, 6, 6), and of all landmarks (L, 3, 3) m^2
+        in the map frame, as ``keyframes`` and ``landmarks`` have them.
 
-    def pose_covariances(self) -> FloatArray:
-        """Marginal covariances (K, 6, 6) of all keyframes, in the order of ``keyframes``, at the current estimate.
+        Those of keyframes: rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``:
+        about the body's axes.
 
-        Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
+        Raises:
+            FactorGraphError: the graph does not determine all variables.
         """
         self.update()
-        marginals, sigmas = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
+        with gtsam_errors("the marginal covariances"):
+            marginals = compute_marginals(self._solver.factors.values(), self._solver.values())
+        sigmas = np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
         known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
-        covariances = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
-        return np.array(covariances).reshape(-1, 6, 6)
+        poses = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
+        landmarks = [marginals[L(landmark)] for landmark in self.landmarks.tolist()]
+        return np.array(poses).reshape(-1, 6, 6), np.array(landmarks).reshape(-1, 3, 3)
 
-    def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
-        """The whole graph at its current estimate, as a record of a log."""
-        try:
-            covariances = self.pose_covariances()
-        except FactorGraphError as error:
-            logger.warning("the graph is logged without covariances of its poses: %s", error)
-            covariances = np.zeros((0, 6, 6))
+    def to_record(
+        self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None
+    ) -> FactorGraphRecord:
+        """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
         factors = [*self._factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
+        covariances = np.zeros((0, 6, 6)) if pose_covariances is None else pose_covariances
         return make_graph_record(
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of, covariances
         )
-
-    def _marginal_covariances(self) -> dict[int, FloatArray]:
-        """Covariances (n, n) of all variables, by their keys."""
-        values = self._solver.values()
-        if self._marginals is None or self._marginals[0] is not values:
-            with gtsam_errors("the marginal covariances"):
-                self._marginals = values, compute_marginals(self._solver.factors.values(), values)
-        return self._marginals[1]

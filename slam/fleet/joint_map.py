@@ -202,5 +202,5 @@ def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radiu
     object_map.assign(
         landmarks,
         position_map=graph.landmark_positions(landmarks),
-        covariance_map=graph.landmark_covariances(landmarks),
+        covariance_map=graph.covariances()[1],
     )

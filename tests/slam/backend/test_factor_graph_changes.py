@@ -119,7 +119,7 @@ def test_the_record_of_a_graph_without_edges_and_observations():
     assert record.edge_keyframe_ids.shape == (0, 2)
     assert record.observation_positions.shape == (0, 3)
     assert graph.landmark_positions(graph.landmarks).shape == (0, 3)
-    assert graph.landmark_covariances(graph.landmarks).shape == (0, 3, 3)
+    assert graph.covariances()[1].shape == (0, 3, 3)
 
 
 @pytest.mark.parametrize("ends", [(0, 3), (3, 0)])

@@ -44,9 +44,7 @@ def saved() -> SavedMap:
     for k, T in enumerate(POSES):
         graph.add_observations(seen_from(T, k, dict(enumerate(OBJECTS))))
     graph.optimize()
-    object_map.assign(
-        rows, position_map=graph.landmark_positions(rows), covariance_map=graph.landmark_covariances(rows)
-    )
+    object_map.assign(rows, position_map=graph.landmark_positions(rows), covariance_map=graph.covariances()[1])
     return SavedMap(confirmed(object_map.to_record(9)), graph.to_record(9, np.arange(3)))
 
 
@@ -70,9 +68,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
     object_map, graph = loaded(saved, fixed=False)
     np.testing.assert_allclose(graph.poses(), saved.graph.T_map_body, atol=1e-6)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-6)
-    np.testing.assert_allclose(
-        graph.landmark_covariances(np.arange(4)), saved.objects.covariances, rtol=1e-3, atol=1e-9
-    )
+    np.testing.assert_allclose(graph.covariances()[1], saved.objects.covariances, rtol=1e-3, atol=1e-9)
     assert object_map.in_state(LandmarkState.CONFIRMED).tolist() == [0, 1, 2, 3]
 
 
