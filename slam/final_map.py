@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from logs.messages import (
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 from slam.display.snapshot import MapSnapshot
 from slam.localization.pose_output import MAP_FRAME
@@ -26,6 +28,8 @@ from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 from slam.trajectory_check.judgement import TrajectoryCheck
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,14 +104,23 @@ def final_trajectory(
     return TrajectoryRecord(stamp_ns, MAP_FRAME, stamps_ns, T)
 
 
+def known_covariances(graph: FactorGraph, counters: Counter[str]) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
+    """Covariances of keyframes (K, 6, 6) and landmarks (L, 3, 3) m^2 of a graph; a map is worth having without them."""
+    try:
+        return graph.covariances()
+    except FactorGraphError as error:
+        logger.warning("the map has local covariances only: %s", error)
+        counters["covariances_missing"] = len(graph.landmarks)
+        return None, None
+
+
 def place_landmarks(
     object_map: ObjectMap,
     graph: FactorGraph,
+    covariances: FloatArray | None,
     keyframes: Sequence[Keyframe],
     T_map_body: FloatArray,
-    *,
     first_segment: int,
-    covariances: FloatArray | None,
 ) -> None:
     """Bring the object map to the final estimate.
 

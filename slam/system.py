@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -31,9 +30,16 @@ from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import IntArray
 from slam.common.config import Config
-from slam.common.errors import FactorGraphError, InputDataError
+from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
-from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, place_landmarks
+from slam.final_map import (
+    FinalMap,
+    final_trajectory,
+    find_passed,
+    judge_outcome,
+    known_covariances,
+    place_landmarks,
+)
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -54,8 +60,6 @@ from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
 from slam.trajectory_check.drive_check import DriveCheck
 
-logger = logging.getLogger(__name__)
-
 
 class Slam:
     """Maps a drive, record by record. The same records and configuration give the same results."""
@@ -70,8 +74,8 @@ class Slam:
         frames: SensorFrames | None = None,
     ) -> None:
         """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``initial_pose``:
-        where in it the robot starts;
-        ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
+        where in it the robot starts; ``frames``: where the sensors sit, as far as it is known before the drive;
+        transforms add to it.
         """
         self._config = config = with_heights_of(config, prior_map)
         self.counters: Counter[str] = Counter()
@@ -184,20 +188,8 @@ class Slam:
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
         T_map_body = self._graph.poses()[self._first_keyframe :]
-        pose_covariances = covariances = None
-        try:
-            pose_covariances, covariances = self._graph.covariances()
-        except FactorGraphError as error:  # the map is worth having without them
-            logger.warning("the map has local covariances only: %s", error)
-            self.counters["covariances_missing"] = len(self._graph.landmarks)
-        place_landmarks(
-            self._object_map,
-            self._graph,
-            own,
-            T_map_body,
-            first_segment=self._first_segment,
-            covariances=covariances,
-        )
+        pose_covariances, covariances = known_covariances(self._graph, self.counters)
+        place_landmarks(self._object_map, self._graph, covariances, own, T_map_body, self._first_segment)
         self.counters["labels_beyond_max_classes"] += self._object_map.labels.unlisted
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
         graph = self._graph.to_record(stamp_ns, stamps_ns, pose_covariances)

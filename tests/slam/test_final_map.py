@@ -7,9 +7,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Observation
 from slam.backend.solver import Optimization
 from slam.common.calibration import ObjectCalibration
-from slam.final_map import find_passed, judge_outcome
+from slam.common.errors import FactorGraphError
+from slam.final_map import find_passed, judge_outcome, known_covariances
 from slam.object_map.landmarks import ObjectMap
 
 CONVERGED = Optimization(True, 4, 1.0)
@@ -43,6 +46,21 @@ def test_judge_outcome_does_not_call_an_uncorrected_odometry_optimised() -> None
     level, message = judge_outcome(CONVERGED, Counter(odometry_used=10), uncorrected="no scan has an object")
     assert level == "warning"
     assert message == "not corrected, the trajectory is that of the odometry: no scan has an object"
+
+
+def test_a_graph_that_determines_too_little_has_no_covariances(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, counters = FactorGraph(), Counter[str]()
+    graph.add_keyframe(0, np.eye(4))
+    graph.add_observations([Observation(0, 3, np.ones(3), np.eye(3))])
+    poses, landmarks = known_covariances(graph, counters)
+    assert (poses.shape, landmarks.shape) == ((1, 6, 6), (1, 3, 3))
+
+    def fail() -> None:
+        raise FactorGraphError("underdetermined")
+
+    monkeypatch.setattr(graph, "covariances", fail)
+    assert known_covariances(graph, counters) == (None, None)
+    assert counters["covariances_missing"] == 1
 
 
 PATH = np.column_stack([np.arange(100.0, 126.0, 5.0), np.zeros((6, 2))])
