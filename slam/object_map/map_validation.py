@@ -8,8 +8,6 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
@@ -30,12 +28,16 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
 
 
 def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
-    """The number (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
+    """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
     order = np.argsort(graph.keyframe_ids)
     ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
-    size = len(graph.keyframe_ids)
-    pairs = coo_array((np.ones(ends.shape[1]), ends), shape=(size, size))
-    return connected_components(pairs, directed=False)[1].astype(np.int64)
+    part = np.arange(len(order))
+    while (part[ends[0]] != part[ends[1]]).any():
+        least = part[ends].min(axis=0)
+        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
+            np.minimum.at(part, part[end], least)
+        part = part[part]
+    return part
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
