@@ -16,7 +16,6 @@ class Stage(StrEnum):
     REGISTRATION = "registration"
     ACCEPTANCE = "acceptance"
     CONSISTENCY = "consistency"
-    ASSOCIATION = "association"
     ACCEPTED = "accepted"
 
 

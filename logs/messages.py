@@ -278,9 +278,9 @@ class FactorGraphRecord:
     observation_redundancies: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-PROPOSERS = ("descriptor", "map index", "prediction", "association")
+PROPOSERS = ("descriptor", "map index", "prediction")
 """Who proposes places: descriptors of what was seen before, the index of an imported map, closures that the
-odometry carries on, landmarks that data association never lost."""
+odometry carries on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

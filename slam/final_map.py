@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from logs.messages import (
     FactorGraphRecord,
@@ -17,12 +18,12 @@ from logs.messages import (
 )
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 from slam.display.snapshot import MapSnapshot
 from slam.localization.pose_output import MAP_FRAME
-from slam.object_map.landmarks import ObjectMap
+from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
@@ -43,22 +44,14 @@ class FinalMap:
     trajectory_check: TrajectoryCheck
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """Result of the final optimisation, for the user."""
-
-    level: str
-    message: str
-
-
 def judge_outcome(
     optimization: Optimization,
     counters: Counter[str],
     doubts: Sequence[str] = (),
     *,
     uncorrected: str = "",
-) -> Outcome:
-    """Whether a result can be relied on.
+) -> tuple[str, str]:
+    """The level and the message of the final status: whether a result can be relied on.
 
     Args:
         optimization: the last one.
@@ -77,7 +70,23 @@ def judge_outcome(
         message += "; most odometry messages were unusable: their stamps do not increase"
     message = "; ".join([message, *doubts])
     has_trouble = not is_ordered or counters["covariances_missing"] or doubts or uncorrected
-    return Outcome("info" if optimization.converged and not has_trouble else "warning", message)
+    return "info" if optimization.converged and not has_trouble else "warning", message
+
+
+def find_passed(object_map: ObjectMap, segment: int, places: FloatArray, radius_m: float) -> IntArray:
+    """Rows (K,) of the confirmed landmarks of a segment that were passed at six keyframes.
+
+    Args:
+        object_map: at the end of the drive.
+        segment: of the landmarks.
+        places: (P, 3) m in the map, of keyframes.
+        radius_m: all objects so near to a keyframe have been seen there.
+    """
+    landmarks = object_map.rows
+    rows = np.flatnonzero((landmarks["state"] == LandmarkState.CONFIRMED) & (landmarks["segment"] == segment))
+    positions = landmarks["position_map"][rows, :2]
+    counts = cKDTree(places[:, :2]).query_ball_point(positions, radius_m, return_length=True)
+    return rows[np.asarray(counts) >= 6]
 
 
 def final_trajectory(
@@ -95,19 +104,30 @@ def final_trajectory(
     return TrajectoryRecord(stamp_ns, MAP_FRAME, stamps_ns, T)
 
 
+def known_covariances(graph: FactorGraph, counters: Counter[str]) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
+    """Covariances of keyframes (K, 6, 6) and landmarks (L, 3, 3) m^2 of a graph; a map is worth having without them."""
+    try:
+        return graph.covariances()
+    except FactorGraphError as error:
+        logger.warning("the map has local covariances only: %s", error)
+        counters["covariances_missing"] = len(graph.landmarks)
+        return None, None
+
+
 def place_landmarks(
     object_map: ObjectMap,
     graph: FactorGraph,
+    covariances: FloatArray | None,
     keyframes: Sequence[Keyframe],
     T_map_body: FloatArray,
-    *,
     first_segment: int,
-) -> int:
-    """Bring the object map to the final estimate; returns of how many landmarks the covariance is not known.
+) -> None:
+    """Bring the object map to the final estimate.
 
     What never got into the graph has no place in the map but where the odometry put it when it was last seen;
     landmarks of a prior map, on segments before ``first_segment``, stay where they were. ``keyframes`` and their
-    ``T_map_body`` (K, 4, 4) are those of this drive.
+    ``T_map_body`` (K, 4, 4) are those of this drive. ``covariances`` (L, 3, 3) m^2 of landmarks in the graph; without
+    them stands what is known relative to the robot.
     """
     landmarks = object_map.rows
     own = landmarks["segment"] >= first_segment
@@ -117,14 +137,9 @@ def place_landmarks(
     T_map_local = (T_map_body @ invert(T_local_body))[np.maximum(last, 0)]
     R = T_map_local[:, :3, :3]
     positions = np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
-    covariances = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
-    object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=covariances)
+    around = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
+    object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=around)
     in_graph = graph.landmarks
     object_map.assign(in_graph, position_map=graph.landmark_positions(in_graph))
-    try:
-        object_map.assign(in_graph, covariance_map=graph.landmark_covariances(in_graph))
-    except FactorGraphError as error:
-        # The map is worth having without them; what stands there then is the covariance relative to the robot.
-        logger.warning("the map has local covariances only: %s", error)
-        return len(in_graph)
-    return 0
+    if covariances is not None:
+        object_map.assign(in_graph, covariance_map=covariances)

@@ -75,8 +75,8 @@ class GraphCondenser:
     def fuse_landmarks(self) -> None:
         """Fuse duplicate landmarks at the optimum."""
         self._graph.optimize(roughly=True)
-        nearby = self._closures.keyframes_nearby()
-        fused = fuse_duplicate_landmarks(self._map, self._graph, nearby, radius_m=self._radius_m)
+        localized = self._closures.localized_keyframes()
+        fused = fuse_duplicate_landmarks(self._map, self._graph, localized, radius_m=self._radius_m)
         self._counters["landmarks_fused"] += fused
 
     def _condense(self, anchors: dict[int, int]) -> None:
@@ -98,7 +98,7 @@ class GraphCondenser:
         settled_m = min(self._closures.settled_before_m(now_m), now_m - self._min_travel_m)
         return find_anchors(
             [
-                (each.keyframe, self._map.canonical_id(each.landmark))
+                (each.keyframe, self._map.canonical[each.landmark])
                 for each in self._graph.factors.values()
                 if isinstance(each, Observation)
             ],

@@ -13,7 +13,6 @@ from logs.messages import Record
 from logs.reader import LogItem
 from logs.writer import LogWriter
 from slam.common.config import Config
-from slam.display.drive_display import DriveDisplay
 from slam.final_map import FinalMap
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
@@ -44,7 +43,7 @@ class LiveDrive:
         self._stack = ExitStack()
         self._stack.enter_context(threadpool_limits(1, user_api="blas"))
         writer = None if output is None else self._stack.enter_context(LogWriter(output))
-        log = OutputLog(writer, DriveDisplay(), publish, None)
+        log = OutputLog(writer, publish, None)
         self._mapper = LogMapper(self.slam, InputRecords(config, LabelMap(config.labels), frames), clocks, log)
         self._log_time_ns = 0
 

@@ -42,12 +42,11 @@ class OutputLog:
     def __init__(
         self,
         writer: LogWriter | None,
-        display: DriveDisplay,
         view: Callable[[str, Record, int], None] | None,
         georeference: Georeference | None,
     ) -> None:
         self._writer = writer
-        self._display = display
+        self._display = DriveDisplay()
         self._view = view
         self._georeference = georeference
         self.tracked = 0

@@ -18,7 +18,6 @@ from logs.storage.placement import partial_path
 from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
-from slam.display.drive_display import DriveDisplay
 from slam.final_map import FinalMap
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.stamp_clocks import StampClocks
@@ -112,7 +111,7 @@ def replay(
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = None if prior_map is None else prior_map.georeference
-            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, DriveDisplay(), None, georeference))
+            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, None, georeference))
             final = _map(mapper, prepared, reader, writer, progress)
             calibration = slam.calibration if online else prepared.calibration
             provenance = provenance_of(reader, config, prepared, calibration, prior_map, extend=extend)

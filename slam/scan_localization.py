@@ -13,17 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
-from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.localization.prior_map import restore_map_frame
+from slam.localization.prior_map import map_frame
 from slam.loop_closure.acceptance import Acceptance, Decision
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.verification import MIN_OBJECTS, Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
-from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import TRAVEL_M
@@ -72,20 +70,13 @@ class ScanLocalizer:
         if not self._size:
             raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
         self._number = {label: number for number, label in enumerate(object_map.labels.vocabulary)}
-        graph = FactorGraph(sensor_range_m=config.sensor_range_m)
         # The scan is a keyframe, and those before it are the frames of the maps.
         self._scan = Keyframe(len(maps), OdometryPose(0, np.eye(4), 0.0, len(maps), np.inf), np.eye(4))
-        keyframes = [*(restore_map_frame(graph, number) for number in range(len(maps))), self._scan]
-        graph.add_fixed_keyframe(self._scan.id, np.eye(4))
-        graph.update()
-        track = KeyframeTrack(config.calibration)
-        for keyframe in keyframes:
-            track.add(keyframe)
+        keyframes = [*map(map_frame, range(len(maps))), self._scan]
         self._retriever = PlaceRetriever(config, object_map)
         self._retriever.index_inactive_landmarks(self._scan.odometry)
-        self._verifier = Verifier(
-            config, self._retriever, track, graph, keyframes, [each.positions[:, :2] for each in maps]
-        )
+        mapped = [each.positions[:, :2] for each in maps]
+        self._verifier = Verifier(config, self._retriever, keyframes, lambda number: np.eye(4), mapped)
         self._acceptance = Acceptance(config, self._verifier)
 
     def localize(self, scan: ObjectDetections) -> ScanLocalization:

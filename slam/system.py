@@ -29,11 +29,17 @@ from slam.backend.solver import Optimization
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import IntArray
-from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
-from slam.final_map import FinalMap, final_trajectory, judge_outcome, place_landmarks
+from slam.final_map import (
+    FinalMap,
+    final_trajectory,
+    find_passed,
+    judge_outcome,
+    known_covariances,
+    place_landmarks,
+)
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -45,7 +51,6 @@ from slam.localization.prior_map import PriorMap, restore_prior_map, with_height
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.passed_landmarks import find_passed
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
@@ -64,16 +69,14 @@ class Slam:
         config: Config,
         prior_map: PriorMap | None = None,
         *,
-        calibration: Calibration | None = None,
         extend: bool = True,
         initial_pose: InitialPose | None = None,
         frames: SensorFrames | None = None,
     ) -> None:
         """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``initial_pose``:
-        where in it the robot starts; ``calibration``: of the robot, instead of that of ``config``;
-        ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
+        where in it the robot starts; ``frames``: where the sensors sit, as far as it is known before the drive;
+        transforms add to it.
         """
-        config = config if calibration is None else config.model_copy(update={"calibration": calibration})
         self._config = config = with_heights_of(config, prior_map)
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
@@ -87,7 +90,7 @@ class Slam:
         track = OdometryTrack(self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m)
         self._frontend = Frontend(config.calibration.detection, self._frames, track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
-        self._initial_pose = None if prior_map is None else initial_pose
+        self._closer.initial_pose = None if prior_map is None else initial_pose
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
@@ -127,7 +130,7 @@ class Slam:
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
             if self._gnss is not None and self._path.latest is not None:
-                self._initial_pose = self._gnss.add(record, self._path.latest.travel_m)
+                self._closer.initial_pose = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
             self._frontend.add_detections(record)
         elif isinstance(record, Odometry):
@@ -176,32 +179,32 @@ class Slam:
         return optimization
 
     def _passed_landmarks(self) -> IntArray:
-        """Those of the prior map that this drive passed."""
-        near = [keyframe for keyframe in self._closer.closures.keyframes_nearby() if keyframe >= self._first_keyframe]
+        """Those of the prior map that this drive passed, where it closed loops."""
+        closures = self._closer.closures
+        near = sorted(closures.localized_keyframes() & closures.closed.keys())
         places = self._graph.poses(np.array(near, dtype=np.int64))[:, :3, 3]
         return find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m)
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
         T_map_body = self._graph.poses()[self._first_keyframe :]
-        if unknown := place_landmarks(
-            self._object_map, self._graph, own, T_map_body, first_segment=self._first_segment
-        ):
-            self.counters["covariances_missing"] = unknown
+        pose_covariances, covariances = known_covariances(self._graph, self.counters)
+        place_landmarks(self._object_map, self._graph, covariances, own, T_map_body, self._first_segment)
         self.counters["labels_beyond_max_classes"] += self._object_map.labels.unlisted
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
-        graph, object_map = self._graph.to_record(stamp_ns, stamps_ns), self._object_map.to_record(stamp_ns)
+        graph = self._graph.to_record(stamp_ns, stamps_ns, pose_covariances)
+        object_map = self._object_map.to_record(stamp_ns)
         trajectory = final_trajectory(self._path, own, T_map_body, stamp_ns)
         check = self._check.judge(trajectory)
         doubts = assess(graph, object_map, self._config.calibration, self.counters, check)
         uncorrected = diagnose_uncorrected(graph, self.counters)
-        outcome = judge_outcome(optimization, self.counters, doubts, uncorrected=uncorrected)
+        level, message = judge_outcome(optimization, self.counters, doubts, uncorrected=uncorrected)
         return FinalMap(
             trajectory=trajectory,
             object_map=object_map,
             graph=graph,
             snapshot=self._snapshot(),
-            status=self._status(self.state, outcome.message, level=outcome.level),
+            status=self._status(self.state, message, level=level),
             trajectory_check=check,
         )
 
@@ -293,7 +296,7 @@ class Slam:
         if not self._config.loop_closure.enabled:
             return Outcome([])
         started = time.perf_counter()
-        outcome = self._closer.close(keyframe, self._initial_pose)
+        outcome = self._closer.close(keyframe)
         self.closing_seconds.append(time.perf_counter() - started)
         return outcome
 
@@ -323,7 +326,7 @@ def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: 
     return LocalizationRecord(
         stamp_ns,
         state.value,
-        1.0 if state == State.LOST else closer.kidnapping_probability,
+        1.0 if state == State.LOST else closer.continuity.kidnapping_probability,
         tuple(ratios),
         np.array(list(ratios.values())),
         active.pose_covariance,

@@ -23,7 +23,6 @@ from slam.backend.factors import (
 )
 from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import FactorGraphError
 
 
 class EditableGraph:
@@ -60,7 +59,8 @@ class EditableGraph:
     @property
     def landmarks(self) -> IntArray:
         """Ids (L,) of the landmarks that are estimated, ascending; those of a fixed map are constants and left out."""
-        return np.array(sorted(self._variables() - self._fixed_landmarks), dtype=np.int64)
+        variables = {self._variable_of(landmark) for landmark in self._observations}
+        return np.array(sorted(variables - self._fixed_landmarks), dtype=np.int64)
 
     def add_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Add a keyframe at a pose (4, 4), which edges have to tie to the others before the next update.
@@ -68,8 +68,6 @@ class EditableGraph:
         The first one has a prior, which fixes the map frame.
         """
         pose = checked_pose(T_map_body, f"keyframe {keyframe}")
-        if keyframe in self._keyframes:
-            raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
         prior = None if self._keyframes else prior_factor(keyframe, pose, self.prior_sigma_m)
         self._solver.insert(X(keyframe), pose, prior)
         self._keyframes[keyframe] = None
@@ -85,10 +83,9 @@ class EditableGraph:
 
         ``T_from_to`` (4, 4), if given, is a better initial estimate until the next update.
         """
-        between_factor(edge)  # refuses an edge before its keyframe is there
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
         self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
-        self._add(edge)
+        self.add_edge(edge)
 
     def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
         """Announce landmarks of a prior map; each enters the graph when something is merged into it.
@@ -105,8 +102,10 @@ class EditableGraph:
 
     def add_edge(self, edge: Edge) -> int:
         """Add a factor between two keyframes; returns its number."""
-        self._check_ends(edge)
-        return self._add(edge)
+        edge = self._attached.edge(edge)
+        factor, number = self._between_factor(edge), self._number(edge)
+        self._solver.add(number, factor)
+        return number
 
     def add_observations(self, observations: Sequence[Observation]) -> None:
         """Add factors between landmarks and the keyframes that observed them.
@@ -115,12 +114,11 @@ class EditableGraph:
         under-constrained.
         """
         seen = [self._attached.observation(each) for each in observations]
-        factors, positions = self._observation_factors(seen), self._positions_map(seen)
-        self._insert([self._number(each) for each in seen], factors, positions)
+        self._insert({self._number(each): each for each in seen})
 
     def break_before(self, edge: Edge) -> None:
         """Replace the odometry to a keyframe by an edge, and remove what was observed from there on."""
-        self._remove(
+        self.remove_factors(
             [
                 number
                 for number, each in self._factors.items()
@@ -128,35 +126,40 @@ class EditableGraph:
                 or (isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY and each.to_keyframe == edge.to_keyframe)
             ]
         )
-        self._add(edge)
+        self.add_edge(edge)
 
-    def remove_factor(self, number: int) -> None:
-        """Remove a factor, and landmarks without any other observation."""
-        self._remove([number])
+    def remove_factors(self, numbers: Iterable[int]) -> None:
+        """Remove factors, and landmarks without any other observation."""
+        for number in list(numbers):
+            self._solver.remove(number)
+            factor = self._factors.pop(number)
+            if isinstance(factor, Observation):
+                remaining = self._observations[factor.landmark]
+                remaining.remove(number)
+                if not remaining:
+                    del self._observations[factor.landmark]
 
     def remove_landmarks(self, landmarks: Iterable[int]) -> None:
         """Remove all observations of landmarks; those that are not in the graph are ignored."""
-        self._remove([number for each in landmarks for number in self._observations.get(each, ())])
+        self.remove_factors([number for each in landmarks for number in self._observations.get(each, ())])
 
     def alias_landmarks(self, aliases: Mapping[int, int]) -> None:
         """Set the landmark that each merged landmark was merged into, by the id of the merged one.
 
         Observations of a landmark, earlier and later ones, count as those of the one that it was merged into.
         """
-        moved = [
-            number
+        moved = {
+            number: each
             for landmark, numbers in self._observations.items()
             if aliases.get(landmark, landmark) != self._variable_of(landmark)
             for number in numbers
-        ]
-        observations = [each for number in moved if isinstance(each := self._factors[number], Observation)]
+            if isinstance(each := self._factors[number], Observation)
+        }
         self._aliases = dict(aliases)
-        factors, positions = self._observation_factors(observations), self._positions_map(observations)
-        for number in moved:
+        for number, each in moved.items():
             self._solver.remove(number)
-        for landmark in {each.landmark: None for each in observations}:
-            del self._observations[landmark]
-        self._insert(moved, factors, positions)
+            self._observations.pop(each.landmark, None)
+        self._insert(moved)
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
@@ -171,66 +174,30 @@ class EditableGraph:
             return self._fixed_poses[keyframe]
         return self._solver.pose(keyframe) if values is None else np.asarray(values.atPose3(X(keyframe)).matrix())
 
-    def _check_ends(self, edge: Edge) -> None:
-        for keyframe in (edge.from_keyframe, edge.to_keyframe):
-            if keyframe not in self._keyframes:
-                raise FactorGraphError(
-                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
-                )
-
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
         return self._aliases.get(landmark, landmark)
-
-    def _variables(self) -> set[int]:
-        """The landmarks that have a variable of their own."""
-        return {self._variable_of(landmark) for landmark in self._observations}
 
     def _number(self, record: Factor) -> int:
         self._next_factor += 1
         self._factors[self._next_factor - 1] = record
         return self._next_factor - 1
 
-    def _add(self, edge: Edge) -> int:
-        """Add an edge between keyframes that are there; returns its number."""
-        edge = self._attached.edge(edge)
-        factor, number = self._between_factor(edge), self._number(edge)
-        self._solver.add(number, factor)
-        return number
-
-    def _insert(self, numbers: Sequence[int], factors: Sequence[gtsam.NonlinearFactor], positions: FloatArray) -> None:
-        """Hand observations with these numbers to the solver; ``positions`` (N, 3) of new landmarks."""
-        for number, factor, position in zip(numbers, factors, positions, strict=True):
-            observation = self._factors[number]
-            assert isinstance(observation, Observation)
-            self._observations.setdefault(observation.landmark, []).append(number)
-            variable = self._variable_of(observation.landmark)
+    def _insert(self, observations: Mapping[int, Observation]) -> None:
+        """Hand observations, by their numbers, to the solver; each is of the variable of its landmark."""
+        seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations.values()]
+        factors = observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
+        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in seen)}
+        T = np.array([poses[each.keyframe] for each in seen]).reshape(-1, 4, 4)
+        in_body = np.array([each.position for each in seen]).reshape(-1, 3, 1)
+        positions = (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
+        for (number, each), factor, position in zip(observations.items(), factors, positions, strict=True):
+            self._observations.setdefault(each.landmark, []).append(number)
+            variable = self._variable_of(each.landmark)
             if not self._solver.holds(L(variable)):
                 prior = self._known.get(variable)
                 self._solver.insert(L(variable), position if prior is None else prior.prior(), prior)
             self._solver.add(number, factor)
-
-    def _remove(self, numbers: Iterable[int]) -> None:
-        for number in list(numbers):
-            self._solver.remove(number)
-            factor = self._factors.pop(number)
-            if isinstance(factor, Observation):
-                remaining = self._observations[factor.landmark]
-                remaining.remove(number)
-                if not remaining:
-                    del self._observations[factor.landmark]
-
-    def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
-        """Positions (N, 3) m, map frame, of the landmarks by their observations (N,)."""
-        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
-        T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
-        positions = np.array([each.position for each in observations]).reshape(-1, 3, 1)
-        return np.asarray((T[:, :3, :3] @ positions)[..., 0] + T[:, :3, 3])
-
-    def _observation_factors(self, observations: Sequence[Observation]) -> list[gtsam.NonlinearFactor]:
-        """The solver's factors of observations, each of the variable of its landmark."""
-        seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations]
-        return observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
 
     def _between_factor(self, edge: Edge) -> gtsam.NonlinearFactor:
         """The solver's factor of an edge."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -16,25 +16,14 @@ from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
 from slam.backend.graph_record import make_graph_record
-from slam.backend.gtsam_calls import gtsam_errors
 from slam.backend.observation_sums import summed
-from slam.backend.solver import Optimization
+from slam.backend.solver import Optimization, gtsam_errors
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimates:
-    """Ids of keyframes (K,) and of landmarks (L,), and their positions (K, 3) and (L, 3) m in the map."""
-
-    keyframes: IntArray
-    keyframe_positions: FloatArray
-    landmarks: IntArray
-    landmark_positions: FloatArray
 
 
 class FactorGraph(EditableGraph):
@@ -50,7 +39,6 @@ class FactorGraph(EditableGraph):
         kernel_width: float = OBSERVATION_KERNEL_WIDTH,
     ) -> None:
         super().__init__(kernel_width, sensor_range_m=sensor_range_m)
-        self._marginals: tuple[gtsam.Values, dict[int, FloatArray]] | None = None  # with the estimate that they are of
 
     @property
     def keyframe_variables(self) -> IntArray:
@@ -78,7 +66,6 @@ class FactorGraph(EditableGraph):
         No solver would find there: to its robust kernel the edge would be as wrong as any, and an update with the edge
         before the segment is moved would bend both stretches towards each other.
         """
-        self._check_ends(edge)
         self.update()
         with gtsam_errors("the joining of two segments"):
             values = self._moved_estimate(edge, away)
@@ -175,7 +162,7 @@ class FactorGraph(EditableGraph):
         Raises:
             FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
-        covariances = dict(zip(self._keyframes, self.pose_covariances(), strict=True))
+        covariances = dict(zip(self._keyframes, self.covariances()[0], strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self._factors.items():
@@ -188,7 +175,7 @@ class FactorGraph(EditableGraph):
         for edge in edges.values():
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
-        self._remove([*observations, *edges])
+        self.remove_factors([*observations, *edges])
         self._solver.restart(self._solver.values_with_new(), self._solver.factors)
 
     def _add_condensed(self, edge: Edge, anchors: Mapping[int, int]) -> None:
@@ -197,77 +184,44 @@ class FactorGraph(EditableGraph):
             return
         moved = self._attached.edge(edge)
         if moved.from_keyframe != moved.to_keyframe:
-            self._add(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
+            self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
-        self.update()
-        values = self._solver.values()
+        """``T_map_body`` (K, 4, 4) of all keyframes, as ``keyframes`` has them, or of some (K,); nothing is solved."""
+        values = self._solver.values_with_new()
         wanted = self._keyframes if keyframes is None else keyframes.tolist()
         return np.array([self.pose(keyframe, values) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
-        """Positions (N, 3) m in the map of landmarks that are in the graph."""
-        self._check_landmarks(landmarks)
-        values = self._solver.values()
+        """Positions (N, 3) m in the map of landmarks that are in the graph; nothing is solved."""
+        values = self._solver.values_with_new()
         return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
-    def estimates(self) -> Estimates:
-        """The current estimates of all variables, without solving."""
-        others = np.array([*self._fixed_poses, *self._attached.anchors], dtype=np.int64)
-        values = self._solver.values_with_new()
-        # Both the keys and what is extracted are in the order of the symbols, in which l (landmarks) comes before x.
-        numbers = np.array([gtsam.symbolIndex(key) for key in values.keys()], dtype=np.int64)  # noqa: SIM118 - no mapping
-        landmark_positions = gtsam.utilities.extractPoint3(values).reshape(-1, 3)
-        keyframe_positions = gtsam.utilities.extractPose3(values).reshape(-1, 12)[:, 9:]
-        count = len(landmark_positions)
-        return Estimates(
-            np.concatenate([numbers[count:], others]),
-            np.concatenate([keyframe_positions, self.poses(others)[:, :3, 3]]),
-            numbers[:count],
-            landmark_positions,
-        )
+    def covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Marginal covariances at the current estimate: of all keyframes (K, 6, 6), and of all landmarks (L, 3, 3) m^2
+        in the map frame, as ``keyframes`` and ``landmarks`` have them.
 
-    def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
-        """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
-        self.update()
-        self._check_landmarks(landmarks)
-        marginals = self._marginal_covariances()
-        return np.array([marginals[L(landmark)] for landmark in landmarks.tolist()]).reshape(-1, 3, 3)
+        Those of keyframes: rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``:
+        about the body's axes.
 
-    def pose_covariances(self) -> FloatArray:
-        """Marginal covariances (K, 6, 6) of all keyframes, in the order of ``keyframes``, at the current estimate.
-
-        Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
+        Raises:
+            FactorGraphError: the graph does not determine all variables.
         """
         self.update()
-        marginals, sigmas = self._marginal_covariances(), np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
+        with gtsam_errors("the marginal covariances"):
+            marginals = compute_marginals(self._solver.factors.values(), self._solver.values())
+        sigmas = np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
         known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
-        covariances = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
-        return np.array(covariances).reshape(-1, 6, 6)
+        poses = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
+        landmarks = [marginals[L(landmark)] for landmark in self.landmarks.tolist()]
+        return np.array(poses).reshape(-1, 6, 6), np.array(landmarks).reshape(-1, 3, 3)
 
-    def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
-        """The whole graph at its current estimate, as a record of a log."""
-        try:
-            covariances = self.pose_covariances()
-        except FactorGraphError as error:
-            logger.warning("the graph is logged without covariances of its poses: %s", error)
-            covariances = np.zeros((0, 6, 6))
+    def to_record(
+        self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None
+    ) -> FactorGraphRecord:
+        """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
         factors = [*self._factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
+        covariances = np.zeros((0, 6, 6)) if pose_covariances is None else pose_covariances
         return make_graph_record(
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of, covariances
         )
-
-    def _marginal_covariances(self) -> dict[int, FloatArray]:
-        """Covariances (n, n) of all variables, by their keys."""
-        values = self._solver.values()
-        if self._marginals is None or self._marginals[0] is not values:
-            with gtsam_errors("the marginal covariances"):
-                self._marginals = values, compute_marginals(self._solver.factors.values(), values)
-        return self._marginals[1]
-
-    def _check_landmarks(self, landmarks: IntArray) -> None:
-        variables = self._variables()
-        for landmark in landmarks.tolist():
-            if landmark not in variables:
-                raise FactorGraphError(f"landmark {landmark} is not in the graph")

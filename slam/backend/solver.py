@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.gtsam_calls import first_line, graph_of, gtsam_errors
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
@@ -61,23 +62,19 @@ class Solver:
         self._begin(None, values)
         for number, factor in factors.items():
             self.add(number, factor)
-        self._held = set(self._uses)
 
     def holds(self, key: int) -> bool:
-        """Whether a variable is there."""
-        return key in self._held
+        """Whether a factor is on a variable."""
+        return self._uses[key] > 0
 
     def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
-        """Add a variable with its initial value; one that was about to leave stays where it was.
+        """Add a variable with its initial value; one that left since the last update stays where it was.
 
         ``prior``: a factor on it; that of a landmark leaves with it.
         """
-        self._held.add(key)
         if prior is not None:
             self.add(-key, prior)
-        if key in self._leaving:
-            self._leaving.remove(key)
-        else:
+        if not (self.values().exists(key) if self._isam is None else self._isam.valueExists(key)):
             self._new_values.insert(key, value)
 
     def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
@@ -96,28 +93,18 @@ class Solver:
                 continue
             if self._uses[key] == 1 and -key in self._factors:
                 self.remove(-key)
-            elif not self._uses[key]:
-                self._held.remove(key)
-                if self._new_values.exists(key):
-                    self._new_values.erase(key)
-                else:
-                    self._leaving.add(key)
+            elif not self._uses[key] and self._new_values.exists(key):
+                self._new_values.erase(key)
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
         key = X(keyframe)
-        if key not in self._held:
-            raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
-        if self._new_values.exists(key):
-            return np.asarray(self._new_values.atPose3(key).matrix())
-        if keyframe not in self._poses:
-            with gtsam_errors(f"the estimate of keyframe {keyframe}"):
-                if self._values is not None:
-                    self._poses[keyframe] = self._values.atPose3(key)
-                else:
-                    assert self._isam is not None
-                    self._poses[keyframe] = self._isam.calculateEstimatePose3(key)
-        return np.asarray(self._poses[keyframe].matrix())
+        with gtsam_errors(f"the estimate of keyframe {keyframe}"):
+            if self._new_values.exists(key):
+                return np.asarray(self._new_values.atPose3(key).matrix())
+            if self._isam is None or self._values is not None:
+                return np.asarray(self.values().atPose3(key).matrix())
+            return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
 
     def values(self) -> gtsam.Values:
         """The estimate of all variables as of the last update; iSAM2 computes those that were not queried only here."""
@@ -147,7 +134,7 @@ class Solver:
                     result = isam.update(graph_of(self._added.values()), self._new_values, removed)
                     self._take(isam, list(self._added), result)
             except RuntimeError as error:
-                logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
+                logger.info("the incremental update failed (%s); solving again with QR", _first_line(error))
                 # A failed update of iSAM2 has the new variables already.
                 values = self.values_with_new() if isam is None else isam.getLinearizationPoint()
                 self._solve_afresh(values, "QR")
@@ -180,9 +167,7 @@ class Solver:
     def _begin(self, isam: gtsam.ISAM2 | None, values: gtsam.Values | None) -> None:
         """Begin with an estimate of all variables: ``values``, or those of iSAM2."""
         self._isam, self._values = isam, values
-        self._poses: dict[int, gtsam.Pose3] = {}  # those queried since then
         self._new_values = gtsam.Values()
-        self._leaving = set[int]()
 
     def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
         """Put all factors into a new iSAM2.
@@ -219,3 +204,33 @@ def _values_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
         is_pose = gtsam.symbolChr(key) == ord("x")
         kept.insert(key, values.atPose3(key) if is_pose else values.atPoint3(key))
     return kept
+
+
+@contextmanager
+def gtsam_errors(what: str) -> Iterator[None]:
+    """Exceptions of GTSAM become a ``FactorGraphError``: ``what`` failed, with the keyframe or landmark it concerns."""
+    try:
+        yield
+    except (RuntimeError, ValueError, IndexError) as error:
+        raise FactorGraphError(f"{what} failed{_variable_in(str(error))}: {_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    """The first line of the message of an exception."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+
+
+def _variable_in(message: str) -> str:
+    """The keyframe or landmark that a GTSAM message names as a symbol, e.g. x12 or l7."""
+    found = re.search(r"\b([xl])(\d+)\b", message)
+    if found is None:
+        return ""
+    return f" at {'keyframe' if found[1] == 'x' else 'landmark'} {found[2]}"
+
+
+def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """A graph of factors, in their order."""
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    return graph

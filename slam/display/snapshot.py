@@ -76,9 +76,7 @@ def take_snapshot(
         is_localized: whether odometry or closures connect a keyframe with the map.
         calibration: of the robot.
     """
-    estimates = graph.estimates()
-    places = np.zeros((len(keyframes), 3))
-    places[estimates.keyframes] = estimates.keyframe_positions
+    places = graph.poses()[:, :3, 3]
     segments = np.array([keyframe.odometry.segment for keyframe in keyframes])
     is_map_frame = np.array([keyframe.is_map_frame for keyframe in keyframes], dtype=np.bool_)
     closed = closed[~is_map_frame[closed].any(axis=1)]  # they would all lead to the origin of the map
@@ -88,7 +86,8 @@ def take_snapshot(
     connected = [segment for segment, first in first_of.items() if is_localized(keyframes[first])]
     newest = keyframes[-1]
     placed = _placed(object_map, newest, graph.pose(newest.id))
-    placed[estimates.landmarks] = estimates.landmark_positions
+    in_graph = graph.landmarks
+    placed[in_graph] = graph.landmark_positions(in_graph)
     rows = object_map.in_state(LandmarkState.CONFIRMED)
     rows = rows[np.isin(object_map.rows["segment"][rows], connected) & np.isfinite(placed[rows, 0])]
     own = [segment for segment in connected if not keyframes[first_of[segment]].is_prior]

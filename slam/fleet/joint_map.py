@@ -7,7 +7,8 @@ from dataclasses import replace
 from itertools import compress
 
 import numpy as np
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
@@ -18,7 +19,6 @@ from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
-from slam.common.union_find import find_components
 from slam.fleet.acceptance import MapPair
 from slam.fleet.joins import Join
 from slam.fleet.part import Part, Visit
@@ -91,8 +91,9 @@ def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) 
 def _connected(numbers: Sequence[int], ends: Sequence[tuple[int, int]]) -> list[list[int]]:
     """The numbers in groups that pairs of them connect."""
     row_of = {number: row for row, number in enumerate(numbers)}
-    rows = np.array([[row_of[end] for end in each] for each in ends], dtype=np.int64).reshape(-1, 2)
-    component = find_components(len(numbers), rows)
+    rows = np.array([[row_of[end] for end in each] for each in ends], dtype=np.int64).reshape(-1, 2).T
+    pairs = coo_array((np.ones(rows.shape[1]), rows), shape=(len(numbers), len(numbers)))
+    component = connected_components(pairs, directed=False)[1]
     return [np.asarray(numbers)[component == each].tolist() for each in np.unique(component)]
 
 
@@ -156,7 +157,7 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
     for number, part in group.parts.items():
         for session, visit in part.visits.items():
             points, _ = _moved(part.saved, record.T_map_body[group.rows(number)], visit.steps.reshape(-1, 3))
-            rows = [row_of[object_map.canonical_id(row)] for row in rows_of[number][visit.landmarks].tolist()]
+            rows = [row_of[row] for row in object_map.canonical[rows_of[number][visit.landmarks]].tolist()]
             visits[session] = Visit(points.reshape(visit.steps.shape), np.unique(np.array(rows, dtype=np.int64)))
     return Part(joint, visits)
 
@@ -184,7 +185,7 @@ def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mappin
     for join in sorted(joins, key=lambda join: -join.log_odds):
         queries, references = join.pairs.T
         for ends in zip(rows_of[join.query_map][queries], rows_of[join.reference_map][references], strict=True):
-            kept, dropped = sorted(object_map.canonical_id(int(end)) for end in ends)
+            kept, dropped = sorted(object_map.canonical[list(ends)].tolist())
             if maps_of[kept].isdisjoint(maps_of[dropped]):
                 object_map.merge(kept, dropped)
                 maps_of[kept] |= maps_of[dropped]
@@ -201,5 +202,5 @@ def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radiu
     object_map.assign(
         landmarks,
         position_map=graph.landmark_positions(landmarks),
-        covariance_map=graph.landmark_covariances(landmarks),
+        covariance_map=graph.covariances()[1],
     )

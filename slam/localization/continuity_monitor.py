@@ -17,6 +17,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -37,30 +38,6 @@ PRIOR_EXPECTED = 2.0
 """Landmarks that are assumed not to have been seen in a cell: it may be hidden from the sensor as long as nothing was
 seen there.
 """
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecentLandmarks:
-    """N landmarks seen lately: ``rows`` (N,) of the object map, ``positions`` (N, 3) m in the frame of the odometry,
-    and the travel [m] at which each was first and last seen, (N,).
-    """
-
-    rows: IntArray
-    positions: FloatArray
-    first_seen_m: FloatArray
-    last_seen_m: FloatArray
-
-
-def recent_landmarks(object_map: ObjectMap, pose: OdometryPose, memory_m: float) -> RecentLandmarks:
-    """The confirmed landmarks of a pose's segment that were seen on the last ``memory_m`` of travel."""
-    landmarks = object_map.rows
-    rows = np.flatnonzero(
-        (landmarks["state"] == LandmarkState.CONFIRMED)
-        & (landmarks["segment"] == pose.segment)
-        & (landmarks["last_seen_travel_m"] > pose.travel_m - memory_m)
-    )
-    seen_m = landmarks["first_seen_travel_m"][rows], landmarks["last_seen_travel_m"][rows]
-    return RecentLandmarks(rows, landmarks["position_local"][rows], *seen_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +73,8 @@ class ContinuityMonitor:
     """The test at each keyframe, for every earlier time within two sensor ranges of travel on its segment."""
 
     def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
-        self.memory_m = 2.0 * sensor_range_m
-        self._log_prior = float(np.log(failure_probability(config.failures_per_km, self.memory_m)))
+        self._memory_m = 2.0 * sensor_range_m
+        self._log_prior = float(np.log(failure_probability(config.failures_per_km, self._memory_m)))
         self._least_llr = -float(logit(config.error_probability)) - self._log_prior
         self.kidnapping_probability = 0.0
         """Posterior probability of the likeliest kidnapping at the last keyframe."""
@@ -109,25 +86,22 @@ class ContinuityMonitor:
         """Forget the keyframes."""
         self._steps.clear()
 
-    def update(self, keyframe: Keyframe, landmarks: RecentLandmarks) -> float | None:
-        """Add a keyframe; returns the travel [m] after which the robot was kidnapped, or None if it was not.
-
-        Args:
-            keyframe: the newest.
-            landmarks: the confirmed landmarks of its segment that were seen on the last ``memory_m`` of travel.
-        """
+    def update(self, keyframe: Keyframe, object_map: ObjectMap) -> float | None:
+        """Add the newest keyframe; returns the travel [m] after which the robot was kidnapped, None if it was not."""
+        rows = self._recent(keyframe.odometry, object_map)
+        landmarks = object_map.rows[rows]
         if self._steps and self._steps[-1].keyframe.odometry.segment != keyframe.odometry.segment:
             self._steps.clear()
         self.kidnapping_probability = float(np.exp(self._log_prior))
         since_m = self._steps[-1].travel_m if self._steps else -np.inf
-        seen = landmarks.rows[landmarks.last_seen_m > since_m]
+        seen = rows[landmarks["last_seen_travel_m"] > since_m]
         self._steps.append(_Step(keyframe, invert(gravity_frame(keyframe.T_local_body)), seen))
-        while self._steps[-1].travel_m - self._steps[0].travel_m > self.memory_m:
+        while self._steps[-1].travel_m - self._steps[0].travel_m > self._memory_m:
             self._steps.popleft()
-        if len(self._steps) < 2 or not len(landmarks.rows):
+        if len(self._steps) < 2 or not len(rows):
             return None
         # It happened after the last sighting of a landmark.
-        times_m = np.unique(landmarks.last_seen_m)
+        times_m = np.unique(landmarks["last_seen_travel_m"])
         times_m = times_m[(times_m >= self._steps[0].travel_m) & (times_m < self._steps[-1].travel_m)]
         if not len(times_m):
             return None
@@ -135,26 +109,36 @@ class ContinuityMonitor:
         llrs = self._log_likelihood_ratios(sides)
         self.kidnapping_probability = float(expit(llrs.max() + self._log_prior))
         missed = ((sides.in_view[0] > 0.5) & (sides.seen[0] == 0.0)).sum(axis=1)
-        new = (landmarks.first_seen_m > times_m[:, None]).sum(axis=1)
+        new = (landmarks["first_seen_travel_m"] > times_m[:, None]).sum(axis=1)
         # A sensor that goes blind misses landmarks, but sees nothing new.
         noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= 2))
         if len(noticed):
             return float(times_m[noticed[np.argmax(llrs[noticed])]])
         if llrs.max() <= 0.0:  # else it might learn from the kidnapping that landmarks are missed
-            self._learn(landmarks, sides)
+            self._learn(landmarks, rows, sides)
         return None
 
-    def _sides(self, landmarks: RecentLandmarks, times_m: FloatArray) -> _Sides:
+    def _recent(self, pose: OdometryPose, object_map: ObjectMap) -> IntArray:
+        """The confirmed landmarks of a pose's segment that were seen lately."""
+        landmarks = object_map.rows
+        return np.flatnonzero(
+            (landmarks["state"] == LandmarkState.CONFIRMED)
+            & (landmarks["segment"] == pose.segment)
+            & (landmarks["last_seen_travel_m"] > pose.travel_m - self._memory_m)
+        )
+
+    def _sides(self, landmarks: NDArray[np.void], times_m: FloatArray) -> _Sides:
         T_gravity_local = np.array([step.T_gravity_local for step in self._steps])
-        in_body = _in_plane(T_gravity_local, landmarks.positions)  # (S, N, 2)
+        in_body = _in_plane(T_gravity_local, landmarks["position_local"])  # (S, N, 2)
         shares = self._visibility.probability(in_body.reshape(-1, 2)).reshape(in_body.shape[:2])
         log_missed = np.log1p(-np.minimum(shares, 0.99))
-        sums = np.concatenate([np.zeros((1, len(landmarks.rows))), np.cumsum(log_missed, axis=0)])
+        sums = np.concatenate([np.zeros((1, len(landmarks))), np.cumsum(log_missed, axis=0)])
         # A keyframe stands for the sightings since the one before it; the one that a time falls between does not count.
         steps_before = np.searchsorted([step.travel_m for step in self._steps], times_m, side="right")
         before = sums[steps_before]
         after = sums[-1] - sums[np.minimum(steps_before + 1, len(self._steps))]
-        known_before, seen_after = landmarks.first_seen_m <= times_m[:, None], landmarks.last_seen_m > times_m[:, None]
+        known_before = landmarks["first_seen_travel_m"] <= times_m[:, None]
+        seen_after = landmarks["last_seen_travel_m"] > times_m[:, None]
         known = np.stack([known_before, seen_after])
         seen = np.stack([seen_after, known_before])
         return _Sides(np.where(known, -np.expm1(np.stack([after, before])), 0.0), seen.astype(np.float64))
@@ -166,14 +150,15 @@ class ContinuityMonitor:
         of_missed = np.log1p(-FALSE_MATCH_PROBABILITY * sides.in_view) - np.log1p(-detected * sides.in_view)
         return np.asarray(np.where(sides.seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
 
-    def _learn(self, landmarks: RecentLandmarks, sides: _Sides) -> None:
+    def _learn(self, landmarks: NDArray[np.void], rows: IntArray, sides: _Sides) -> None:
         """Region in which existing landmarks are observed, and the share of those in view that are observed."""
         middle = len(self._steps) // 2
         step = self._steps[middle]
-        there = (landmarks.first_seen_m <= step.travel_m) & (landmarks.last_seen_m >= step.travel_m)
+        there = landmarks["first_seen_travel_m"] <= step.travel_m
+        there &= landmarks["last_seen_travel_m"] >= step.travel_m
         self._visibility.learn(
-            _in_plane(step.T_gravity_local, landmarks.positions[there]),
-            np.isin(landmarks.rows[there], step.seen, assume_unique=True),
+            _in_plane(step.T_gravity_local, landmarks["position_local"][there]),
+            np.isin(rows[there], step.seen, assume_unique=True),
         )
         index = sides.seen.shape[1] // 2
         in_view, seen = sides.in_view[:, index], sides.seen[:, index]

@@ -58,18 +58,13 @@ def restore_prior_map(
     if prior_map is None:
         return [], None
     if isinstance(prior_map, ImportedMap):
-        return [restore_map_frame(graph)], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
+        graph.add_fixed_keyframe(0, np.eye(4))
+        return [map_frame(0)], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
     return restore(prior_map, object_map, graph, fixed=fixed), None
 
 
-def restore_map_frame(graph: FactorGraph, number: int = 0) -> Keyframe:
-    """Put the frame of an imported map into a graph, as a keyframe and a segment of that number; landmarks follow as
-    they are needed.
-
-    It stands where the map has its origin, and never moves.
-    """
-    graph.add_fixed_keyframe(number, np.eye(4))
-    graph.update()
+def map_frame(number: int) -> Keyframe:
+    """The frame of a map without a trajectory as a keyframe and a segment of that number, at the origin of the map."""
     return Keyframe(number, _prior_pose(np.eye(4), number), np.eye(4), is_prior=True, is_map_frame=True)
 
 

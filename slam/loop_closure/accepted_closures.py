@@ -8,15 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.common.arrays import BoolArray
 from slam.common.config import Config
-from slam.common.union_find import UnionFind
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -43,40 +40,24 @@ class AcceptedClosures:
     def __init__(
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
     ) -> None:
-        self._propagation_distance_m = config.propagation_distance_m
         # Least travel between two closures that become factors.
         self._insert_travel_m = 2.0 / 3.0 * config.sensor_range_m
         # A relocalization that stayed consistent over that travel is taken to be true.
         self._trusted_after_m = 2.0 * config.sensor_range_m
         self._min_travel_m = config.closure_travel_m
         self._map, self._graph, self._keyframes = object_map, graph, keyframes
-        self._segments = UnionFind()  # of the odometry; those that closures connect are a set, named by the first one
+        self._components: dict[int, int] = {}  # the first of the segments that closures connect with a segment
         self.closed: dict[int, int] = {}
         """Query and reference keyframe of each."""
-        self.tracked: dict[int, int] = {}
-        """The same of places that were recognised by landmarks still associated: there is no loop to close."""
         self._accepted: list[Accepted] = []
 
     def is_localized(self, keyframe: Keyframe) -> bool:
         """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
         return self._component_of(0) == self._component_of(keyframe.id)
 
-    def keyframes_nearby(self) -> set[int]:
-        """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
-        landmarks still associated: their positions can be compared.
-        """
-        ends = np.unique(np.array([*self.closed.items(), *self.tracked.items()], dtype=np.int64))
-        segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
-        near: set[int] = set()
-        for segment in np.unique(segments[ends]).tolist():
-            members = np.flatnonzero(segments == segment)
-            of_segment = [self._keyframes[row] for row in members.tolist()]
-            along = np.array([[keyframe.odometry.travel_m] for keyframe in of_segment])
-            if of_segment[0].is_prior:  # those have positions and no travel
-                along = np.stack([keyframe.T_local_body[:2, 3] for keyframe in of_segment])
-            distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
-            near.update(members[distances_m <= self._propagation_distance_m].tolist())
-        return {row for row in near if self.is_localized(self._keyframes[row])}
+    def localized_keyframes(self) -> set[int]:
+        """The keyframes that are localized: what they saw can be compared."""
+        return {each.id for each in self._keyframes if self.is_localized(each)}
 
     def add(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one nearby represents it."""
@@ -104,7 +85,6 @@ class AcceptedClosures:
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
-        self.tracked = {query: reference for query, reference in self.tracked.items() if query < since}
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
         revoked = [each for each in self._accepted if max(each.candidate.query.id, each.represented_by) >= since]
         self._remove(revoked)
@@ -151,7 +131,7 @@ class AcceptedClosures:
         else:
             away = {each.id for each in self._keyframes if self._component_of(each.id) == moved}
             factor = self._graph.add_joining_edge(edge, away)
-            self._segments.merge(kept, moved)
+            self._connect(kept, moved)
         for query, reference in candidate.pairs.tolist():
             if self._may_merge(query, reference):
                 self._map.merge(reference, query, closure=factor)
@@ -166,28 +146,29 @@ class AcceptedClosures:
         gone = {each.factor for each in revoked if each.factor is not None}
         if not gone:
             return
-        for factor in gone:
-            self._graph.remove_factor(factor)
+        self._graph.remove_factors(gone)
         self._map.undo_merges(gone)
         self._graph.alias_landmarks(self._map.aliases)
-        self._segments = UnionFind()
+        self._components = {}
         for candidate in self._across_breaks:
-            self._segments.merge(*sorted(map(self._component_of, (candidate.reference.id, candidate.query.id))))
+            self._connect(*sorted(map(self._component_of, (candidate.reference.id, candidate.query.id))))
+
+    def _connect(self, kept: int, moved: int) -> None:
+        """Make one component of two."""
+        of_moved = [segment for segment, component in self._components.items() if component == moved]
+        self._components |= dict.fromkeys([moved, *of_moved], kept)
 
     def _component_of(self, keyframe: int) -> int:
         """The first of the segments that are connected with that of a keyframe."""
-        return self._segments.find(self._keyframes[keyframe].odometry.segment)
+        segment = self._keyframes[keyframe].odometry.segment
+        return self._components.get(segment, segment)
 
     def _may_merge(self, query: int, reference: int) -> bool:
         """Whether the query landmark is not merged, and neither landmark is of both traversals."""
-        kept = self._map.canonical_id(reference)
-        if self._map.canonical_id(query) != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
+        canonical, travel_m = self._map.canonical, self._map.rows["last_seen_travel_m"]
+        kept = canonical[reference]
+        if canonical[query] != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
             return False
+        in_traversal = np.abs(travel_m - travel_m[query]) < self._min_travel_m
         # Two landmarks of one traversal are two objects; one that stands for two traversals is not merged into a third.
-        is_of_both = self._in_traversal(query, [kept, *self._map.absorbed(kept)]).any()
-        return not is_of_both and bool(self._in_traversal(query, self._map.absorbed(query)).all())
-
-    def _in_traversal(self, landmark: int, others: list[int]) -> BoolArray:
-        """Which other landmarks (N,) were last seen on the same traversal as a landmark."""
-        travel_m = self._map.rows["last_seen_travel_m"]
-        return np.asarray(np.abs(travel_m[others] - travel_m[landmark]) < self._min_travel_m)
+        return bool(in_traversal[canonical == query].all() and not in_traversal[canonical == kept].any())

@@ -92,15 +92,13 @@ class Candidate:
 class Query:
     """A keyframe and the landmarks around it that its traversal found, in its gravity frame.
 
-    ``before_m``: travel up to which landmarks and keyframes may be the reference of a loop closure; ``tracked``: how
-    many landmarks from before that are around and still associated. These would match themselves.
+    ``before_m``: travel up to which landmarks and keyframes may be the reference of a loop closure.
     """
 
     keyframe: Keyframe
     submap: Submap
     T_local_gravity: FloatArray
     before_m: float
-    tracked: int = 0
 
     @property
     def travel_m(self) -> float:

@@ -33,7 +33,7 @@ def find_duplicate_landmarks(
     Args:
         object_map: the landmarks.
         graph: their positions, at its current estimate.
-        keyframes: only landmarks that one of these observed are compared: keyframes near a loop closure.
+        keyframes: only landmarks that one of these observed are compared.
         radius_m: largest horizontal distance of duplicates [m].
         drives: (K,) number of the drive of each keyframe, by date. If given, two landmarks that a keyframe observed
             are duplicates nevertheless where most drives that passed have one of them only.

@@ -19,7 +19,7 @@ from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.geometry import invert
-from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
+from slam.localization.continuity_monitor import ContinuityMonitor
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
@@ -28,7 +28,6 @@ from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
-from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
@@ -72,36 +71,26 @@ class LoopCloser:
         self._sensor_range_m = config.sensor_range_m
         self._map = object_map
         self._keyframes = keyframes
-        self._track = KeyframeTrack(config.calibration)
-        for keyframe in keyframes:  # of the prior map
-            self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)
         mapped = [] if imported is None else [imported.positions]
-        self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
+        self._verifier = Verifier(config, self._retriever, keyframes, graph.pose, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self._continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
+        self.continuity = ContinuityMonitor(config.localization, config.sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
         self._seed: Candidate | None = None  # the last accepted closure, which predicts the next ones
         self._recent: deque[Query] = deque()  # those that a closure may predict
         self._looked_up: Query | None = None
+        self.initial_pose: InitialPose | None = None
+        """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
 
-    @property
-    def kidnapping_probability(self) -> float:
-        """Probability of a recent kidnapping, by the landmarks around."""
-        return self._continuity.kidnapping_probability
-
-    def close(self, keyframe: Keyframe, initial_pose: InitialPose | None = None) -> Outcome:
-        """Look for loops at the newest keyframe.
-
-        ``initial_pose``: where in the prior map the robot is said to be; places elsewhere in it are left out.
-        """
-        self._track.add(keyframe)
+    def close(self, keyframe: Keyframe) -> Outcome:
+        """Look for loops at the newest keyframe."""
+        self._verifier.track.add(keyframe)
         self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
-        seen = recent_landmarks(self._map, keyframe.odometry, self._continuity.memory_m)
-        kidnapped_after_m = self._continuity.update(keyframe, seen)
+        kidnapped_after_m = self.continuity.update(keyframe, self._map)
         if kidnapped_after_m is not None:
             reason = "kidnapped: other landmarks are in view than a moment ago"
             return Outcome([query.refusal(Stage.CONSISTENCY, reason)], kidnapped_after_m)
@@ -114,21 +103,14 @@ class LoopCloser:
             return Outcome([record], query.travel_m - self._sensor_range_m)
         if (propagated := self._confirmed(predicted)) is not None:
             return Outcome([self._accept(propagated)])
-        # 2. Where landmarks of an earlier traversal are still associated there is no loop to close, ...
-        records = list[LoopClosureRecord]()
-        if (tracked := self._tracked_place(query)) is not None:
-            records.append(tracked)
-            if len(query.submap) < MIN_INLIERS:
-                return Outcome(records)
-        # 3. ... unless there are enough others. Retrieval proposes places.
+        # 2. Elsewhere retrieval proposes places.
         if (alike := self._looked_up_alike(query)) is not None:
             refusal = query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")
-            return Outcome([*records, refusal])
+            return Outcome([refusal])
         self._looked_up = query
-        # 4. The candidate with the highest score is accepted or rejected.
-        decision = self._acceptance.decide(*self._look_up(query, initial_pose))
-        records += decision.rejected
-        best = decision.accepted
+        # 3. The candidate with the highest score is accepted or rejected.
+        decision = self._acceptance.decide(*self._look_up(query))
+        records, best = [*decision.rejected], decision.accepted
         if best is None:
             return Outcome(records)
         if self._has_prior_map and predicted is not None and self._is_elsewhere(predicted, best):
@@ -144,12 +126,12 @@ class LoopCloser:
         """
         self._seed = self._looked_up = None
         self._recent.clear()
-        self._continuity.restart()
+        self.continuity.restart()
         return self.closures.revoke_since(keyframe, since)
 
     def begin_segment(self, first: int) -> None:
         """Follow the keyframes from ``first`` on to a segment of their own."""
-        self._track.replace_since(self._keyframes[first:])
+        self._verifier.track.replace_since(self._keyframes[first:])
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         """The query of the newest keyframe, which later closures may predict."""
@@ -159,34 +141,13 @@ class LoopCloser:
         began_m = self._keyframes[first].odometry.travel_m if first else -np.inf
         before_m = max(pose.travel_m - self._config.closure_travel_m, began_m)
         around = recent_submap(self._map, keyframe, self._config.calibration)
+        # Those of an earlier traversal that are still associated would match themselves.
         is_new = self._map.rows["first_seen_travel_m"][around.rows] >= before_m
-        tracked = int(np.count_nonzero(~is_new))
-        query = Query(keyframe, around.of(is_new), gravity_frame(keyframe.T_local_body), before_m, tracked)
+        query = Query(keyframe, around.of(is_new), gravity_frame(keyframe.T_local_body), before_m)
         self._recent.append(query)
         while self._recent[0].travel_m < pose.travel_m - self._config.propagation_distance_m:
             self._recent.popleft()
         return query
-
-    def _tracked_place(self, query: Query) -> LoopClosureRecord | None:
-        """The record of the nearest keyframe of the earlier traversal that most landmarks around are from, still
-        associated.
-
-        None if they are too few for a pose, or the robot is lost, so that they do not tell where it is.
-        """
-        keyframe = query.keyframe
-        is_known = query.tracked >= max(MIN_INLIERS, len(query.submap) + 1)
-        if not is_known or not self.closures.is_localized(keyframe):
-            return None
-        place, segment = query.T_local_gravity[:3, 3], keyframe.odometry.segment
-        found = self._track.nearest(place, segment=segment, from_m=-np.inf, to_m=query.before_m)
-        if found is None:
-            return None
-        reference = self._keyframes[found[0]]
-        self.closures.tracked[keyframe.id] = reference.id
-        reason = "its landmarks are still associated: there is no loop to close"
-        T_reference_query = invert(reference.T_local_body) @ keyframe.T_local_body
-        refusal = query.refusal(Stage.ASSOCIATION, reason, reference)
-        return replace(refusal, T_reference_query=T_reference_query, proposer="association")
 
     def _predict(self, seed: Candidate | None, query: Query) -> Predicted | None:
         """What a closure predicts for a query; None without one that is near enough."""
@@ -238,19 +199,17 @@ class LoopCloser:
         is_near = query.travel_m - last.travel_m < self._config.propagation_distance_m
         return last if is_alike and is_near else None
 
-    def _look_up(
-        self, query: Query, initial_pose: InitialPose | None
-    ) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
+    def _look_up(self, query: Query) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
         """The query that was asked last, and the candidates at the proposed places, or the reasons why there is none.
 
         If the robot is lost and no candidate is acceptable, landmarks that are not confirmed yet are used, too.
         """
-        verified = self._retrieve(query, initial_pose)
+        verified = self._retrieve(query)
         is_found = any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified)
         if not is_found and not self.closures.is_localized(query.keyframe):
             submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._config.calibration)
             query, has_more = replace(query, submap=submap), len(submap) > len(query.submap)
-            verified += self._retrieve(query, initial_pose) if has_more else []
+            verified += self._retrieve(query) if has_more else []
         if not verified:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {MIN_INLIERS}"
             if len(query.submap) >= MIN_INLIERS:
@@ -258,22 +217,24 @@ class LoopCloser:
             verified = [query.refusal(Stage.RETRIEVAL, reason)]
         return query, verified
 
-    def _retrieve(self, query: Query, initial_pose: InitialPose | None) -> list[Candidate | LoopClosureRecord]:
+    def _retrieve(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that retrieval proposes."""
         if len(query.submap) < MIN_INLIERS:
             return []
         return [
             self._verifier.verify(query, place)
-            if initial_pose is None or self._is_allowed(query, place, initial_pose)
+            if self._is_allowed(query, place)
             else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
             for place in self._retriever.propose(query.submap, before_m=query.before_m)
         ]
 
-    def _is_allowed(self, query: Query, place: Place, initial_pose: InitialPose) -> bool:
+    def _is_allowed(self, query: Query, place: Place) -> bool:
         """Whether a place is where the robot may be; in what it has mapped itself that is anywhere."""
+        if self.initial_pose is None or place.segment != SEGMENT:
+            return True
         first = next(each for each in self._keyframes if not each.is_prior)
         T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
-        return place.segment != SEGMENT or initial_pose.allows(place.T_local_query, T_first_query, query.travel_m)
+        return self.initial_pose.allows(place.T_local_query, T_first_query, query.travel_m)
 
     def _accept_with_those_before(self, candidate: Candidate) -> list[LoopClosureRecord]:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""
@@ -285,12 +246,11 @@ class LoopCloser:
         )
         records, seed = [self._accept(candidate)], candidate
         for query in reversed(self._recent):
-            if query.keyframe.id == candidate.query.id or query.keyframe.id in self.closures.closed:
+            if query.keyframe.id in self.closures.closed:
                 continue
             if (propagated := self._confirmed(self._predict(seed, query))) is not None:
-                records.append(self._accept(propagated))
+                records.append(self.closures.add(propagated))
                 seed = propagated
-        self._seed = candidate
         return records
 
     def _accept(self, candidate: Candidate) -> LoopClosureRecord:

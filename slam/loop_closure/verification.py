@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
-from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, yaw_rad
@@ -39,12 +38,13 @@ class Verifier:
         self,
         config: Config,
         retriever: PlaceRetriever,
-        track: KeyframeTrack,
-        graph: FactorGraph,
         keyframes: Sequence[Keyframe],
+        pose: Callable[[int], FloatArray],
         mapped: Sequence[FloatArray] = (),
     ) -> None:
-        """``mapped`` (N, 2) m each: objects of maps without keyframes, among which the robot may be anywhere."""
+        """``keyframes``: of the prior map, to which others are added; ``pose``: ``T_map_body`` (4, 4) of each;
+        ``mapped`` (N, 2) m each: objects of maps without keyframes, among which the robot may be anywhere.
+        """
         self._config, objects = config, config.calibration.objects
         self._registration = registration_config(config)
         # Of the errors that all inliers of a registration share, rotation first.
@@ -53,9 +53,11 @@ class Verifier:
         self._shared_covariance = np.diag(sigmas**2)
         self._sensor_range_m = config.sensor_range_m
         self._retriever = retriever
-        self._track = track
-        self._graph = graph
+        self._pose = pose
         self._keyframes = keyframes
+        self.track = KeyframeTrack(config.calibration)
+        for keyframe in keyframes:
+            self.track.add(keyframe)
         cells = [positions // config.sensor_range_m for positions in mapped]
         # One number a cell is sooner than two, and no map has so many columns.
         self._mapped_cells = sum(len(np.unique(each @ [1.0, 2.0**32])) for each in cells)
@@ -115,8 +117,8 @@ class Verifier:
         first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         start, end = first.reference.id, second.reference.id
-        T_error = invert(self._graph.pose(end)) @ self._graph.pose(start) @ T_implied
-        drift_m, drift_rad = self._track.drift_sigmas(start, end)
+        T_error = invert(self._pose(end)) @ self._pose(start) @ T_implied
+        drift_m, drift_rad = self.track.drift_sigmas(start, end)
         sigma_m = SLIP_INFLATION * np.hypot(drift_m, self._config.calibration.objects.landmark_sigma_m)
         sigma_rad = SLIP_INFLATION * np.hypot(drift_rad, CLOSURE_SIGMA_RAD)
         squares = (np.hypot(*T_error[:2, 3]) / sigma_m) ** 2 + (yaw_rad(T_error) / sigma_rad) ** 2
@@ -141,16 +143,16 @@ class Verifier:
         T_local_query, since = place.T_local_query, place.predicted_by
         if since is None:
             since = reference.id
-            T_predicted = invert(self._graph.pose(since)) @ self._graph.pose(query.keyframe.id)
+            T_predicted = invert(self._pose(since)) @ self._pose(query.keyframe.id)
             T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(query.T_gravity_body))
-        drift_m, drift_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        drift_m, drift_rad = self.track.drift_sigmas(*sorted((since, query.keyframe.id)))
         travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
             T_local_query,
             float(np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m)),
             float(np.hypot(SLIP_INFLATION * drift_rad, CLOSURE_SIGMA_RAD)),
             failure_probability(self._config.localization.failures_per_km, travel_m),
-            (len(self._track.cells) + self._mapped_cells) * self._sensor_range_m**2,
+            (len(self.track.cells) + self._mapped_cells) * self._sensor_range_m**2,
         )
 
     def _ratios(self, query: Query, submap: Submap, T_local_query: FloatArray, pairs: IntArray) -> FloatArray:
@@ -163,7 +165,7 @@ class Verifier:
         Farther away, the map of that traversal has less than half of what is in view.
         """
         extent_m = TRAVERSAL_EXTENT * self._config.closure_travel_m
-        found = self._track.nearest(
+        found = self.track.nearest(
             place.T_local_query[:3, 3],
             segment=place.segment,
             from_m=place.travel_m - extent_m,

@@ -7,7 +7,6 @@ once it was observed often enough; ``RETIRED`` with a reason if it is not a stat
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
-from slam.common.union_find import UnionFind
 from slam.object_map.class_beliefs import ClassBeliefs
 
 
@@ -72,17 +70,6 @@ LANDMARK = np.dtype(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class LandmarkMerge:
-    """Two rows that were merged into one landmark; ``closure``: the factor of the closure of the merge, None for other
-    merges.
-    """
-
-    kept: int
-    dropped: int
-    closure: int | None = None
-
-
 class ObjectMap:
     """Landmarks; ``labels``: those that were measured, and the classes that follow."""
 
@@ -93,8 +80,8 @@ class ObjectMap:
         self.labels = ClassBeliefs(config)
         self._size = 0
         self._reasons: dict[int, str] = {}
-        self._merges: list[LandmarkMerge] = []
-        self._aliases = UnionFind()
+        self._merges: list[tuple[int, int, int | None]] = []  # kept, dropped, and the factor of the closure, if any
+        self._canonical = np.arange(64)
 
     def __len__(self) -> int:
         return self._size
@@ -106,9 +93,7 @@ class ObjectMap:
 
     def in_state(self, state: LandmarkState) -> IntArray:
         """Rows in that state, ascending; those that became another landmark are left out."""
-        in_state = self.rows["state"] == state
-        in_state[self._aliases.dropped] = False
-        return np.flatnonzero(in_state)
+        return np.flatnonzero((self.rows["state"] == state) & (self.canonical == np.arange(self._size)))
 
     def add(
         self,
@@ -215,46 +200,45 @@ class ObjectMap:
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> list[int]:
         """Retire landmarks and all that were merged into them; returns the rows of all these, ascending."""
-        ended = sorted({alias for row in rows.tolist() for alias in (row, *self._aliases.absorbed(row))})
+        ended: list[int] = np.union1d(rows, np.flatnonzero(np.isin(self.canonical, rows))).tolist()
         self._rows["state"][ended] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(ended, reason.value))
         return ended
 
-    def merge(self, kept: int, dropped: int, *, closure: int | None = None) -> bool:
+    def merge(self, kept: int, dropped: int, *, closure: int | None = None) -> None:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
-        Returns whether they were different rows. Data association still uses both rows, because in the odometry frame
-        the two traversals differ by the drift; the record of the map has the sum of their observations.
+        Data association still uses both rows, because in the odometry frame the two traversals differ by the drift; the
+        record of the map has the sum of their observations.
 
         Args:
             kept: the row itself, not what it was merged into: other merges may be undone, and this one made again.
             dropped: likewise.
             closure: the factor of the closure that matched the two, if one did.
         """
-        is_new = self._aliases.merge(kept, dropped)
-        if is_new:
-            self._merges.append(LandmarkMerge(kept, dropped, closure))
-        return is_new
+        first, second = self._canonical[[kept, dropped]].tolist()
+        if first != second:
+            self._canonical[self._canonical == second] = first
+            self._merges.append((kept, dropped, closure))
 
     def undo_merges(self, closures: Set[int]) -> None:
         """Undo the merges by closures with these factors."""
-        kept = [merge for merge in self._merges if merge.closure not in closures]
-        self._merges, self._aliases = [], UnionFind()
-        for merge in kept:
-            self.merge(merge.kept, merge.dropped, closure=merge.closure)
+        merges, self._merges = self._merges, []
+        self._canonical = np.arange(len(self._canonical))
+        for kept, dropped, closure in merges:
+            if closure not in closures:
+                self.merge(kept, dropped, closure=closure)
+
+    @property
+    def canonical(self) -> IntArray:
+        """The row (L,) of the landmark that each row is in the map: its own, or that of what it was merged into."""
+        return self._canonical[: self._size]
 
     @property
     def aliases(self) -> dict[int, int]:
         """The rows that were merged into another one, with the row that each was merged into."""
-        return {row: self.canonical_id(row) for row in self._aliases.dropped}
-
-    def canonical_id(self, row: int) -> int:
-        """The row of the landmark that a row was merged into; the row itself if it was not."""
-        return self._aliases.find(row)
-
-    def absorbed(self, row: int) -> list[int]:
-        """The rows that were merged into this one, directly or not, ascending."""
-        return self._aliases.absorbed(row)
+        dropped = np.flatnonzero(self.canonical != np.arange(self._size))
+        return dict(zip(dropped.tolist(), self.canonical[dropped].tolist(), strict=True))
 
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
         """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out.
@@ -300,4 +284,5 @@ class ObjectMap:
         rows = np.zeros(capacity, dtype=LANDMARK)
         rows[: self._size] = self._rows[: self._size]
         self._rows = rows
+        self._canonical = np.append(self._canonical, np.arange(len(self._canonical), capacity))
         self.labels.reserve(rows=capacity)

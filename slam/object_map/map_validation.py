@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.union_find import find_components
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
@@ -30,9 +29,15 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
 
 def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
     """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
-    row_of = {int(keyframe): row for row, keyframe in enumerate(graph.keyframe_ids)}
-    ends = np.array([row_of[int(keyframe)] for keyframe in graph.edge_keyframe_ids[counts].ravel()], dtype=np.int64)
-    return find_components(len(row_of), ends.reshape(-1, 2))
+    order = np.argsort(graph.keyframe_ids)
+    ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
+    part = np.arange(len(order))
+    while (part[ends[0]] != part[ends[1]]).any():
+        least = part[ends].min(axis=0)
+        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
+            np.minimum.at(part, part[end], least)
+        part = part[part]
+    return part
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:

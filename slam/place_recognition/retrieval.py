@@ -44,7 +44,6 @@ class PlaceRetriever:
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._search: PlaceSearch | None = None
         self._shifts_m, self._pitch_m = {0: 0.0}, 1.0  # of segments side by side
-        self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m, self._indexed_segment = -np.inf, -1
 
     def index_inactive_landmarks(self, pose: OdometryPose) -> None:
@@ -57,23 +56,13 @@ class PlaceRetriever:
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
         unseen = landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._sensor_range_m
         behind = confirmed & (unseen | (landmarks["segment"] != pose.segment))
-        behind[self._rows] = behind[self._left_out] = False
+        behind[self._rows] = False
         if self._imported is not None:
             behind &= landmarks["segment"] != SEGMENT
+        counts = np.bincount(self._map.canonical[self._rows], minlength=len(self._map))
+        behind &= counts[self._map.canonical] < INDEXED_TRAVERSALS
         for segment in np.unique(landmarks["segment"][behind]):
-            new = np.flatnonzero(behind & (landmarks["segment"] == segment))
-            often = self._is_well_indexed(new)
-            self._left_out = np.concatenate([self._left_out, new[often]])
-            if not often.all():
-                self._enter(new[~often], int(segment))
-
-    def _is_well_indexed(self, new: IntArray) -> BoolArray:
-        """Which landmarks (N,) are indexed as ``INDEXED_TRAVERSALS`` of earlier traversals."""
-        indexed = np.zeros(len(self._map), dtype=np.bool_)
-        indexed[self._rows] = True
-        kept = [self._map.canonical_id(row) for row in new.tolist()]
-        counts = [np.count_nonzero(indexed[[row, *self._map.absorbed(row)]]) for row in kept]
-        return np.array(counts, dtype=np.int64) >= INDEXED_TRAVERSALS
+            self._enter(np.flatnonzero(behind & (landmarks["segment"] == segment)), int(segment))
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows

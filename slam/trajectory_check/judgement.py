@@ -13,8 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.trajectory_check.prediction import VisitPredictor
-from slam.trajectory_check.sampled_scans import SampledScan
+from slam.trajectory_check.prediction import SampledScan, VisitPredictor
 
 ODOMETRY, ONLINE, FINAL = "odometry", "online", "final"
 

@@ -6,16 +6,33 @@ trajectory makes its own map of the detections, and all predict the same scans.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import KDTree
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.trajectory_check.sampled_scans import SampledScan
 
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
 RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledScan:
+    """Detections (D, 3) m in the body frame with their classes (D,), and where the body was.
+
+    ``travel_m``: path length up to the scan; ``T_odom_body`` (4, 4): by the odometry, as it reported; ``T_online_body``
+    (4, 4): in the map, as published at the time of the scan.
+    """
+
+    stamp_ns: int
+    positions: FloatArray
+    labels: IntArray
+    travel_m: float
+    T_odom_body: FloatArray
+    T_online_body: FloatArray
 
 
 class VisitPredictor:

@@ -1,20 +1,26 @@
-"""Whether the result of a drive can be relied on."""
+"""Whether the result of a drive can be relied on, and which landmarks of a prior map it passed."""
 
 from __future__ import annotations
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Observation
 from slam.backend.solver import Optimization
-from slam.final_map import judge_outcome
+from slam.common.calibration import ObjectCalibration
+from slam.common.errors import FactorGraphError
+from slam.final_map import find_passed, judge_outcome, known_covariances
+from slam.object_map.landmarks import ObjectMap
 
 CONVERGED = Optimization(True, 4, 1.0)
 
 
 def test_drive_without_trouble_is_well():
     outcome = judge_outcome(CONVERGED, Counter(odometry_used=10, odometry_duplicated=10))
-    assert (outcome.level, outcome.message) == ("info", "optimised")
+    assert outcome == ("info", "optimised")
 
 
 @pytest.mark.parametrize(
@@ -26,20 +32,66 @@ def test_drive_without_trouble_is_well():
     ],
 )
 def test_trouble_makes_it_a_warning(optimization, counters, message):
-    outcome = judge_outcome(optimization, Counter(counters))
-    assert outcome.level == "warning"
-    assert message in outcome.message
+    level, told = judge_outcome(optimization, Counter(counters))
+    assert level == "warning"
+    assert message in told
 
 
 def test_doubts_about_the_map_are_reported() -> None:
-    outcome = judge_outcome(CONVERGED, Counter(odometry_used=10), ["30 % of the objects seem to move"])
-    assert outcome.level == "warning"
-    assert "30 % of the objects seem to move" in outcome.message
+    doubt = "30 % of the objects seem to move"
+    assert judge_outcome(CONVERGED, Counter(odometry_used=10), [doubt]) == ("warning", f"optimised; {doubt}")
 
 
 def test_judge_outcome_does_not_call_an_uncorrected_odometry_optimised() -> None:
-    outcome = judge_outcome(CONVERGED, Counter(odometry_used=10), uncorrected="no scan has an object")
-    assert outcome.level == "warning"
-    assert outcome.message.startswith("not corrected")
-    assert "no scan has an object" in outcome.message
-    assert "optimised" not in outcome.message
+    level, message = judge_outcome(CONVERGED, Counter(odometry_used=10), uncorrected="no scan has an object")
+    assert level == "warning"
+    assert message == "not corrected, the trajectory is that of the odometry: no scan has an object"
+
+
+def test_a_graph_that_determines_too_little_has_no_covariances(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, counters = FactorGraph(), Counter[str]()
+    graph.add_keyframe(0, np.eye(4))
+    graph.add_observations([Observation(0, 3, np.ones(3), np.eye(3))])
+    poses, landmarks = known_covariances(graph, counters)
+    assert (poses.shape, landmarks.shape) == ((1, 6, 6), (1, 3, 3))
+
+    def fail() -> None:
+        raise FactorGraphError("underdetermined")
+
+    monkeypatch.setattr(graph, "covariances", fail)
+    assert known_covariances(graph, counters) == (None, None)
+    assert counters["covariances_missing"] == 1
+
+
+PATH = np.column_stack([np.arange(100.0, 126.0, 5.0), np.zeros((6, 2))])
+"""Six keyframes on 25 m."""
+
+
+def street(*landmarks_m: float) -> ObjectMap:
+    """Landmarks along the x axis."""
+    count = len(landmarks_m)
+    positions = np.column_stack([landmarks_m, np.zeros((count, 2))])
+    object_map = ObjectMap(ObjectCalibration())
+    rows = object_map.add(
+        positions, np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, np.int64), stamp_ns=0, scan=0, travel_m=0.0
+    )
+    object_map.confirm(rows)
+    object_map.assign(rows, position_map=positions)
+    return object_map
+
+
+@pytest.mark.parametrize(("x_m", "is_passed"), [(109.9, False), (110.1, True), (114.9, True), (115.1, False)])
+def test_find_passed_counts_six_keyframes_in_reach(x_m: float, is_passed: bool) -> None:
+    assert find_passed(street(x_m), 0, PATH, 15.0).tolist() == ([0] if is_passed else [])
+    assert find_passed(street(x_m), 0, PATH[1:], 15.0).tolist() == []
+
+
+def test_find_passed_without_keyframes() -> None:
+    assert find_passed(street(110.0), 0, PATH[:0], 15.0).tolist() == []
+
+
+def test_find_passed_leaves_out_landmarks_of_the_drive_and_retired_ones() -> None:
+    object_map = street(112.0, 113.0, 114.0)
+    object_map.assign(np.array([0]), segment=1)
+    object_map.assign(np.array([1]), state=2)
+    assert find_passed(object_map, 0, PATH, 15.0).tolist() == [2]

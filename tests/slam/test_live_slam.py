@@ -117,7 +117,7 @@ def test_saved_map_holds_the_landmarks_and_the_calibration(tmp_path: Path):
 
 def test_calibration_that_is_complete_is_kept():
     calibration = Calibration.model_validate(Calibration().model_dump(exclude_none=True))
-    live, known = LiveSlam(Config(), calibration=calibration), Slam(Config(), calibration=calibration)
+    live, known = LiveSlam(Config(), calibration=calibration), Slam(Config(calibration=calibration))
     updates = tuple(tuple(live.process(record)) for record in records())
     assert poses(updates) == poses(tuple(tuple(known.process(record)) for record in records()))
     assert live.calibration.config.calibration == calibration

@@ -18,7 +18,6 @@ from slam.evaluation.metrics.statistics import fraction
 
 DIRECTIONS = ("same", "opposite", "crossing")
 NO_TRUE_CANDIDATE = "no true candidate"
-ASSOCIATION = "association"
 
 
 def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
@@ -61,8 +60,7 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     """How many revisits have an accepted true closure, and at which stage the others were lost.
 
     ``missed_by_stage``: the farthest stage that a true candidate of a missed revisit reached, or
-    :data:`NO_TRUE_CANDIDATE`. ``recognised`` includes revisits without a closure whose landmarks are still associated,
-    at the right pose: they need none.
+    :data:`NO_TRUE_CANDIDATE`.
 
     Args:
         queries: as :func:`find_revisits` returns them.
@@ -73,7 +71,6 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     is_recalled = revisits["keyframe"].isin(true["query"][true["accepted"]])
     recalled, missed = revisits[is_recalled], revisits["keyframe"][~is_recalled]
     farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: rank_stage(pair[1])))
-    stages = count_stages(farthest.get(name, NO_TRUE_CANDIDATE) for name in missed)
     ways = {
         name: (int((recalled["direction"] == name).sum()), int((revisits["direction"] == name).sum()))
         for name in DIRECTIONS
@@ -81,10 +78,9 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     return {
         "revisit_count": len(revisits),
         "recall": fraction(len(recalled), len(revisits)),
-        "recognised": fraction(len(recalled) + stages.get(ASSOCIATION, 0), len(revisits)),
         **{f"recall_{name}": fraction(*counts) for name, counts in ways.items()},
         **{f"revisit_count_{name}": count for name, (_, count) in ways.items()},
-        "missed_by_stage": stages,
+        "missed_by_stage": count_stages(farthest.get(name, NO_TRUE_CANDIDATE) for name in missed),
     }
 
 

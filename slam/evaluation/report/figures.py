@@ -32,7 +32,6 @@ SUMMARY = {
         "{closures[accepted_count]:d} of {closures[candidate_count]:d} candidates accepted",
         ", precision {closures[precision]:.2%} ({closures[true_count]:d} true, {closures[false_count]:d} false)",
         ", recall {closures[recall]:.2%} of {closures[revisit_count]:d} revisits",
-        " ({closures[recognised]:.2%} with data association)",
         "; {closures[found_count]:d} retrieved, {closures[followed_count]:d} propagated",
         ", {closures[led_back_count]:d} back",
         ", {closures[proposer_counts][descriptor]:d} proposed by the descriptor",

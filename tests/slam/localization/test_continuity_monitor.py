@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,9 +14,9 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.continuity_monitor import (
     FALSE_MATCH_PROBABILITY,
     ContinuityMonitor,
-    RecentLandmarks,
     _Sides,
 )
+from slam.object_map.landmarks import LANDMARK, LandmarkState
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
@@ -46,7 +49,7 @@ class Street:
             seen = (ranges < RANGE_M) & ~np.asarray(blind if hidden is None else hidden, dtype=bool)
             self.first_m[seen] = np.minimum(self.first_m[seen], travel_m)
             self.last_m[seen] = travel_m
-            noticed = self.monitor.update(self._keyframe(travel_m), self._recent(travel_m))
+            noticed = self.monitor.update(self._keyframe(travel_m), self._map())
             if noticed is not None:
                 return noticed
         return None
@@ -67,9 +70,11 @@ class Street:
         T = transform_from_xyz_yaw(np.array([travel_m, 0.0, 0.0]), 0.0)
         return Keyframe(self.keyframe, OdometryPose(10**9 * self.keyframe, T, travel_m, self.segment, STEP_M), T)
 
-    def _recent(self, travel_m: float) -> RecentLandmarks:
-        rows = np.flatnonzero(self.last_m > travel_m - self.monitor.memory_m)
-        return RecentLandmarks(rows, self.positions[rows], self.first_m[rows], self.last_m[rows])
+    def _map(self) -> Any:
+        rows = np.zeros(len(self.positions), dtype=LANDMARK)
+        rows["state"], rows["segment"], rows["position_local"] = LandmarkState.CONFIRMED, self.segment, self.positions
+        rows["first_seen_travel_m"], rows["last_seen_travel_m"] = self.first_m, self.last_m
+        return SimpleNamespace(rows=rows)
 
 
 @pytest.fixture

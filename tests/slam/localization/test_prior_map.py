@@ -44,9 +44,7 @@ def saved() -> SavedMap:
     for k, T in enumerate(POSES):
         graph.add_observations(seen_from(T, k, dict(enumerate(OBJECTS))))
     graph.optimize()
-    object_map.assign(
-        rows, position_map=graph.landmark_positions(rows), covariance_map=graph.landmark_covariances(rows)
-    )
+    object_map.assign(rows, position_map=graph.landmark_positions(rows), covariance_map=graph.covariances()[1])
     return SavedMap(confirmed(object_map.to_record(9)), graph.to_record(9, np.arange(3)))
 
 
@@ -70,9 +68,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
     object_map, graph = loaded(saved, fixed=False)
     np.testing.assert_allclose(graph.poses(), saved.graph.T_map_body, atol=1e-6)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-6)
-    np.testing.assert_allclose(
-        graph.landmark_covariances(np.arange(4)), saved.objects.covariances, rtol=1e-3, atol=1e-9
-    )
+    np.testing.assert_allclose(graph.covariances()[1], saved.objects.covariances, rtol=1e-3, atol=1e-9)
     assert object_map.in_state(LandmarkState.CONFIRMED).tolist() == [0, 1, 2, 3]
 
 
@@ -125,24 +121,9 @@ def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved:
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=0.05)
 
 
-# A landmark that ends takes along what was merged into it
-
-
-def test_removing_a_landmark_removes_what_was_merged_into_it(saved: SavedMap) -> None:
-    _, graph = loaded(saved, fixed=False)
-    graph.alias_landmarks({0: 1, 2: 1})
-    graph.remove_landmarks([0, 1, 2])
-    graph.update()
-    assert graph.landmarks.tolist() == [3]
-    assert set(graph.to_record(9, np.arange(3)).observation_landmark_ids) == {"3"}
-
-
 def test_retiring_a_landmark_retires_what_was_merged_into_it(saved: SavedMap) -> None:
     object_map, _ = loaded(saved, fixed=False)
     object_map.merge(0, 2)
     object_map.retire(np.array([0]), RetirementReason.GONE)
     assert object_map.rows["state"].tolist() == [2, 1, 2, 1]
     assert object_map.to_record(9).reasons == ("gone", "", "merged into 0", "")
-
-
-# Many factors at once

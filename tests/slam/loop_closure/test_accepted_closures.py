@@ -76,7 +76,6 @@ def test_a_closure_leaves_the_map_with_the_factor_that_represents_it(street):
     assert street.declare_lost(since=100) == [99, 100]
     assert street.factors == []
     assert street.closed == []
-    assert street.closures.keyframes_nearby() == set()
 
 
 def test_a_closure_that_is_inconsistent_goes_although_its_factor_stays(street):
@@ -113,28 +112,12 @@ def test_who_was_relocalized_long_ago_was_carried_off():
     assert street.closed == [ROUND]
 
 
-def test_keyframes_near_a_closure_can_be_compared_once_they_are_localized(street):
-    street.accept(100)
-    reach = int(Config().propagation_distance_m / STEP_M)
-    assert street.closures.keyframes_nearby() == {*range(10 + reach + 1), *range(100 - reach, ROUND + 30)}
+def test_keyframes_are_localized_where_a_closure_connects_their_segment_with_the_map():
     alone = Drive(second_segment=1)
-    alone.accept(118, reference=92)
-    assert alone.closures.keyframes_nearby() == set()
-
-
-def test_landmarks_are_compared_near_a_place_that_was_recognised_without_a_closure(street):
-    assert street.closures.keyframes_nearby() == set()
-    street.closures.tracked[100] = 100 - ROUND
-    nearby = street.closures.keyframes_nearby()
-    assert {10, 100} <= nearby
-    assert 50 not in nearby
-    assert street.closed == []
-
-
-def test_a_place_recognised_without_a_closure_is_forgotten_once_the_robot_is_lost(street):
-    street.closures.tracked[100] = 100 - ROUND
-    street.declare_lost(since=100)
-    assert street.closures.keyframes_nearby() == set()
+    first = next(each.id for each in alone.keyframes if each.odometry.segment == 1)
+    assert alone.closures.localized_keyframes() == set(range(first))
+    alone.accept(118, reference=1)
+    assert alone.closures.localized_keyframes() == set(range(len(alone.keyframes)))
 
 
 def test_a_condensed_closure_is_part_of_the_map_for_good(street):
@@ -143,7 +126,7 @@ def test_a_condensed_closure_is_part_of_the_map_for_good(street):
     street.accept(110)
     (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure"
                  and each.to_keyframe == 95)  # fmt: skip
-    street.graph.remove_factor(factor)
+    street.graph.remove_factors([factor])
     street.closures.forget_condensed()
     assert street.closed == [95, 94, 110]
     assert street.declare_lost(since=0) == [110]
@@ -155,7 +138,7 @@ def test_segments_stay_connected_by_a_condensed_closure():
     street.accept(95)
     assert street.closures.is_localized(street.keyframes[95])
     (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure")
-    street.graph.remove_factor(factor)
+    street.graph.remove_factors([factor])
     street.closures.forget_condensed()
     street.accept(110)
     street.closures.revoke_since(make_keyframe(street.keyframes[-1].id, STEP_M * 95 + 61.0, segment=1), 110)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,6 @@ class Parts(Patterns):
         self.is_connected = True
         self.kidnapped_after_m: float | None = None
         self.closed: dict[int, int] = {}
-        self.tracked: dict[int, int] = {}
 
     def recent_submap(self, *_: Any) -> Submap:
         self.first_row += self.new_rows
@@ -82,6 +82,7 @@ class Parts(Patterns):
         return np.full(len(query.submap), -2.0)
 
     reach_m = 6.0
+    track = SimpleNamespace(add=lambda keyframe: None)
 
     # Retriever.
     def index_inactive_landmarks(self, travel_m: float) -> None:
@@ -117,7 +118,6 @@ class Parts(Patterns):
         return [], True
 
     # Continuity monitor.
-    memory_m = 60.0
 
     def update(self, *arguments: Any) -> float | None:
         return self.kidnapped_after_m
@@ -140,7 +140,6 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
     parts = Parts()
     for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "ContinuityMonitor", "Acceptance"):
         monkeypatch.setattr(module, name, lambda *_, **__: parts)
-    monkeypatch.setattr(module, "recent_landmarks", lambda *_: None)
     monkeypatch.setattr(module, "recent_submap", parts.recent_submap)
     monkeypatch.setattr(
         module,
@@ -161,9 +160,8 @@ class Drive:
         parts.keyframes = self.keyframes
         config = Config.model_validate({"loop_closure": settings})
         self.map = Map()
-        self.closer = LoopCloser(config, self.map, None, self.keyframes)  # type: ignore[arg-type]
+        self.closer = LoopCloser(config, self.map, SimpleNamespace(pose=None), self.keyframes)  # type: ignore[arg-type]
         self.prior = prior
-        self.initial_pose: InitialPose | None = None
         self.lost_after_m: float | None = None
 
     def close(self, number: int, *, segment: int | None = None) -> list[LoopClosureRecord]:
@@ -173,7 +171,7 @@ class Drive:
             filler = len(self.keyframes)
             self.keyframes.append(make_keyframe(filler, STEP_M * filler, segment=own))
         self.keyframes.append(keyframe)
-        outcome = self.closer.close(keyframe, self.initial_pose)
+        outcome = self.closer.close(keyframe)
         self.lost_after_m = outcome.lost_after_m
         return outcome.records
 
@@ -197,41 +195,6 @@ def test_landmarks_of_an_earlier_traversal_are_no_part_of_a_query(parts):
     drive.map.rows["first_seen_travel_m"][[0, 3, 4]] = 10.0
     drive.close(FIRST)
     assert [query.submap.rows.tolist() for query in parts.queries] == [[1, 2, 5, 6, 7, 8, 9]]
-
-
-@pytest.mark.parametrize(
-    ("objects", "count", "stages"),
-    [
-        pytest.param(10, 5, ["accepted"], id="half of the landmarks are of this traversal"),
-        pytest.param(10, 10 - MIN_INLIERS, ["association", "accepted"], id="enough are of this traversal for a pose"),
-        pytest.param(10, 11 - MIN_INLIERS, ["association"], id="too few are of this traversal for a pose"),
-        pytest.param(MIN_INLIERS, MIN_INLIERS - 1, ["retrieval"], id="too few are of either for a pose"),
-        pytest.param(MIN_INLIERS, MIN_INLIERS, ["association"], id="all are of the earlier one"),
-    ],
-)
-def test_a_place_is_known_where_most_landmarks_are_of_an_earlier_traversal(parts, objects, count, stages):
-    drive = Drive(parts)
-    parts.objects = objects
-    parts.llrs, parts.new_rows = {FIRST: WEAK_LLR, FIRST + 1: SURE_LLR}, 10
-    assert accepted(drive.close(FIRST)) == {}
-    parts.new_rows = 0
-    parts.first_row = 0
-    drive.map.rows["first_seen_travel_m"][:count] = 10.0
-    records = drive.close(FIRST + 1)
-    assert [record.stage for record in records] == stages
-    is_known = stages[0] == "association"
-    nearest = (STEP_M * (FIRST + 1) - 100.0) / STEP_M - 1  # all stand along one street
-    assert parts.tracked == ({FIRST + 1: nearest} if is_known else {})
-    if is_known:
-        np.testing.assert_allclose(records[0].T_reference_query, at(STEP_M * (FIRST + 1 - nearest)))
-
-
-def test_landmarks_that_a_lost_robot_has_seen_for_long_do_not_tell_where_it_is(parts):
-    drive = Drive(parts)
-    parts.is_connected = False
-    drive.map.rows["first_seen_travel_m"] = 10.0
-    parts.llrs = {FIRST: SURE_LLR}
-    assert accepted(drive.close(FIRST)) == {FIRST: None}
 
 
 def test_a_closure_predicts_no_keyframe_far_before_it(parts):
@@ -459,17 +422,17 @@ def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
     parts.new_rows = 10
     drive = Drive(parts, prior=True, min_travel_m=1.0)
     parts.llrs = {FIRST: SURE_LLR, FIRST + 1: SURE_LLR}
-    drive.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
     (record,) = drive.close(FIRST)
     assert record.reason == "outside the prior of the pose"
-    drive.initial_pose = InitialPose(np.array([-300.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([-300.0, 0.0]), 10.0)
     assert accepted(drive.close(FIRST + 1))
 
 
 def test_a_place_of_another_segment_than_the_map_may_be_anywhere(parts):
     drive = Drive(parts, prior=True, min_travel_m=1.0)
     parts.llrs, parts.places = {FIRST: SURE_LLR}, [replace(PLACE, segment=2)]
-    drive.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
     assert accepted(drive.close(FIRST))
 
 

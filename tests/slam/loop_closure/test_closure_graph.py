@@ -82,8 +82,8 @@ class Street:
         assert self.closures.add(candidate).inserted
         self.graph.update()
 
-    def merge_in_view(self, kept: int, dropped: int) -> None:
-        """As the front end does with two landmarks of its local map that are one object."""
+    def fuse(self, kept: int, dropped: int) -> None:
+        """Merge two landmarks by no closure."""
         self.map.merge(kept, dropped)
         self.graph.alias_landmarks(self.map.aliases)
         self.graph.update()
@@ -96,7 +96,7 @@ class Street:
         self.closures._remove([self.accepted[number]])
 
     def names(self) -> list[int]:
-        return [self.map.canonical_id(row) for row in range(len(self.map))]
+        return self.map.canonical.tolist()
 
     def facts(self) -> dict[str, object]:
         """All that the records of the map and the graph say, in an order of its own, estimates apart."""
@@ -165,17 +165,13 @@ def test_two_objects_of_one_pass_never_become_one(street, closures):
         assert len(set(names[STATIONS * drive : STATIONS * (drive + 1)])) == STATIONS
 
 
-@pytest.mark.parametrize(("round_m", "min_travel_m"), [(105.0, 100.0), (50.0, 40.0)])
-def test_landmarks_are_merged_by_every_loop_that_may_be_closed(round_m, min_travel_m):
+@pytest.mark.parametrize(
+    ("round_m", "min_travel_m", "is_merged"), [(105.0, 100.0, True), (50.0, 40.0, True), (105.0, 110.0, False)]
+)
+def test_landmarks_are_merged_by_loops_that_may_be_closed(round_m, min_travel_m, is_merged):
     street = Street(pass_m=round_m, min_travel_m=min_travel_m)
     street.close(7, 2, SAME_STATIONS)
-    assert street.names() == [*range(5), *range(5), *range(10, 15)]
-
-
-def test_landmarks_are_not_merged_by_a_shorter_loop_than_may_be_closed():
-    street = Street(pass_m=105.0, min_travel_m=110.0)
-    street.close(7, 2, SAME_STATIONS)
-    assert street.names() == list(range(PASSES * STATIONS))
+    assert street.names() == [*range(5), *(range(5) if is_merged else range(5, 10)), *range(10, 15)]
 
 
 def test_a_retired_landmark_is_merged_with_nothing(street):
@@ -193,14 +189,6 @@ def test_withdrawing_a_closure_restores_the_graph_and_the_map(street):
     assert street.accepted == []
     assert street.facts() == before
     np.testing.assert_allclose(street.estimate(), estimate, atol=1e-3)
-
-
-def test_withdrawing_one_of_two_closures_leaves_the_other(street):
-    street.close(7, 2, SAME_STATIONS)
-    only = street.facts()
-    street.close(12, 2, [(10 + station, station) for station in range(STATIONS)])
-    street.revoke(1)
-    assert street.facts() == only
 
 
 def test_withdrawing_closures_in_the_order_of_their_insertion_restores_everything(street):
@@ -221,42 +209,28 @@ def test_what_a_closure_merged_stays_merged_where_one_that_it_built_on_is_withdr
     assert names[12] == names[7] != names[2]
 
 
-# Merges of the front end between those of the closures
-
-
-def only_in_view(*pairs: tuple[int, int]) -> Street:
-    """The street with merges of the front end and no closure."""
-    street = Street()
-    for pair in pairs:
-        street.merge_in_view(*pair)
-    return street
-
-
 @pytest.mark.parametrize("pair", [(6, 7), (7, 8)], ids=["dropped", "kept"])
-@pytest.mark.parametrize("merged_at", [0, 1, 2], ids=["before both", "in between", "after both"])
-def test_a_merge_of_the_front_end_outlives_the_closures_around_it(street, pair, merged_at):
-    closures = [(7, 2, [(7, 2), (9, 4)]), (12, 7, [(12, 7), (14, 9)])]
-    for number, closure in enumerate(closures):
-        if number == merged_at:
-            street.merge_in_view(*pair)
-        street.close(*closure)
-    if merged_at == len(closures):
-        street.merge_in_view(*pair)
+def test_a_fusion_outlives_the_closures_around_it(pair):
+    street, alone = Street(), Street()
+    street.close(7, 2, [(7, 2), (9, 4)])
+    for each in (street, alone):
+        each.fuse(*pair)
+    street.close(12, 7, [(12, 7), (14, 9)])
     street.revoke(0)
     assert len({street.names()[row] for row in pair}) == 1
     assert street.names()[2] == 2
     street.revoke(0)
-    assert street.facts() == only_in_view(pair).facts()
+    assert street.facts() == alone.facts()
 
 
-def test_a_merge_of_the_front_end_does_not_keep_a_landmark_from_being_merged_by_a_closure(street):
-    street.merge_in_view(7, 8)
+def test_a_fusion_does_not_keep_a_landmark_from_being_merged_by_a_closure(street):
+    street.fuse(7, 8)
     street.close(7, 2, [(7, 2)])
     assert street.names()[8] == street.names()[7] == 2
 
 
 def test_a_landmark_that_stands_for_two_passes_is_not_merged_into_a_third(street):
-    street.merge_in_view(12, 7)
+    street.fuse(12, 7)
     street.close(12, 2, [(12, 2)])
     assert street.names()[12] == street.names()[7] == 12
     assert street.names()[2] == 2

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Query
 from slam.loop_closure.verification import CLOSURE_SIGMA_RAD, Verifier
-from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
+from slam.place_recognition.retrieval import PlaceRetriever
 from tests.slam.loop_closure.doubles import at, make_keyframe, make_query
 
 CONFIG = Config()
@@ -29,15 +27,11 @@ PLACE = Place(at(7.0), 0.0, 0, "descriptor")
 
 def make_priors(keyframes: list[Keyframe], *, bent_m: float = 0.0) -> Verifier:
     """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
-    track = KeyframeTrack(CONFIG.calibration)
-    for keyframe in keyframes:
-        track.add(keyframe)
 
     def pose(id: int) -> Any:
         return at(keyframes[id].odometry.travel_m + (bent_m if 2 * id > COUNT else 0.0))
 
-    graph = cast(FactorGraph, SimpleNamespace(pose=pose))
-    return Verifier(CONFIG, SimpleNamespace(), track, graph, keyframes)
+    return Verifier(CONFIG, cast(PlaceRetriever, None), keyframes, pose)
 
 
 @pytest.fixture
@@ -65,10 +59,7 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(
     keyframes: list[Keyframe], query: Query, since: int
 ) -> None:
     priors = make_priors(keyframes)
-    track = KeyframeTrack(CONFIG.calibration)
-    for keyframe in keyframes:
-        track.add(keyframe)
-    sigma_m, sigma_rad = track.drift_sigmas(since, COUNT - 1)
+    sigma_m, sigma_rad = priors.track.drift_sigmas(since, COUNT - 1)
     landmark_sigma_m = CONFIG.calibration.objects.landmark_sigma_m
     for prior in (
         priors._prior(query, PLACE, keyframes[since]),

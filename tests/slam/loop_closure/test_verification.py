@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
 from slam.loop_closure.verification import Verifier
 from slam.object_map.submap import Submap, gravity_frame
-from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.odometry.pose import OdometryPose
@@ -77,13 +75,10 @@ class Scene:
     ) -> None:
         self.config = Config.model_validate(settings)
         self.keyframes = make_keyframes(second_segment=second_segment)
-        track = KeyframeTrack(self.config.calibration)
-        for keyframe in self.keyframes:
-            track.add(keyframe)
         world = objects + np.array([STEP_M * HERE, 0.0, 0.0])
         self.landmarks = Landmarks(make_submap(world, labels, first_row=0))
-        graph = SimpleNamespace(pose=lambda number: self.keyframes[number].odometry.T_odom_body)
-        self.verifier = Verifier(self.config, self.landmarks, track, graph, self.keyframes)  # type: ignore[arg-type]
+        pose = lambda number: self.keyframes[number].odometry.T_odom_body  # noqa: E731
+        self.verifier = Verifier(self.config, self.landmarks, self.keyframes, pose)  # type: ignore[arg-type]
         T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
         seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
         before_m = STEP_M * QUERY - self.config.closure_travel_m

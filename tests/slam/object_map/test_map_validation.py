@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.object_map.map_io import SavedMap, confirmed, load_map
+from slam.object_map.map_validation import parts
 from slam.simulation.config import SimulationConfig
 from tests.helpers.short_drives import drive, keep_until, map_in_memory, write_map
 
@@ -99,3 +104,14 @@ def test_observations_of_keyframes_that_were_summed_up_may_have_less_than_one_as
 ) -> None:
     graph = replace(known.graph, observation_redundancies=np.full(len(known.graph.observation_positions), 0.5))
     assert load_map(write_map(tmp_path / "m.mcap", known.objects, graph)).objects.ids == known.objects.ids
+
+
+@given(st.permutations(range(9)), st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), max_size=20))
+def test_a_part_has_the_name_of_its_first_row(ids, pairs):
+    rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    graph: Any = SimpleNamespace(keyframe_ids=np.array(ids), edge_keyframe_ids=np.array(ids)[rows])
+    reached = np.eye(9, dtype=np.bool_)
+    reached[rows[:, 0], rows[:, 1]] = reached[rows[:, 1], rows[:, 0]] = True
+    for _ in range(4):
+        reached = reached @ reached
+    np.testing.assert_array_equal(parts(graph, np.ones(len(rows), dtype=np.bool_)), reached.argmax(axis=1))

@@ -6,7 +6,7 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.trajectory_check.sampled_scans import SampledScan
+from slam.trajectory_check.prediction import SampledScan
 
 RANGE_M = 20.0
 SIGMA_M = 0.2

@@ -26,7 +26,6 @@ COLUMNS = {
     "precise %": "{closures[precision]:.1%}",
     "indep.": "{closures[independent_count]}",
     "recall %": "{closures[recall]:.1%}",
-    "known %": "{closures[recognised]:.1%}",
     "x real": "{speed:.1f}",
     "GB": "{gigabytes:.2f}",
 }
@@ -50,7 +49,7 @@ def robots(
 
     ATE: aligned by SE(3). Right: precision of associations. Precise: that of
     closures. Indep.: independent closures, and the share of them that may be false with 95 % confidence. Recall:
-    revisits with a true closure. Known: revisits recognised by a closure or by data association. A dash: not defined.
+    revisits with a true closure. A dash: not defined.
 
     Example: dslam benchmark robots data/robots --drive evo --set keyframe.distance_m=1.5 --markdown
     """

@@ -61,9 +61,6 @@ PARTS: dict[str, Part] = {
     "existence of landmarks": Part(
         replaced={"slam.frontend.mapper.which_exist": lambda landmarks, seen, scan: np.ones(len(seen), dtype=np.bool_)}
     ),
-    "tracked places": Part(
-        replaced={"slam.loop_closure.loop_closer.LoopCloser._tracked_place": lambda self, query: None}
-    ),
     "association after a loop": Part(
         replaced={
             "slam.loop_closure.accepted_closures.AcceptedClosures._may_merge": lambda *each: False,
@@ -75,7 +72,9 @@ PARTS: dict[str, Part] = {
     ),
     "robust back end": Part(replaced={"slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6}),
     "kidnappings noticed by landmarks": Part(
-        replaced={"slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, seen: None}
+        replaced={
+            "slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, object_map: None
+        }
     ),
 }
 """By name, in the order of the table."""

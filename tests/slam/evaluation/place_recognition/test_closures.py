@@ -92,12 +92,6 @@ def rolled(record: LoopClosureRecord, degrees: float) -> LoopClosureRecord:
             id="the last decision counts",
         ),
         pytest.param(
-            [loop(190), loop(200, stage="association"), loop(210, stage="association", shift_m=9.0)],
-            TRUTH,
-            {"missed_by_stage": {NO_TRUE_CANDIDATE: COUNT - 2, "association": 1}, "recognised": 2 / COUNT},
-            id="associated revisits are recognised",
-        ),
-        pytest.param(
             [
                 # The farthest true one counts, whatever farther stages a false one reached.
                 *(loop(170, stage="acceptance"), loop(170, 68, stage="consistency"), loop(170, 6, shift_m=50.0)),
