@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from logs.digest import content_key
 from logs.errors import LogError
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
-from slam.fleet.changes import Change, find_changes, write_changes
+from slam.fleet.changes import Change, find_changes
 from slam.fleet.condensed_map import cell_length_m, condense_map
 from slam.fleet.joins import Join, accept_joins, find_joins, read_joins, why_alone, write_joins
 from slam.fleet.joint_map import join_parts
@@ -20,6 +22,7 @@ from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, common_metadata, load_parts, save_parts, session_part
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
 from slam.fleet.sessions import MAP_NAME, VERSION, Session, map_sessions, session_folder
+from slam.formats.landmark_tables import write_points
 from slam.object_map.map_io import SavedMap, load_map, of_rows
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 from slam.provenance import recorded_config
@@ -110,7 +113,9 @@ def map_fleet(
         source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}
         is_written = file and _save(folder / file, part, presence, joined.config, place, source)
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
-    write_changes(folder / "changes.geojson", maps[0].changes, georeference)
+    changes = maps[0].changes
+    places = np.array([change.position for change in changes]).reshape(-1, 3)
+    write_points(folder / "changes.geojson", places, map(asdict, changes), georeference)
     return Fleet(tuple(logs), sessions, order, joined.alone, tuple(maps))
 
 
