@@ -76,20 +76,20 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+    from tools.lab.retrieval.contest import run_contest, side_by_side
 
-    proposers = dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])
-    contest = Contest(
-        proposers=tuple(proposers),
-        sizes=tuple(size or [10_000]),
-        classes=tuple(classes or [20]),
-        scenarios=tuple(query or [""]),
-        queries=queries,
-        seed=seed,
-    )
     world = side_by_side([read_object_table(path) for path in objects])
     with console.progress_bar("measuring") as move:
-        cells = run_contest(world, contest, on_progress=move)
+        cells = run_contest(
+            world,
+            list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])),
+            sizes=size or [10_000],
+            classes=classes or [20],
+            scenarios=query or [""],
+            queries=queries,
+            seed=seed,
+            on_progress=move,
+        )
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
         path = output / RESULTS
