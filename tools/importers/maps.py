@@ -81,7 +81,7 @@ def map_of_objects(
 
         objects = read_geojson(file)
     elif suffix == ".ply":
-        from logs.clouds.map_of_cloud import read_cloud_map
+        from logs.clouds.cloud_files import read_cloud_map
 
         objects = read_cloud_map(file, _parsed_names(name))
     else:

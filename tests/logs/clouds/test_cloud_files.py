@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.clouds.cloud_files import read_points
+from logs.clouds.cloud_files import read_cloud_map, read_points
 from logs.clouds.labelled_cloud import LabelledCloud, labelled_cloud
-from logs.clouds.map_of_cloud import read_cloud_map
 from logs.errors import DatasetError
 from tests.logs.clouds.clouds import LAMP, SIGN, street, write_ply
 
