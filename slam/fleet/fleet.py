@@ -106,8 +106,8 @@ def map_fleet(
     maps = []
     for rank, part in enumerate(joined.parts, start=1):
         stamps_ns = [mapped[number].first_ns for number in part.sessions]
-        passes = find_passes(part)
-        presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
+        seen, distances_m = find_passes(part)
+        presence = estimate_presence(seen, seen_probabilities(seen, distances_m), stamps_ns)
         file = "map.mcap" if rank == 1 else f"map_{rank}.mcap" if len(stamps_ns) > 1 else ""
         place = georeference if rank == 1 else None
         source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}

@@ -34,22 +34,14 @@ PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
 """Passes and sightings that a cell is assumed to have had before."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Passes:
-    """Of L landmarks by M sessions: ``seen`` (L, M), and ``distances_m`` (L, M) of the landmarks from the paths."""
-
-    seen: BoolArray
-    distances_m: FloatArray
-
-
-def find_passes(part: Part) -> Passes:
-    """The passes of all sessions of a part, in their order."""
+def find_passes(part: Part) -> tuple[BoolArray, FloatArray]:
+    """Which landmarks each session of a part saw, and how far from them it passed [m]: (L, M) each."""
     landmarks = part.objects.positions[:, :2]
     visits = [part.visits[number] for number in part.sessions]
     seen = np.zeros((len(landmarks), len(visits)), dtype=np.bool_)
     for column, visit in enumerate(visits):
         seen[visit.landmarks, column] = True
-    return Passes(seen, np.column_stack([_distances_m(landmarks, visit.steps[:, :, :2]) for visit in visits]))
+    return seen, np.column_stack([_distances_m(landmarks, visit.steps[:, :, :2]) for visit in visits])
 
 
 def _distances_m(points: FloatArray, steps: FloatArray) -> FloatArray:
@@ -98,13 +90,12 @@ class Presence:
         return self.present * self.detectability
 
 
-def seen_probabilities(passes: Passes) -> FloatArray:
+def seen_probabilities(seen: BoolArray, distances_m: FloatArray) -> FloatArray:
     """Probability (L, M) that a session sees a landmark that is there; 0 where it did not pass.
 
-    Learned from landmarks that an earlier and a later session saw, so that they certainly stood there; the sessions are
-    in the order of their dates.
+    By what :func:`find_passes` returns; learned from landmarks that an earlier and a later session saw, so that they
+    certainly stood there; the sessions are in the order of their dates.
     """
-    seen, distances_m = passes.seen, passes.distances_m
     if not seen.any():
         return np.zeros(seen.shape)
     # Farther away than nearly all sightings nothing is in reach of the sensors.

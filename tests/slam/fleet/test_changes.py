@@ -25,8 +25,7 @@ def changes() -> tuple[Change, ...]:
     seen[[COMES, MOVED], :3] = False
     part = street_part(positions(), [*["lamp"] * 30, "tree", "tree", "bench", "bench"], seen)
     stamps_ns = [month * MONTH_NS for month in range(MONTHS)]
-    passes = find_passes(part)
-    presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
+    presence = estimate_presence(seen, seen_probabilities(*find_passes(part)), stamps_ns)
     return find_changes(part, presence, stamps_ns)
 
 

@@ -7,12 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from slam.common.geometry import apply, invert
-from slam.fleet.condensed_map import condense_map
 from slam.fleet.joins import Join, accept_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.part import Part
 from tests.helpers.driven_maps import drive_poses, driven_map, town
-from tests.slam.fleet.parts import CELL_M, CONFIG, joins_of, session_parts
+from tests.slam.fleet.parts import CONFIG, joins_of, session_parts
 
 pytestmark = pytest.mark.slow
 
@@ -70,10 +69,3 @@ def test_a_false_pair_is_rejected_by_the_others(joint: list[Part], parts: list[P
     found = join_parts(parts, [*joins, false], CONFIG)[0]
     assert found.sessions == (0, 1, 2)
     np.testing.assert_allclose(found.objects.positions, joint[0].objects.positions, atol=0.05)
-
-
-def test_a_folded_part_has_the_places_of_its_area_and_not_of_each_session(joint: list[Part], parts: list[Part]) -> None:
-    whole = joint[0].saved
-    assert len(whole.graph.keyframe_ids) == sum(len(each.saved.graph.keyframe_ids) for each in parts[:3])
-    folded = condense_map(whole, cell_m=CELL_M).graph
-    assert len(folded.keyframe_ids) <= 1.1 * 500.0 / CELL_M  # a bend is in more cells than a straight
