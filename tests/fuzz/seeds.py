@@ -63,8 +63,9 @@ def make_seeds(folder: Path) -> Seeds:
             writer.write_raw(encoded(message))
     (folder / "settings.toml").write_text(_run("config"))
     (folder / "simulation.toml").write_text(_run("config", "--simulation"))
-    _run("export", mapped, "--csv", folder / "objects.csv")
-    _write_objects(folder)
+    exported = ("--csv", folder / "objects.csv", "--geojson", folder / "objects.geojson", "--origin", "60.1,24.9")
+    _run("export", mapped, *exported)
+    _write_extract(folder / "objects.osm")
     for name, order in (("cloud", "binary_little_endian"), ("reversed", "binary_big_endian")):
         write_ply(folder / f"{name}.ply", street("class", "label"), order)
     shutil.copy(WEIGHTS, folder)
@@ -104,21 +105,13 @@ def _json(file: McapFile, message: Message) -> bytes:
     return json.dumps(MessageToDict(content, preserving_proto_field_name=True)).encode()
 
 
-def _write_objects(folder: Path) -> None:
-    """The same objects as GeoJSON and as an extract of OpenStreetMap."""
-    rng = np.random.default_rng(5)
-    places = rng.uniform([24.90, 60.10], [24.91, 60.11], size=(30, 2)).round(6).tolist()
-    features = [
-        {"type": "Feature", "properties": {"class": "tree", "id": number},
-         "geometry": {"type": "Point", "coordinates": place}}
-        for number, place in enumerate(places)
-    ]  # fmt: skip
-    (folder / "objects.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+def _write_extract(path: Path) -> None:
+    """Trees as an extract of OpenStreetMap."""
     nodes = [
-        f'<node id="{number}" lat="{latitude}" lon="{longitude}"><tag k="natural" v="tree"/></node>'
-        for number, (longitude, latitude) in enumerate(places, start=1)
+        f'<node id="{number}" lat="60.1{number:02d}" lon="24.9{number:02d}"><tag k="natural" v="tree"/></node>'
+        for number in range(1, 31)
     ]
-    (folder / "objects.osm").write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, "</osm>"]))
+    path.write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, "</osm>"]))
 
 
 def _write_kinds(path: Path) -> None:

@@ -26,12 +26,12 @@ FAR = (0, 0, np.array([[60.0, 0.0, 0.0]] * 100))
 """What gives a scan the reach of a car's LiDAR."""
 
 
-def cloud(parts: Sequence[tuple[int, int, FloatArray]], *, with_instances: bool = True) -> LabelledCloud:
+def cloud(parts: Sequence[tuple[int, int, FloatArray]]) -> LabelledCloud:
     """Of (class, instance, points)."""
     classes = np.concatenate([np.full(len(points), number) for number, _, points in parts])
     instances = np.concatenate([np.full(len(points), instance) for _, instance, points in parts])
     positions = np.concatenate([points for _, _, points in parts])
-    return LabelledCloud(positions, classes.astype(np.int64), instances.astype(np.int64) if with_instances else None)
+    return LabelledCloud(positions, classes.astype(np.int64), instances.astype(np.int64))
 
 
 def street(class_name: str, instance_name: str) -> np.ndarray:
