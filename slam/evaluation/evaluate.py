@@ -78,9 +78,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     landmarks = measure("landmarks", partial(_landmarks, records, protocol, labelled, matches, T_world_map))
     measure("closures", partial(_need_truth_of_closures, records))
     judged, queries = _judge_closures(records, protocol)
-    calibration, missing = evaluate_calibration(
-        records.graph, records.object_map, records.true_objects, matches, judged, records.true_path, protocol
-    )
+    calibration, missing = evaluate_calibration(records, matches, judged, protocol)
     if missing:
         unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
     if map_alignment is not None and not records.has_prior_map:
