@@ -10,7 +10,6 @@ import typer
 from tools.arguments import Json
 from tools.lab.tables import Descriptors, Markdown, report, row_of
 
-RESULTS = "contest.csv"
 COLUMNS = {
     "descriptor": "{proposer}",
     "map": "{map_objects} of {map_classes}",
@@ -51,15 +50,6 @@ def recall(
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FOLDER",
-            help="Folder of a CSV file, to which the measurements are added.",
-        ),
-    ] = None,
     markdown: Markdown = False,
     json: Json = False,
 ) -> None:
@@ -90,10 +80,6 @@ def recall(
             seed=seed,
             on_progress=move,
         )
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        path = output / RESULTS
-        cells.to_csv(path, mode="a", header=not path.exists(), index=False, lineterminator="\n")
     found = cells.to_dict("records")
     report(
         [row_of(COLUMNS, each) for each in found],

@@ -76,7 +76,7 @@ def run_contest(
     """Each proposer in maps of the objects nearest to a random one, with the queries of each scenario, random vectors
     with those of the first; one a row.
 
-    Columns: ``proposer``, ``query``, the fields of its scenario, ``world``, ``map_objects``, ``map_classes``;
+    Columns: ``proposer``, ``query``, the fields of its scenario, ``map_objects``, ``map_classes``;
     ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries
     with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification,
     ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a
@@ -116,7 +116,7 @@ def run_contest(
                 figures = _measure(search, map_, asked, scenario.range_m)
                 rows.append({**about, "query": text, **asdict(scenario), **figures})
             on_progress(done / len(runs))
-    return pd.DataFrame(rows).assign(world=objects.source)
+    return pd.DataFrame(rows)
 
 
 def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
