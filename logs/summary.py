@@ -28,7 +28,8 @@ _FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
     """One topic. Its times are the stamps of its records where it has any, but for frames, which share a topic, and
-    topics that do not decode, those at which it was logged. ``rate_hz`` is None below two messages.
+    topics that do not decode, those at which it was logged. ``rate_hz`` is None below two messages; ``length_m`` of the
+    path of an odometry, else None.
 
     ``frame_edges``: pairs of parent and child that its transforms, or its odometry, connect; names without the leading
     slash of ROS 1.
@@ -48,15 +49,16 @@ class TopicSummary:
     out_of_order_stamps: int
     frames: tuple[str, ...]
     frame_edges: tuple[tuple[str, str], ...] = ()
+    length_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
-    ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
-    ``closure_candidates`` are the final decisions by query stamp. ``first_stamp_ns`` is the earliest of odometry and
-    poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
+    ``class_counts`` counts detections, most frequent first. ``closure_candidates`` are the final decisions by query
+    stamp. ``first_stamp_ns`` is the earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is
+    the last one in the log.
     """
 
     path: str
@@ -65,7 +67,6 @@ class LogSummary:
     end_ns: int
     topics: tuple[TopicSummary, ...]
     class_counts: Mapping[str, int]
-    odometry_length_m: float | None
     selection: Selection | None
     obstacle: str
     closure_candidates: tuple[m.LoopClosureRecord, ...]
@@ -94,7 +95,7 @@ def summarize(
             selection, obstacle = select_topics(topics, overrides), ""
         except TopicSelectionError as error:
             selection, obstacle = None, str(error)
-        gathering = _Gathering(_odometry_topic(selection, topics))
+        gathering = _Gathering()
         everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
         mappings = selection.mappings if selection is not None else {}
         # A graph is large, and nothing of it is shown.
@@ -108,7 +109,6 @@ def summarize(
             end_ns=gathering.end_ns,
             topics=tuple(gathering.topics[info.topic, info.schema_name].summary(info) for info in topics),
             class_counts=dict(sorted(gathering.class_counts.items(), key=lambda pair: (-pair[1], pair[0]))),
-            odometry_length_m=gathering.odometry_length_m(),
             selection=selection,
             obstacle=obstacle,
             closure_candidates=find_final_decisions(gathering.closures),
@@ -119,32 +119,26 @@ def summarize(
         )
 
 
-def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
-    """The topic whose length is reported: that of a replay, else of one that needed odometry alone."""
-    if selection is None:
-        try:
-            selection = select_topics(topics, needed=(RecordKind.ODOMETRY,))
-        except TopicSelectionError:
-            return None
-    return next(iter(selection.topics_of(RecordKind.ODOMETRY)), None)
-
-
 class _TopicGathering:
-    """The times and the frames of one topic: eight bytes a message."""
+    """The times, the frames and the length of one topic: eight bytes a message."""
 
     def __init__(self) -> None:
         self.times_ns: array[int] = array("q")
-        self.frames: set[str] = set()
-        self.edges: set[tuple[str, str]] = set()
+        self._frames: set[str] = set()
+        self._edges: set[tuple[str, str]] = set()
+        self._length_m: float | None = None
+        self._xyz = np.zeros(3)
 
-    def add_frames(self, record: m.Record) -> None:
-        """Note the frames that a record names, and which of them it connects."""
-        if len(self.frames) >= 100:
-            return
+    def add(self, record: m.Record) -> None:
+        """Note the frames that a record names and connects, and how far an odometry has moved."""
         names = [getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES]
-        self.frames |= {*names} - {""}
-        if len(names) == 2 and all(names):
-            self.edges.add((names[0], names[1]))
+        if len(self._frames) < 100:
+            self._frames |= {*names} - {""}
+            self._edges |= {(names[0], names[1])} if len(names) == 2 and all(names) else set()
+        if isinstance(record, m.Odometry):
+            xyz = record.T_odom_body[:3, 3]
+            self._length_m = 0.0 if self._length_m is None else self._length_m + float(np.linalg.norm(xyz - self._xyz))
+            self._xyz = xyz
 
     def summary(self, info: TopicInfo) -> TopicSummary:
         times_ns = np.array(self.times_ns, dtype=np.int64)
@@ -167,15 +161,16 @@ class _TopicGathering:
             longest_gap_s=float(periods_ns.max(initial=0) * 1e-9),
             duplicate_stamps=len(steps_ns) - len(periods_ns),
             out_of_order_stamps=out_of_order,
-            frames=tuple(sorted(self.frames)),
-            frame_edges=tuple(sorted(self.edges)),
+            frames=tuple(sorted(self._frames)),
+            frame_edges=tuple(sorted(self._edges)),
+            length_m=self._length_m,
         )
 
 
 class _Gathering:
-    """What accumulates in the pass: the times of topics, and the positions of the odometry."""
+    """What accumulates in the pass."""
 
-    def __init__(self, odometry_topic: str | None) -> None:
+    def __init__(self) -> None:
         self.start_ns: int | None = None
         self.end_ns = 0
         self.class_counts: Counter[str] = Counter()
@@ -183,8 +178,6 @@ class _Gathering:
         self.first_stamp_ns: int | None = None
         self.status: m.StatusRecord | None = None
         self.topics: dict[tuple[str, str], _TopicGathering] = defaultdict(_TopicGathering)
-        self._odometry_topic = odometry_topic
-        self._odometry_xyz = array("d")
 
     def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
         self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
@@ -193,21 +186,16 @@ class _Gathering:
         is_stamped = bool(records) and not isinstance(records[0], m.Transform)
         topic.times_ns.append(records[0].stamp_ns if is_stamped else raw.log_time_ns)
         for record in records:
-            topic.add_frames(record)
-            self._add_record(raw.topic, record)
-
-    def _add_record(self, topic: str, record: m.Record) -> None:
-        if isinstance(record, (m.Odometry, m.SlamPose)):
-            first = self.first_stamp_ns
-            self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
-        if isinstance(record, m.Odometry) and topic == self._odometry_topic:
-            self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
-        elif isinstance(record, m.ObjectDetections):
-            self._count_classes(record.labels)
-        elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < 100_000:
-            self.closures.append(record)
-        elif isinstance(record, m.StatusRecord):
-            self.status = record
+            topic.add(record)
+            if isinstance(record, (m.Odometry, m.SlamPose)):
+                first = self.first_stamp_ns
+                self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
+            elif isinstance(record, m.ObjectDetections):
+                self._count_classes(record.labels)
+            elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < 100_000:
+                self.closures.append(record)
+            elif isinstance(record, m.StatusRecord):
+                self.status = record
 
     def _count_classes(self, labels: tuple[str, ...]) -> None:
         self.class_counts.update(labels)
@@ -216,9 +204,3 @@ class _Gathering:
             gone = self.class_counts.total() - sum(count for _, count in kept)
             self.class_counts = Counter(dict(kept))
             self.class_counts[OTHER_CLASSES] += gone
-
-    def odometry_length_m(self) -> float | None:
-        if not self._odometry_xyz:
-            return None
-        xyz = np.frombuffer(self._odometry_xyz, dtype=np.float64).reshape(-1, 3)
-        return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())

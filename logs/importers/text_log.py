@@ -10,6 +10,7 @@ from pathlib import Path
 from logs.importers.centroids import read_centroids
 from logs.importers.detection_tables import DetectionTable, read_detections
 from logs.importers.imported_log import DriveRecord
+from logs.importers.stamps import read_stamps
 from logs.importers.tables import read_table
 from logs.importers.text_files import describe_sources, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
@@ -60,8 +61,9 @@ def read_text_log(
     """
     paths = {"odometry": odometry, "ground_truth": ground_truth, "times": times, "calib": calib}
     sources = {role: read_source_text(path) for role, path in paths.items() if path is not None}
+    times_ns = read_stamps(read_table(sources["times"], ["stamp_s"]), strictly=True) if "times" in sources else None
     trajectories = {
-        role: read_trajectory(sources[role], times=sources.get("times"), calib=sources.get("calib"))
+        role: read_trajectory(sources[role], times_ns=times_ns, calib=sources.get("calib"))
         for role in ("odometry", "ground_truth")
         if role in sources
     }

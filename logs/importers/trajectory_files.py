@@ -52,22 +52,22 @@ class Trajectory:
 
 
 def read_trajectory(
-    source: SourceText, *, times: SourceText | None = None, calib: SourceText | None = None
+    source: SourceText, *, times_ns: IntArray | None = None, calib: SourceText | None = None
 ) -> Trajectory:
     """The trajectory in ``source``, in the format that it is found to have.
 
     Args:
         source: the file.
-        times: seconds of each pose, one a line; only for KITTI's format, which has none.
+        times_ns: increasing stamps of the poses; only for KITTI's format, which has none.
         calib: KITTI's calibration, if the poses in KITTI's format are of the left camera: the body is then the
             velodyne, and the poses are given in its frame at the origin.
 
     Raises:
         DatasetError: a file is wrong, the stamps do not increase, or stamps or positions are in an impossible unit.
     """
-    format = find_format(source)
+    format = _find_format(source)
     if format == TrajectoryFormat.KITTI:
-        trajectory = _read_kitti(source, times, calib)
+        trajectory = _read_kitti(source, times_ns, calib)
     else:
         table = read_table(source, _TUM if format == TrajectoryFormat.TUM else ())
         trajectory = Trajectory(read_stamps(table, strictly=True), _poses(table), format)
@@ -75,7 +75,7 @@ def read_trajectory(
     return trajectory
 
 
-def find_format(source: SourceText) -> TrajectoryFormat:
+def _find_format(source: SourceText) -> TrajectoryFormat:
     """The format that the content has.
 
     Raises:
@@ -132,20 +132,19 @@ def _rotations(table: Table) -> FloatArray:
     return Rotation.from_quat(q_xyzw).as_matrix()
 
 
-def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText | None) -> Trajectory:
-    if times is None:
+def _read_kitti(source: SourceText, times_ns: IntArray | None, calib: SourceText | None) -> Trajectory:
+    if times_ns is None:
         raise DatasetError(
             f"{source.name}: poses in KITTI's format have no stamps; give the file of their times (--times)"
         )
     T = parse_poses(source)
-    stamps_ns = read_stamps(read_table(times, ["stamp_s"]), strictly=True)
-    if len(T) != len(stamps_ns):
+    if len(T) != len(times_ns):
         raise DatasetError(
-            f"{source.name} has {len(T)} poses, {times.name} {len(stamps_ns)} times; give files of one drive"
+            f"{source.name} has {len(T)} poses without stamps, and there are {len(times_ns)} times; give one for each"
         )
     if calib is not None:
         T = body_poses(T, parse_calibration(calib))
-    return Trajectory(stamps_ns, T, TrajectoryFormat.KITTI)
+    return Trajectory(times_ns, T, TrajectoryFormat.KITTI)
 
 
 def _check_plausible(name: str, trajectory: Trajectory) -> None:

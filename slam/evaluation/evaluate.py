@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar
 
 import pandas as pd
@@ -45,6 +46,8 @@ _Measured = TypeVar("_Measured")
 def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = None) -> Evaluation:
     """Measure all that the records allow, by lengths in proportion to the sensor range of the run.
 
+    A part that raises :class:`EvaluationError` is unavailable for this reason.
+
     Args:
         records: of the log.
         map_alignment: ``T_world_map`` (4, 4) of the map in which the robot was to be relocalized, by which its fixes
@@ -53,149 +56,148 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     Raises:
         EvaluationError: a pose is not finite.
     """
-    return _Evaluator(records, map_alignment).run()
+    range_m, unavailable = records.sensor_range_m, dict[str, str]()
+    protocol = Protocol() if range_m is None else Protocol().for_range(range_m)
 
-
-class _Evaluator:
-    """Measures part by part; a part that raises :class:`EvaluationError` is unavailable for this reason."""
-
-    def __init__(self, records: EvaluationRecords, map_alignment: FloatArray | None) -> None:
-        self._records = records
-        range_m = records.sensor_range_m
-        self._protocol = Protocol() if range_m is None else Protocol().for_range(range_m)
-        self._map_alignment = map_alignment
-        self._unavailable: dict[str, str] = {}
-        self._truth = records.true_path
-        self._odometry = records.odometry_path
-
-    def run(self) -> Evaluation:
-        records, protocol = self._records, self._protocol
-        paths = {"estimate": records.final_path, "odometry": self._odometry, "online": records.online_path}
-        trajectories = {name: self._evaluate_trajectory(name, path) for name, path in paths.items()}
-        best = trajectories["estimate"] or trajectories["online"]
-        T_world_map = best.alignment.T_world_map if best else None
-        labelled = self._measure("associations", self._label_detections)
-        matches = self._match_by_detections(labelled)
-        judged, queries = self._judge_closures()
-        calibration, missing = evaluate_calibration(
-            records.graph, records.object_map, records.true_objects, matches, judged, self._truth, protocol
-        )
-        if missing:
-            self._unavailable["calibration"] = missing if len(self._truth) else NO_TRUTH
-        landmarks = self._measure("landmarks", lambda: self._evaluate_landmarks(labelled, matches, T_world_map))
-        results = {
-            "trajectory": describe_trajectories(trajectories),
-            "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
-            "landmarks": landmarks or {},
-            "closures": {} if judged is None else describe_closures(judged, protocol),
-            "relocalization": self._measure("relocalization", lambda: self._evaluate_relocalization(T_world_map)) or {},
-            "calibration": calibration,
-            "counters": records.status.counters if records.status else {},
-            "unavailable": self._unavailable,
-            "protocol": plain(protocol),
-        }
-        if judged is not None and queries is not None:
-            results["closures"] |= describe_revisits(queries, judged)
-        return Evaluation(plain(results), **trajectories, closures=judged)
-
-    def _measure(self, part: str, compute: Callable[[], _Measured]) -> _Measured | None:
-        """What ``compute`` returns; None where it raises the reason why the part is unavailable."""
+    def measure(part: str, compute: Callable[[], _Measured]) -> _Measured | None:
         try:
             return compute()
         except EvaluationError as error:
-            self._unavailable[part] = str(error)
+            unavailable[part] = str(error)
             return None
 
-    def _evaluate_trajectory(self, name: str, path: PoseSeries) -> TrajectoryErrors | None:
-        def compute() -> TrajectoryErrors:
-            _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(self._truth) > 0})
-            gap_s, kidnapping_m = self._protocol.max_truth_gap_s, self._protocol.revisit_m
-            return evaluate_trajectory(path, self._truth, max_gap_s=gap_s, kidnapping_m=kidnapping_m)
+    paths = {"estimate": records.final_path, "odometry": records.odometry_path, "online": records.online_path}
+    trajectories = {
+        name: measure("trajectory" if name == "estimate" else name, partial(_trajectory, records, protocol, name, path))
+        for name, path in paths.items()
+    }
+    best = trajectories["estimate"] or trajectories["online"]
+    T_world_map = best.alignment.T_world_map if best else None
+    labelled = measure("associations", partial(_label_detections, records))
+    matches = _match_by_detections(records, labelled)
+    landmarks = measure("landmarks", partial(_landmarks, records, protocol, labelled, matches, T_world_map))
+    measure("closures", partial(_need_truth_of_closures, records))
+    judged, queries = _judge_closures(records, protocol)
+    calibration, missing = evaluate_calibration(records, matches, judged, protocol)
+    if missing:
+        unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
+    if map_alignment is not None and not records.has_prior_map:
+        unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
+    relocalization = measure("relocalization", partial(_relocalization, records, protocol, map_alignment, T_world_map))
+    if relocalization and relocalization["undecided_count"]:
+        reason = "no truth at their stamps" if len(records.true_path) else NO_TRUTH
+        undecided, fixes = relocalization["undecided_count"], relocalization["fix_count"]
+        unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
+    results = {
+        "trajectory": describe_trajectories(trajectories),
+        "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
+        "landmarks": landmarks or {},
+        "closures": {} if judged is None else describe_closures(judged, protocol),
+        "relocalization": relocalization or {},
+        "calibration": calibration,
+        "counters": records.status.counters if records.status else {},
+        "unavailable": unavailable,
+        "protocol": plain(protocol),
+    }
+    if judged is not None and queries is not None:
+        results["closures"] |= describe_revisits(queries, judged)
+    return Evaluation(plain(results), **trajectories, closures=judged)
 
-        return self._measure("trajectory" if name == "estimate" else name, compute)
 
-    def _label_detections(self) -> pd.DataFrame:
-        records = self._records
-        path = self._odometry if len(self._odometry) else self._truth
-        _require(
-            {
-                "no associations in the log (/slam/associations)": bool(records.associations),
-                NO_DETECTION_TRUTH: bool(records.detection_truths),
-                "neither odometry nor ground truth, so travel between measurements is unknown": len(path) > 0,
-            }
-        )
-        aliases = find_aliases(records.object_map)
-        labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
-        count = len(records.associations)
-        _require({f"none of {count} frames has detections with truth: the reference is of another drive":
-                  not labelled.empty})  # fmt: skip
-        return labelled
+def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:
+    truth = records.true_path
+    _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(truth) > 0})
+    return evaluate_trajectory(path, truth, max_gap_s=protocol.max_truth_gap_s, kidnapping_m=protocol.revisit_m)
 
-    def _match_by_detections(self, labelled: pd.DataFrame | None) -> pd.DataFrame | None:
-        """Landmarks with their objects by the truth of the detections."""
-        map_est, map_gt = self._records.object_map, self._records.true_objects
-        if labelled is None or map_est is None or map_gt is None:
-            return None
-        return match_by_detections(
-            map_est, map_gt, identify_landmarks(labelled), has_prior_map=self._records.has_prior_map
-        )
 
-    def _evaluate_landmarks(
-        self, labelled: pd.DataFrame | None, matches: pd.DataFrame | None, T_world_map: FloatArray | None
-    ) -> dict[str, Any]:
-        map_est, map_gt = self._records.object_map, self._records.true_objects
-        if map_est is None or map_gt is None:
-            raise EvaluationError("no object map in the log (/slam/map)" if map_est is None else NO_TRUE_OBJECTS)
-        if labelled is None or matches is None:
-            raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
-        return evaluate_landmarks(
-            map_est,
-            map_gt,
-            matches,
-            self._protocol,
-            path_gt=self._truth,
-            T_world_map=T_world_map,
-            object_detection_counts=count_detections(labelled),
-        )
-
-    def _judge_closures(self) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
-        """The candidates, None without any; and the keyframes that may be revisits, None where they are not known."""
-        graph, records, truth = self._records.graph, self._records.closures, self._truth
-        if not records and (graph is None or not len(truth)):
-            self._unavailable["closures"] = "no loop-closure candidate in the log"
-            return None, None
-        is_own_map = not self._records.has_prior_map
-        there = {
-            NO_TRUTH: len(truth) > 0,
-            "no keyframes in the log (/slam/graph), so revisits are unknown": graph is not None,
-            "closures with keyframes of a given map have no truth in this log: see relocalization": is_own_map,
+def _label_detections(records: EvaluationRecords) -> pd.DataFrame:
+    path = records.odometry_path or records.true_path
+    _require(
+        {
+            "no associations in the log (/slam/associations)": bool(records.associations),
+            NO_DETECTION_TRUTH: bool(records.detection_truths),
+            "neither odometry nor ground truth, so travel between measurements is unknown": len(path) > 0,
         }
-        self._measure("closures", lambda: _require(there))
-        judged = judge_closures(find_final_decisions(records), truth, self._protocol)
-        if graph is None or not is_own_map or not len(truth) or not len(graph.keyframe_ids):
-            return judged, None
-        return judged, find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, self._protocol)
+    )
+    aliases = find_aliases(records.object_map)
+    labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
+    count = len(records.associations)
+    _require({f"none of {count} frames has detections with truth: the reference is of another drive":
+              not labelled.empty})  # fmt: skip
+    return labelled
 
-    def _evaluate_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any]:
-        records = self._records
-        _require({NO_STATUS: bool(records.statuses)})
-        is_given = records.has_prior_map
-        if self._map_alignment is not None and not is_given:
-            self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
-        is_located = is_given and self._map_alignment is not None
-        figures = evaluate_relocalization(
-            records,
-            self._truth,
-            self._odometry,
-            self._protocol,
-            T_world_map=self._map_alignment if is_located else T_world_estimate,
-            method="map" if is_located else "trajectory" if is_given else "closure",
-        )
-        undecided, fixes = figures["undecided_count"], figures["fix_count"]
-        if undecided:
-            reason = "no truth at their stamps" if len(self._truth) else NO_TRUTH
-            self._unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
-        return figures
+
+def _match_by_detections(records: EvaluationRecords, labelled: pd.DataFrame | None) -> pd.DataFrame | None:
+    """Landmarks with their objects by the truth of the detections."""
+    map_est, map_gt = records.object_map, records.true_objects
+    if labelled is None or map_est is None or map_gt is None:
+        return None
+    return match_by_detections(map_est, map_gt, identify_landmarks(labelled), has_prior_map=records.has_prior_map)
+
+
+def _landmarks(
+    records: EvaluationRecords,
+    protocol: Protocol,
+    labelled: pd.DataFrame | None,
+    matches: pd.DataFrame | None,
+    T_world_map: FloatArray | None,
+) -> dict[str, Any]:
+    map_est, map_gt = records.object_map, records.true_objects
+    if map_est is None or map_gt is None:
+        raise EvaluationError("no object map in the log (/slam/map)" if map_est is None else NO_TRUE_OBJECTS)
+    if labelled is None or matches is None:
+        raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
+    return evaluate_landmarks(
+        map_est,
+        map_gt,
+        matches,
+        protocol,
+        path_gt=records.true_path,
+        T_world_map=T_world_map,
+        object_detection_counts=count_detections(labelled),
+    )
+
+
+def _judge_closures(records: EvaluationRecords, protocol: Protocol) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
+    """The candidates, None without any; and the keyframes that may be revisits, None where they are not known."""
+    graph, truth = records.graph, records.true_path
+    is_known = graph is not None and len(truth) > 0
+    if not records.closures and not is_known:
+        return None, None
+    judged = judge_closures(find_final_decisions(records.closures), truth, protocol)
+    if graph is None or not is_known or records.has_prior_map or not len(graph.keyframe_ids):
+        return judged, None
+    return judged, find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, protocol)
+
+
+def _need_truth_of_closures(records: EvaluationRecords) -> None:
+    is_known = records.graph is not None and len(records.true_path) > 0
+    _require(
+        {
+            "no loop-closure candidate in the log": is_known or bool(records.closures),
+            NO_TRUTH: len(records.true_path) > 0,
+            "no keyframes in the log (/slam/graph), so revisits are unknown": records.graph is not None,
+            "closures with keyframes of a given map have no truth in this log: see relocalization": (
+                not records.has_prior_map
+            ),
+        }
+    )
+
+
+def _relocalization(
+    records: EvaluationRecords,
+    protocol: Protocol,
+    map_alignment: FloatArray | None,
+    T_world_map: FloatArray | None,
+) -> dict[str, Any]:
+    _require({NO_STATUS: bool(records.statuses)})
+    is_located = records.has_prior_map and map_alignment is not None
+    return evaluate_relocalization(
+        records,
+        protocol,
+        T_world_map=map_alignment if is_located else T_world_map,
+        method="map" if is_located else "trajectory" if records.has_prior_map else "closure",
+    )
 
 
 def _require(is_there: Mapping[str, bool]) -> None:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from logs.messages import ObjectMapRecord
-from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
-from slam.common.georeference import Georeference
 from slam.fleet.part import Part
 from slam.fleet.presence import REPORTED, Presence
 
@@ -101,23 +97,3 @@ def _area_m2(positions: FloatArray) -> float:
     """Area that positions (N, 2) cover, N >= 2: points at random are half a mean spacing from the nearest other."""
     nearest_m = np.asarray(cKDTree(positions).query(positions, k=2)[0])[:, 1]
     return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2
-
-
-def write_changes(path: Path, changes: Sequence[Change], georeference: Georeference | None) -> None:
-    """Write a point a change as GeoJSON: degrees on WGS 84, or metres in the map where its place on earth is unknown.
-    Its properties are those of the :class:`Change`.
-
-    Raises:
-        UnwritableLogError: the file cannot be written.
-    """
-    places = np.array([change.position for change in changes]).reshape(-1, 3)
-    if georeference is not None:
-        places = georeference.to_geodetic(places)[:, [1, 0, 2]]
-    features = [
-        {"type": "Feature", "geometry": {"type": "Point", "coordinates": place}, "properties": asdict(change)}
-        for change, place in zip(changes, np.round(places, 9).tolist(), strict=True)
-    ]
-    collection: dict[str, object] = {"type": "FeatureCollection", "features": features}
-    if georeference is None:
-        collection["coordinates"] = "metres in the frame of the map"
-    write_text(path, json.dumps(collection, indent=1) + "\n")

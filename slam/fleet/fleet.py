@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from logs.digest import content_key
 from logs.errors import LogError
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
-from slam.fleet.acceptance import MapPair, judge_pairs
-from slam.fleet.changes import Change, find_changes, write_changes
+from slam.fleet.changes import Change, find_changes
 from slam.fleet.condensed_map import cell_length_m, condense_map
-from slam.fleet.joins import Join, PlaceIndex, read_joins, write_joins
+from slam.fleet.joins import Join, accept_joins, find_joins, read_joins, why_alone, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
-from slam.fleet.part import Part, are_saved, load_parts, save_parts, session_part
+from slam.fleet.part import Part, are_saved, common_metadata, load_parts, save_parts, session_part
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
-from slam.fleet.session_config import common_config
 from slam.fleet.sessions import MAP_NAME, VERSION, Session, map_sessions, session_folder
-from slam.object_map.map_io import load_map, of_rows
+from slam.formats.landmark_tables import write_points
+from slam.object_map.map_io import SavedMap, load_map, of_rows
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
+from slam.provenance import recorded_config
 
 logger = logging.getLogger(__name__)
 
@@ -49,25 +51,25 @@ class CityMap:
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
     """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, by
-    date: their numbers; ``inputs``: the sessions of each map that was joined last, of one or of many that
-    were folded, and ``pairs`` of these maps; ``maps``: the result, that of most sessions first.
+    date: their numbers; ``alone``: by the number of a session that joined no other one the reason; ``maps``: the
+    result, that of most sessions first.
     """
 
     logs: tuple[FleetLog, ...]
     sessions: Mapping[str, Session]
     order: tuple[str, ...]
-    inputs: tuple[tuple[int, ...], ...]
-    pairs: tuple[MapPair, ...]
+    alone: Mapping[int, str]
     maps: tuple[CityMap, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Joined:
-    """``parts`` that came of the maps ``inputs``, which ``pairs`` relate; ``config``: by which they were compared."""
+    """``parts`` that are left, with the reasons why those of one session are ``alone``, by its number; ``config``: by
+    which they were compared.
+    """
 
-    inputs: tuple[tuple[int, ...], ...]
-    pairs: tuple[MapPair, ...]
     parts: list[Part]
+    alone: Mapping[int, str]
     config: Config
 
 
@@ -104,15 +106,17 @@ def map_fleet(
     maps = []
     for rank, part in enumerate(joined.parts, start=1):
         stamps_ns = [mapped[number].first_ns for number in part.sessions]
-        passes = find_passes(part)
-        presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
+        seen, distances_m = find_passes(part)
+        presence = estimate_presence(seen, seen_probabilities(seen, distances_m), stamps_ns)
         file = "map.mcap" if rank == 1 else f"map_{rank}.mcap" if len(stamps_ns) > 1 else ""
         place = georeference if rank == 1 else None
         source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}
         is_written = file and _save(folder / file, part, presence, joined.config, place, source)
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
-    write_changes(folder / "changes.geojson", maps[0].changes, georeference)
-    return Fleet(tuple(logs), sessions, order, joined.inputs, joined.pairs, tuple(maps))
+    changes = maps[0].changes
+    places = np.array([change.position for change in changes]).reshape(-1, 3)
+    write_points(folder / "changes.geojson", places, map(asdict, changes), georeference)
+    return Fleet(tuple(logs), sessions, order, joined.alone, tuple(maps))
 
 
 def _by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
@@ -148,20 +152,28 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     """Join sessions with one another and with parts of earlier ones; both are named by what they were made from."""
     names, parts = [*known, *sessions], [*known.values(), *sessions.values()]
     maps = [part.saved for part in parts]
-    joins = []
+    joins = list[Join]()
     for number in range(max(len(known), 1), len(parts)):
         # Of earlier versions, files of joins have other fields.
         fields = Join.__dataclass_fields__
         path = folder / "joins" / f"{content_key(*fields, *names[: number + 1])}.json"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
-            config = common_config(saved.metadata for saved in maps[: number + 1])
-            write_joins(path, PlaceIndex(maps[:number], config).find_joins(maps[number]))
+            write_joins(path, find_joins(maps[number], maps[:number], _config_of(maps[: number + 1])))
         joins += read_joins(path)
-    config = common_config(saved.metadata for saved in maps)
-    pairs = judge_pairs(len(maps), joins, config)
-    inputs = tuple(part.sessions for part in parts)
-    return _Joined(inputs, tuple(pairs), join_parts(parts, pairs, config), config)
+    config = _config_of(maps)
+    joined = join_parts(parts, accept_joins(joins, len(maps), config), config)
+    are_alone = {part.sessions for part in joined if len(part.visits) == 1}
+    alone = {
+        part.sessions[0]: why_alone(number, joins, len(maps), config)
+        for number, part in enumerate(parts)
+        if part.sessions in are_alone
+    }
+    return _Joined(joined, alone, config)
+
+
+def _config_of(maps: Sequence[SavedMap]) -> Config:
+    return recorded_config(common_metadata(maps))
 
 
 def _known_georeference(path: Path, first: str) -> Georeference | None:

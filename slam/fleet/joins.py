@@ -1,18 +1,19 @@
-"""Places of one map localized in earlier ones, as single scans are.
+"""Places of one map localized in earlier ones, as single scans are, and the maps that are joined by them.
 
-One index has all maps, so the time of a query does not grow with their number.
+One index has all earlier maps, so the time of a query does not grow with their number.
 """
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import logit
 
 from logs.messages import ObjectDetections
 from logs.storage.placement import write_text
@@ -65,43 +66,62 @@ def read_joins(path: Path) -> list[Join]:
     return [Join(**{**each, **{name: np.array(each[name]) for name in arrays}}) for each in values]
 
 
-class PlaceIndex:
-    """The landmarks of condensed maps, numbered in their order."""
-
-    def __init__(self, maps: Sequence[SavedMap], config: Config) -> None:
-        self._first_rows = np.cumsum([0, *(len(saved.objects.ids) for saved in maps)])
-        self._sensor_range_m = config.sensor_range_m
-        # Where many maps overlap, a few of them suffice to join a place to all.
-        closing = config.loop_closure.model_copy(update={"max_candidates": 8})
-        config = config.model_copy(update={"loop_closure": closing})
-        self._localizer = ScanLocalizer([saved.objects for saved in maps], config)
-
-    def find_joins(self, query_map: SavedMap) -> list[Join]:
-        """Where places of the next map are, likelier than not, in those of the index."""
-        places = range(len(query_map.graph.keyframe_ids))
-        return [join for place in places for join in self._localize(query_map, place) if join.log_odds > 0.0]
-
-    def _localize(self, query_map: SavedMap, place: int) -> Iterator[Join]:
-        """The likeliest pose of a place in each map."""
+def find_joins(query_map: SavedMap, references: Sequence[SavedMap], config: Config) -> list[Join]:
+    """Where places of a map are, likelier than not, in condensed maps before it, which are numbered in their order."""
+    first_rows = np.cumsum([0, *(len(saved.objects.ids) for saved in references)])
+    # Where many maps overlap, a few of them suffice to join a place to all.
+    closing = config.loop_closure.model_copy(update={"max_candidates": 8})
+    config = config.model_copy(update={"loop_closure": closing})
+    localizer = ScanLocalizer([saved.objects for saved in references], config)
+    places = len(query_map.graph.keyframe_ids)
+    joins = []
+    for place in range(places):
         seen, T_query_place = place_landmarks(query_map, place), query_map.graph.T_map_body[place]
         positions = apply(invert(T_query_place), query_map.objects.positions[seen])
         labels = tuple(query_map.objects.labels[row] for row in seen.tolist())
-        query = self._localizer.query(ObjectDetections(0, "place", positions, labels, np.ones(len(seen))))
+        query = localizer.query(ObjectDetections(0, "place", positions, labels, np.ones(len(seen))))
         in_map = defaultdict[int, list[Candidate]](list)
-        for each in self._localizer.propose(query):
+        for each in localizer.propose(query):
             if isinstance(each, Candidate):
                 in_map[each.reference.odometry.segment].append(each)
         for number, candidates in in_map.items():
-            best, *rivals = suppress_non_maxima(candidates, sensor_range_m=self._sensor_range_m)
+            best, *rivals = suppress_non_maxima(candidates, sensor_range_m=config.sensor_range_m)
             log_rivals = np.logaddexp.reduce([0.0, *(each.score for each in rivals)])
-            queries, references = best.pairs.T
-            yield Join(
-                query_map=len(self._first_rows) - 1,
+            queries, rows = best.pairs.T
+            join = Join(
+                query_map=len(references),
                 reference_map=number,
                 place=place,
                 T_query_place=T_query_place,
                 T_reference_place=best.T_local_query,
                 covariance=best.covariance,
-                log_odds=float(best.score - log_rivals - np.log(len(query_map.graph.keyframe_ids))),
-                pairs=np.column_stack([seen[queries - self._first_rows[-1]], references - self._first_rows[number]]),
+                log_odds=float(best.score - log_rivals - np.log(places)),
+                pairs=np.column_stack([seen[queries - first_rows[-1]], rows - first_rows[number]]),
             )
+            joins += [join] if join.log_odds > 0.0 else []
+    return joins
+
+
+def accept_joins(joins: Sequence[Join], map_count: int, config: Config) -> list[Join]:
+    """All joins of each two maps that the surest of them joins."""
+    limit = _min_log_odds(map_count, config)
+    joined = {(join.reference_map, join.query_map) for join in joins if join.log_odds >= limit}
+    return [join for join in joins if (join.reference_map, join.query_map) in joined]
+
+
+def why_alone(number: int, joins: Sequence[Join], map_count: int, config: Config) -> str:
+    """The reason why the map ``number`` of so many was joined with no other one."""
+    own = [join.log_odds for join in joins if number in (join.reference_map, join.query_map)]
+    if not own:
+        return "none of its places was recognised in another log"
+    best, limit = max(own), _min_log_odds(map_count, config)
+    doubt = f"posterior log odds {best:.1f}, less than {limit:.1f}"
+    return doubt if best < limit else "its joins contradict those of other logs"
+
+
+def _min_log_odds(map_count: int, config: Config) -> float:
+    """The least log odds by which two of so many maps are joined: they are wrong with a probability below
+    ``localization.error_probability``, shared among all pairs of maps, as a false join bends everything on both sides.
+    """
+    pairs = map_count * (map_count - 1) // 2
+    return float(np.log(max(pairs, 1))) - float(logit(config.localization.error_probability))

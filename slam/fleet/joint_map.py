@@ -19,10 +19,8 @@ from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
-from slam.fleet.acceptance import MapPair
 from slam.fleet.joins import Join
-from slam.fleet.part import Part, Visit
-from slam.fleet.session_config import common_metadata
+from slam.fleet.part import Part, Visit, common_metadata
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
@@ -62,37 +60,35 @@ class _Group:
         return Edge(int(ends[0]), int(ends[1]), T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE)
 
 
-def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) -> list[Part]:
-    """The parts that are left when those of accepted pairs are joined; that of most sessions first.
+def join_parts(parts: Sequence[Part], joins: Sequence[Join], config: Config) -> list[Part]:
+    """The parts that are left when they are joined; that of most sessions first.
 
     Args:
         parts: numbered in their order.
-        pairs: decisions on pairs of them; those that were not accepted join nothing.
+        joins: those that are accepted.
         config: of the optimisation and the fusion.
 
     Raises:
         FactorGraphError: GTSAM cannot solve it.
     """
-    accepted = [pair for pair in pairs if pair.accepted]
-    T_joint_map = _chained(len(parts), accepted)
+    T_joint_map = _chained(len(parts), joins)
     joined = []
-    for related in _connected(range(len(parts)), [(pair.first, pair.second) for pair in accepted]):
-        joins = [join for pair in accepted if pair.first in related for join in pair.joins]
+    for related in _connected(range(len(parts)), joins):
         group = _Group({number: parts[number] for number in related})
-        T_map_place, joins = _placed(group, joins, T_joint_map, config.sensor_range_m)
-        for members in _connected(related, [(join.reference_map, join.query_map) for join in joins]):
-            kept = [join for join in joins if join.query_map in members]
+        of_group = [join for join in joins if join.query_map in related]
+        T_map_place, agreeing = _placed(group, of_group, T_joint_map, config.sensor_range_m)
+        for members in _connected(related, agreeing):
+            kept = [join for join in agreeing if join.query_map in members]
             T = T_map_place[np.isin(group.numbers, members)]
             members_group = _Group({number: parts[number] for number in members})
             joined.append(_solved(members_group, kept, T, config) if kept else parts[members[0]])
     return sorted(joined, key=lambda part: (-len(part.visits), part.sessions))
 
 
-def _connected(numbers: Sequence[int], ends: Sequence[tuple[int, int]]) -> list[list[int]]:
-    """The numbers in groups that pairs of them connect."""
-    row_of = {number: row for row, number in enumerate(numbers)}
-    rows = np.array([[row_of[end] for end in each] for each in ends], dtype=np.int64).reshape(-1, 2).T
-    pairs = coo_array((np.ones(rows.shape[1]), rows), shape=(len(numbers), len(numbers)))
+def _connected(numbers: Sequence[int], joins: Sequence[Join]) -> list[list[int]]:
+    """The numbers of maps in groups that joins connect."""
+    ends = np.array([(join.reference_map, join.query_map) for join in joins], dtype=np.int64).reshape(-1, 2)
+    pairs = coo_array((np.ones(len(ends)), np.searchsorted(numbers, ends).T), shape=(len(numbers), len(numbers)))
     component = connected_components(pairs, directed=False)[1]
     return [np.asarray(numbers)[component == each].tolist() for each in np.unique(component)]
 
@@ -119,15 +115,15 @@ def _placed(
     return poses, list(compress(joins, agree.tolist()))
 
 
-def _chained(count: int, pairs: Sequence[MapPair]) -> FloatArray:
+def _chained(count: int, joins: Sequence[Join]) -> FloatArray:
     """``T_joint_map`` (M, 4, 4) of maps along the pairs that most places relate, each by its surest join."""
     costs = np.zeros((count, count))
-    costs[0, 1:] = 1.0  # so that maps that no pair relates are in the tree, where they are
+    costs[0, 1:] = 1.0  # so that maps that no join relates are in the tree, where they are
     T_between: dict[tuple[int, int], FloatArray] = {}
-    for pair in pairs:
-        costs[pair.first, pair.second] = -sum(join.log_odds for join in pair.joins)
-        T_between[pair.first, pair.second] = pair.surest.T_reference_query
-        T_between[pair.second, pair.first] = invert(pair.surest.T_reference_query)
+    for join in sorted(joins, key=lambda join: join.log_odds):
+        ends = join.reference_map, join.query_map
+        costs[ends] = min(costs[ends], 0.0) - join.log_odds
+        T_between[ends], T_between[ends[::-1]] = join.T_reference_query, invert(join.T_reference_query)
     order, previous = breadth_first_order(minimum_spanning_tree(costs), 0, directed=False)
     T_joint_map = np.tile(np.eye(4), (count, 1, 1))
     for row in order[1:].tolist():
@@ -151,7 +147,7 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
     stamps_ns = np.concatenate([part.saved.graph.keyframe_stamps_ns for part in group.parts.values()])
     objects = confirmed(object_map.to_record(int(stamps_ns.max())))
     record = observing(graph.to_record(objects.stamp_ns, stamps_ns), objects, np.ones(len(stamps_ns), dtype=np.bool_))
-    joint = SavedMap(objects, record, common_metadata(part.saved.metadata for part in group.parts.values()))
+    joint = SavedMap(objects, record, common_metadata(part.saved for part in group.parts.values()))
     row_of = {int(name): row for row, name in enumerate(objects.ids)}
     visits = {}
     for number, part in group.parts.items():

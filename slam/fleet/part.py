@@ -8,7 +8,8 @@ grows with the area of the city and not with the number of nights.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.map_io import SavedMap, are_of_kind, load_map, write_map
+from slam.provenance import recorded_config
 
 LEDGER_NAME = "visits.json"
 
@@ -62,6 +64,20 @@ def session_part(number: int, saved: SavedMap) -> Part:
     if not len(steps):
         steps = np.zeros((1, 2), dtype=np.int64)
     return Part(saved, {number: Visit(graph.T_map_body[steps, :3, 3], np.arange(len(saved.objects.ids)))})
+
+
+def common_metadata(maps: Iterable[SavedMap]) -> Mapping[str, str]:
+    """Of these maps, one at least, the metadata by whose configuration their landmarks are compared.
+
+    It is that of the map whose landmarks are less exact than in nine of ten maps: landmarks of one object are as far
+    apart as the errors of the worse of two maps, but one robot that is lost in noise is not to decide for all.
+
+    Raises:
+        SavedMapError: as :func:`slam.provenance.recorded_config`.
+    """
+    metadata = [saved.metadata for saved in maps]
+    ordered = sorted(metadata, key=lambda each: recorded_config(each).calibration.objects.landmark_sigma_m)
+    return ordered[math.ceil(0.9 * (len(ordered) - 1))]
 
 
 def save_parts(folder: Path, parts: Sequence[Part]) -> None:

@@ -10,7 +10,7 @@ landmark has a detectability, the factor of that probability, constant in time, 
 fleet (MacKenzie et al., Occupancy Estimation and Modeling, chapter 4: detection that differs from site to site). So
 landmarks of few among many sessions are not reported as changes. The hazard, too, is estimated from all landmarks,
 by expectation maximisation, so that a fleet in which nothing changes reports no changes. Its iterations add up the
-evidence of each of ``PERIODS`` periods, so that their time does not grow with the number of sessions.
+evidence of each of some periods, so that their time does not grow with the number of sessions.
 """
 
 from __future__ import annotations
@@ -32,28 +32,16 @@ DETECTABILITIES = 0.5 ** np.arange(7)
 """Down to one sighting in 64 passes; what is seen more rarely says nothing."""
 PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
 """Passes and sightings that a cell is assumed to have had before."""
-PERIODS = 32
-"""Groups of sessions whose evidence is added up while the hazard is estimated: it needs no finer times."""
-FIRST_CHANGES = 0.1
-"""Changes of a landmark over the time of the fleet that the estimate of the hazard begins with."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Passes:
-    """Of L landmarks by M sessions: ``seen`` (L, M), and ``distances_m`` (L, M) of the landmarks from the paths."""
-
-    seen: BoolArray
-    distances_m: FloatArray
-
-
-def find_passes(part: Part) -> Passes:
-    """The passes of all sessions of a part, in their order."""
+def find_passes(part: Part) -> tuple[BoolArray, FloatArray]:
+    """Which landmarks each session of a part saw, and how far from them it passed [m]: (L, M) each."""
     landmarks = part.objects.positions[:, :2]
     visits = [part.visits[number] for number in part.sessions]
     seen = np.zeros((len(landmarks), len(visits)), dtype=np.bool_)
     for column, visit in enumerate(visits):
         seen[visit.landmarks, column] = True
-    return Passes(seen, np.column_stack([_distances_m(landmarks, visit.steps[:, :, :2]) for visit in visits]))
+    return seen, np.column_stack([_distances_m(landmarks, visit.steps[:, :, :2]) for visit in visits])
 
 
 def _distances_m(points: FloatArray, steps: FloatArray) -> FloatArray:
@@ -102,13 +90,12 @@ class Presence:
         return self.present * self.detectability
 
 
-def seen_probabilities(passes: Passes) -> FloatArray:
+def seen_probabilities(seen: BoolArray, distances_m: FloatArray) -> FloatArray:
     """Probability (L, M) that a session sees a landmark that is there; 0 where it did not pass.
 
-    Learned from landmarks that an earlier and a later session saw, so that they certainly stood there; the sessions are
-    in the order of their dates.
+    By what :func:`find_passes` returns; learned from landmarks that an earlier and a later session saw, so that they
+    certainly stood there; the sessions are in the order of their dates.
     """
-    seen, distances_m = passes.seen, passes.distances_m
     if not seen.any():
         return np.zeros(seen.shape)
     # Farther away than nearly all sightings nothing is in reach of the sensors.
@@ -136,15 +123,17 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
     stamps_days = np.array(stamps_ns) / 86_400e9
     days = np.diff(stamps_days)
     span = max(float(days.sum()), 1.0)  # sessions of one day
-    hazard = FIRST_CHANGES / span
+    first_changes = 0.1  # of a landmark over the time of the fleet, with which the estimate begins
+    hazard = first_changes / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
-    begins = np.unique(np.linspace(0, len(stamps_days), PERIODS, endpoint=False).astype(np.int64))
+    # The hazard needs no finer times than 32 periods.
+    begins = np.unique(np.linspace(0, len(stamps_days), 32, endpoint=False).astype(np.int64))
     of_periods = [np.add.reduceat(each, begins, axis=1) for each in _log_ratios(seen, probabilities)]
     between = np.diff(stamps_days[begins])
     for _ in range(12):
         states, shares = _average(of_periods, between, hazard, weights)
         there_days = states[:, :-1, PRESENT] @ between
-        hazard = (0.5 * float(_changed(states).sum()) + FIRST_CHANGES) / (float(there_days.sum()) + span)
+        hazard = (0.5 * float(_changed(states).sum()) + first_changes) / (float(there_days.sum()) + span)
         weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
     states, shares = _average(_log_ratios(seen, probabilities), days, hazard, weights)
     return Presence(states, shares @ DETECTABILITIES, hazard)

@@ -56,24 +56,14 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
         return {"status": "not mapped", "reason": session.reason}
     number = fleet.order.index(digest)
     city_map = next(each for each in fleet.maps if number in each.part.visits)
-    is_alone = len(city_map.part.visits) == 1
     return {
-        "status": "alone" if is_alone else "joined",
-        "reason": _why_alone(fleet, number) if is_alone else "",
+        "status": "alone" if number in fleet.alone else "joined",
+        "reason": fleet.alone.get(number, ""),
         "map": city_map.file,
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
         "notes": list(session.notes),
     }
-
-
-def _why_alone(fleet: Fleet, number: int) -> str:
-    own = next(rank for rank, numbers in enumerate(fleet.inputs) if number in numbers)
-    pairs = [pair for pair in fleet.pairs if own in (pair.first, pair.second)]
-    if not pairs:
-        return "none of its places was recognised in another log"
-    best = max(pairs, key=lambda pair: pair.surest.log_odds)
-    return best.reason or "its joins contradict those of other logs"
 
 
 def _of_map(city_map: CityMap) -> dict[str, Any]:

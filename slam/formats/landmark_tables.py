@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
+from slam.common.arrays import FloatArray
 from slam.common.georeference import Georeference
 
 
@@ -46,30 +48,30 @@ def write_csv(path: Path, objects: ObjectMapRecord) -> None:
 
 
 def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeference) -> None:
-    """Write a point a landmark: longitude, latitude [deg] and altitude [m] on WGS 84 (RFC 7946).
+    """Write a point a landmark: longitude, latitude [deg] and altitude [m] on WGS 84.
 
     Its properties are the columns of the :func:`landmark_table` but the position.
 
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    layer = {"type": "FeatureCollection", "features": _features(objects, georeference)}
-    write_text(path, json.dumps(layer, indent=1) + "\n")
-
-
-def _features(objects: ObjectMapRecord, georeference: Georeference) -> list[dict[str, Any]]:
     table = pd.DataFrame(landmark_table(objects)).drop(columns=["x_m", "y_m", "z_m"])
-    places = georeference.to_geodetic(objects.positions).tolist()
-    return [
-        {
-            "type": "Feature",
-            "id": properties.pop("id"),
-            "geometry": {
-                "type": "Point",
-                # To a tenth of a millimetre.
-                "coordinates": [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)],
-            },
-            "properties": properties,
-        }
-        for properties, (latitude, longitude, altitude_m) in zip(table.to_dict("records"), places, strict=True)
+    write_points(path, objects.positions, table.to_dict("records"), georeference)
+
+
+def write_points(
+    path: Path, positions: FloatArray, properties: Iterable[Mapping[str, Any]], georeference: Georeference | None
+) -> None:
+    """Write points at positions (N, 3) m of a map as GeoJSON (RFC 7946): on WGS 84, or in metres of the map, whose
+    place on earth is unknown.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    places = positions if georeference is None else georeference.to_geodetic(positions)[:, [1, 0, 2]]
+    features = [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": place}, "properties": each}
+        for each, place in zip(properties, np.round(places, 9).tolist(), strict=True)
     ]
+    about = {} if georeference is not None else {"coordinates": "metres in the frame of the map"}
+    write_text(path, json.dumps({"type": "FeatureCollection", "features": features, **about}, indent=1) + "\n")

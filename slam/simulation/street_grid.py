@@ -14,9 +14,6 @@ from slam.simulation.world import World
 
 COLUMNS, ROWS = 5, 4
 """Crossings east-west and north-south, before the town is turned."""
-BLOCK_M = (65.0, 130.0)
-
-MIN_TOUR_M, MAX_TOUR_M = 1500.0, 2000.0
 
 Crossing = tuple[int, int]
 
@@ -63,8 +60,7 @@ def generate_street_grid(*, rng: np.random.Generator) -> World:
 
 
 def _lay_streets(rng: np.random.Generator) -> _Streets:
-    x = np.append(0.0, np.cumsum(rng.uniform(*BLOCK_M, COLUMNS - 1)))
-    y = np.append(0.0, np.cumsum(rng.uniform(*BLOCK_M, ROWS - 1)))
+    x, y = (np.append(0.0, np.cumsum(rng.uniform(65.0, 130.0, count - 1))) for count in (COLUMNS, ROWS))
     angle = rng.uniform(-np.pi, np.pi)
     R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     crossings = [(column, row) for column in range(COLUMNS) for row in range(ROWS)]
@@ -93,7 +89,8 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
     crossings = list(streets.places)
     for _ in range(20_000):
         tour = [crossings[int(rng.integers(len(crossings)))]]
-        target_m, length_m = rng.uniform(MIN_TOUR_M, MAX_TOUR_M), 0.0
+        min_m, length_m = 1500.0, 0.0
+        target_m = rng.uniform(min_m, 2000.0)
         while True:
             onward = [other for other in streets.neighbours[tour[-1]] if len(tour) < 2 or other != tour[-2]]
             following = onward[int(rng.integers(len(onward)))]
@@ -102,9 +99,8 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
                 break
             tour.append(following)
         same, opposite = _revisits(tour)
-        least, most = 2, 5
         driven_m = sum(streets.length_m(a, b) for a, b in pairwise(tour))
-        if driven_m >= MIN_TOUR_M and least <= same <= most and least <= opposite <= most:
+        if driven_m >= min_m and 2 <= same <= 5 and 2 <= opposite <= 5:
             return tour
     raise SimulationError("no tour with enough revisits; take another seed")
 

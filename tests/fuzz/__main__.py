@@ -24,10 +24,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--count", type=int, default=200, help="number of cases")
     parser.add_argument("--seed", type=int, default=0, help="case i is made of (seed, i) alone")
-    parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for the cases that fail")
     parser.add_argument("--minutes", type=float, default=np.inf, help="end after that time")
-    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes; the cases are the same")
     options = parser.parse_args()
     import_commands()
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=SCRATCH) as folder:
@@ -37,50 +34,25 @@ def main() -> int:
 def fuzz(folder: Path, options: argparse.Namespace) -> int:
     """Run the cases in ``folder``; what was wrong is printed as it is found, and counted at the end."""
     (folder / "seeds").mkdir()
-    trials = Trials(make_seeds(folder / "seeds"), options.seed, folder, options.keep.resolve())
-    tally = _Tally()
-    numbers = range(options.first, options.first + options.count)
-    fork = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(options.workers, fork, begin, (trials,)) as pool:
-        for verdict in pool.map(run_case, numbers):
-            tally.add(verdict)
-            if tally.seconds > 60.0 * options.minutes:
+    trials = Trials(make_seeds(folder / "seeds"), options.seed, folder, Path("out/fuzz").resolve())
+    verdicts = list[Verdict]()
+    started = time.monotonic()
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("fork"), begin, (trials,)) as pool:
+        for verdict in pool.map(run_case, range(options.count)):
+            verdicts.append(verdict)
+            for complaint in verdict.complaints:
+                print(f"{verdict.number}: {complaint}  [{' '.join(verdict.arguments)[:200]}]", flush=True)
+            if time.monotonic() - started > 60.0 * options.minutes:
                 pool.shutdown(cancel_futures=True)
                 break
-    tally.show()
-    return int(bool(tally.complaints))
-
-
-class _Tally:
-    """What became of all cases so far, in the order of their numbers."""
-
-    def __init__(self) -> None:
-        self.complaints: Counter[str] = Counter()
-        self._codes: Counter[int] = Counter()
-        self._slowest_s, self._largest_bytes = 0.0, 0
-        self._started = time.monotonic()
-
-    @property
-    def seconds(self) -> float:
-        return time.monotonic() - self._started
-
-    def add(self, verdict: Verdict) -> None:
-        self._codes[verdict.code] += 1
-        self._slowest_s = max(self._slowest_s, verdict.seconds)
-        self._largest_bytes = max(self._largest_bytes, verdict.peak_bytes)
-        for complaint in verdict.complaints:
-            self.complaints[complaint] += 1
-            print(f"{verdict.number}: {complaint}  [{' '.join(verdict.arguments)[:200]}]", flush=True)
-        if self._codes.total() % 1000 == 0:
-            print(f"{verdict.number + 1}: {self._codes.total()} cases in {self.seconds:.0f} s", flush=True)
-
-    def show(self) -> None:
-        codes = dict(sorted(self._codes.items()))
-        largest = f"largest {self._largest_bytes / 1e6:.0f} MB above what is imported"
-        print(f"\n{self._codes.total()} cases in {self.seconds:.0f} s; exit codes {codes}; slowest "
-              f"{self._slowest_s:.1f} s, {largest}")  # fmt: skip
-        for complaint, count in self.complaints.most_common():
-            print(f"{count:6d}  {complaint}")
+    codes = dict(sorted(Counter(each.code for each in verdicts).items()))
+    slowest_s, largest_bytes = max(each.seconds for each in verdicts), max(each.peak_bytes for each in verdicts)
+    print(f"\n{len(verdicts)} cases in {time.monotonic() - started:.0f} s; exit codes {codes}; slowest "
+          f"{slowest_s:.1f} s, largest {largest_bytes / 1e6:.0f} MB above what is imported")  # fmt: skip
+    complaints = Counter(complaint for each in verdicts for complaint in each.complaints)
+    for complaint, count in complaints.most_common():
+        print(f"{count:6d}  {complaint}")
+    return int(bool(complaints))
 
 
 if __name__ == "__main__":

@@ -13,8 +13,7 @@ import numpy as np
 
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
-from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
-from tests.fuzz.dataset_cases import cloud_arguments, dataset_arguments, write_bag_of
+from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_ply, mutate_text
 from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
@@ -52,11 +51,18 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         import csv out.mcap --odometry ?trajectory.tum --detections =detections.csv
         import csv out.mcap --odometry ?trajectory.kitti --times =times.txt --detections =detections.csv
         import csv out.mcap --odometry =trajectory.kitti --times ?times.txt --detections =detections.csv
-        import csv out.mcap --odometry =trajectory.tum --detections ?detections.csv"""),
+        import csv out.mcap --odometry =trajectory.tum --detections ?detections.csv
+        import csv out.mcap --odometry ?poses.txt --calib ?calib.txt --times =clock.txt --detections ?centroids"""),
     "objects": (1, """
         import map out.mcap --file ?objects.csv|objects.csv|objects.csv.gz
         import map out.mcap --file ?objects.geojson|objects.geojson|objects.geojson.gz
         import map out.mcap --file ?objects.osm|objects.osm|objects.osm.gz"""),
+    "clouds": (1.5, """
+        import map out.mcap --file ?cloud.ply|reversed.ply
+        import map out.mcap --file ?cloud.ply|reversed.ply --name 302020400=_lamp --name 302020600=_sign"""),
+    "bags": (1, """
+        info ?bag --json
+        replay ?bag -o out.mcap"""),
     "weights": (0.5, f"""
         replay =drive -o out.mcap --set loop_closure.descriptor=?{WEIGHTS.name}"""),
     "toml": (0.5, """
@@ -102,12 +108,18 @@ def make_case(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
 
 
 def _written(found: re.Match[str], seeds: Seeds, folder: Path, rng: np.random.Generator) -> str:
-    """The name of the file that a word of a command line asks for."""
+    """The name of the file, or of the folder with one altered file, that a word of a command line asks for."""
     names = found[2].replace("ANY", "drive|drive|ros|json|mapped|map|kinds").split("|")
     name = str(rng.choice(names))
     target = found[3] or (f"{name}.mcap" if name in seeds.logs else name)
-    content = _mutated(name, seeds, rng) if found[1] == "?" else _intact(name, seeds)
-    (folder / target).write_bytes(content)
+    inside = [each for each in seeds.files if each.startswith(f"{name}/")]
+    altered = str(rng.choice(inside)) if inside else name
+    for each in inside or [name]:
+        is_intact = found[1] == "=" or each != altered
+        content = _intact(each, seeds) if is_intact else _mutated(each, seeds, rng)
+        path = folder / (each if inside else target)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
     return target
 
 
@@ -120,6 +132,10 @@ def _intact(name: str, seeds: Seeds) -> bytes:
 def _mutated(name: str, seeds: Seeds, rng: np.random.Generator) -> bytes:
     if name == WEIGHTS.name:
         return _mutated_weights(seeds.files[name], rng)
+    if name.endswith(".ply"):
+        return mutate_ply(seeds.files[name], rng)
+    if name.endswith(".mcap"):
+        return mutate_bytes(seeds.files[name], rng)
     if name.endswith(".gz"):
         return mutate_bytes(gzip.compress(_mutated(name.removesuffix(".gz"), seeds, rng)), rng)
     if name not in seeds.logs:
@@ -137,11 +153,6 @@ def _mutated_weights(content: bytes, rng: np.random.Generator) -> bytes:
     return len(header).to_bytes(8, "little") + header + content[8 + size :]
 
 
-def _bags(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:
-    given = write_bag_of(seeds.bag, folder, rng)
-    return ["info", given, "--json"] if rng.random() < 0.5 else ["replay", given, "-o", "out.mcap"]
-
-
 def _setting(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:
     """One setting at a limit, with a drive that is as it should be."""
     (folder / "drive.mcap").write_bytes(_intact("drive", seeds))
@@ -151,12 +162,9 @@ def _setting(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:
 
 _MAKERS: dict[str, tuple[float, Callable[[Seeds, Path, np.random.Generator], list[str]]]] = {
     "setting": (1.5, _setting),
-    "clouds": (1.5, lambda _, folder, rng: cloud_arguments(folder, rng)),
-    "datasets": (0.7, lambda _, folder, rng: dataset_arguments(folder, rng)),
-    "bags": (1, _bags),
     "paths": (1.5, lambda seeds, folder, rng: odd_arguments(make_odd_paths(seeds, folder), rng)),
 }
-"""Families whose files no seed is."""
+"""Families whose files are as they should be."""
 _FAMILIES = (*_COMMANDS, *_MAKERS)
 _WEIGHTS = np.array([weight for weight, _ in (*_COMMANDS.values(), *_MAKERS.values())])
 _WEIGHTS /= _WEIGHTS.sum()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any
@@ -25,15 +25,19 @@ class Message:
 
 @dataclass
 class McapFile:
-    """What stands in the file; ``channels`` are their ids with the schema's id, the topic and the encoding."""
+    """What stands in the file: by number name, encoding and definition of a schema, and schema, topic and encoding of
+    a channel.
+    """
 
-    schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
-    channels: dict[int, tuple[int, str, str]] = field(default_factory=dict)
+    schemas: dict[int, Sequence[Any]] = field(default_factory=dict)
+    channels: dict[int, Sequence[Any]] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
-    metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    metadata: list[Sequence[Any]] = field(default_factory=list)
 
     def copy(self) -> McapFile:
-        return McapFile(dict(self.schemas), dict(self.channels), list(self.messages), list(self.metadata))
+        """The same in lists, which can be altered."""
+        schemas, channels = ({k: [*each] for k, each in table.items()} for table in (self.schemas, self.channels))
+        return McapFile(schemas, channels, [*self.messages], [[name, {**values}] for name, values in self.metadata])
 
 
 @dataclass(frozen=True)

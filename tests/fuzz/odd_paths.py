@@ -52,6 +52,7 @@ def make_odd_paths(seeds: Seeds, folder: Path) -> list[str]:
     for name, log in seeds.logs.items():
         (folder / f"{name}.mcap").write_bytes(write_file(log, Layout()))
     for name, content in seeds.files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
     (folder / "folder").mkdir()
     (folder / "loop").symlink_to("loop")

@@ -33,7 +33,7 @@ class Outcome:
 
 def run(arguments: list[str], folder: Path, limits: Limits) -> Outcome:
     """``dslam`` with ``arguments``, from within ``folder``, as a fork of this process in which all is imported."""
-    before = _pages("VmRSS")
+    before = status_bytes("VmRSS")
     child = start(arguments, folder, lambda: _limit(limits))
     _, status, usage = os.wait4(child, 0)
     return Outcome(
@@ -48,13 +48,13 @@ def run(arguments: list[str], folder: Path, limits: Limits) -> Outcome:
 def _limit(limits: Limits) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (limits.file_bytes, limits.file_bytes))
-    resource.setrlimit(resource.RLIMIT_AS, (_pages("VmSize") + limits.memory_bytes,) * 2)
+    resource.setrlimit(resource.RLIMIT_AS, (status_bytes("VmSize") + limits.memory_bytes,) * 2)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, 20.0 * limits.seconds)  # for what waits; a shared machine is slow
     resource.setrlimit(resource.RLIMIT_CPU, (3 * limits.seconds,) * 2)
 
 
-def _pages(name: str) -> int:
+def status_bytes(name: str) -> int:
     """Bytes that this process has, by its name in /proc/self/status."""
     with open("/proc/self/status", encoding="ascii") as stream:
         return next(int(line.split()[1]) * 1024 for line in stream if line.startswith(f"{name}:"))

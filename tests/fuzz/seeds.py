@@ -21,21 +21,30 @@ from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.ros2_logs import encoded, ros2_messages, write_bag
 from tests.helpers.short_drives import drive as drive_of
 from tests.helpers.short_drives import keep_until, write_log
+from tests.logs.clouds.clouds import street, write_ply
 from tests.logs.examples import every_kind
 from tests.logs.importers.text_drives import DETECTIONS
 from tools import cli
 
 _SECONDS = 2.0
+_KITTI = {
+    "centroids/bow.txt": "1,0,1\n0,1,0\n0,0,0\n",
+    "centroids/centroids/000000.txt": "1 2 3\n4e0 5 -6.5\n",
+    "centroids/centroids/000001.txt": "7 8 9\n",
+    "centroids/centroids/000002.txt": "",
+    "poses.txt": "".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)),
+    "calib.txt": "P0: 0 0 0 0 0 0 0 0 0 0 0 0\nTr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3\n",
+    "clock.txt": "0.000000e+00\n1.037359e-01\n2.05816123456789e-01\n",
+}
 WEIGHTS = Path(str(resources.files("descriptors"))) / "weights" / "descriptellation_lr.safetensors"
 
 
 @dataclass(frozen=True)
 class Seeds:
-    """Logs by name, the bytes of other files by name, and those of a bag."""
+    """Logs by name, and the bytes of other files by name, "FOLDER/NAME" of those in a folder."""
 
     logs: dict[str, McapFile]
     files: dict[str, bytes]
-    bag: dict[str, bytes]
 
 
 def make_seeds(folder: Path) -> Seeds:
@@ -54,23 +63,23 @@ def make_seeds(folder: Path) -> Seeds:
             writer.write_raw(encoded(message))
     (folder / "settings.toml").write_text(_run("config"))
     (folder / "simulation.toml").write_text(_run("config", "--simulation"))
-    _run("export", mapped, "--csv", folder / "objects.csv")
-    _write_objects(folder)
-    names = ("drive", "mapped", "map", "kinds", "ros")
-    texts = ("trajectory.tum", "trajectory.kitti", "times.txt", "settings.toml", "simulation.toml", "detections.csv",
-             "objects.csv", "objects.geojson", "objects.osm", WEIGHTS.name)  # fmt: skip
+    exported = ("--csv", folder / "objects.csv", "--geojson", folder / "objects.geojson", "--origin", "60.1,24.9")
+    _run("export", mapped, *exported)
+    _write_extract(folder / "objects.osm")
+    for name, order in (("cloud", "binary_little_endian"), ("reversed", "binary_big_endian")):
+        write_ply(folder / f"{name}.ply", street("class", "label"), order)
     shutil.copy(WEIGHTS, folder)
-    logs = {name: read_file(str(folder / f"{name}.mcap")) for name in names}
+    with LogReader(folder / "ros.mcap") as reader:
+        write_bag(folder / "bag", list(reader.messages()))
+    for name, text in _KITTI.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    logs = {name: read_file(str(folder / f"{name}.mcap")) for name in ("drive", "mapped", "map", "kinds", "ros")}
+    found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
     return Seeds(
         logs={**logs, "json": _as_json(logs["drive"])},
-        files={name: (folder / name).read_bytes() for name in texts},
-        bag={path.name: path.read_bytes() for path in _write_bag(folder).iterdir()},
+        files={name: path.read_bytes() for name, path in found.items() if name.removesuffix(".mcap") not in logs},
     )
-
-
-def _write_bag(folder: Path) -> Path:
-    with LogReader(folder / "ros.mcap") as reader:
-        return write_bag(folder / "bag", list(reader.messages()))
 
 
 def _run(*arguments: object) -> str:
@@ -96,21 +105,13 @@ def _json(file: McapFile, message: Message) -> bytes:
     return json.dumps(MessageToDict(content, preserving_proto_field_name=True)).encode()
 
 
-def _write_objects(folder: Path) -> None:
-    """The same objects as GeoJSON and as an extract of OpenStreetMap."""
-    rng = np.random.default_rng(5)
-    places = rng.uniform([24.90, 60.10], [24.91, 60.11], size=(30, 2)).round(6).tolist()
-    features = [
-        {"type": "Feature", "properties": {"class": "tree", "id": number},
-         "geometry": {"type": "Point", "coordinates": place}}
-        for number, place in enumerate(places)
-    ]  # fmt: skip
-    (folder / "objects.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+def _write_extract(path: Path) -> None:
+    """Trees as an extract of OpenStreetMap."""
     nodes = [
-        f'<node id="{number}" lat="{latitude}" lon="{longitude}"><tag k="natural" v="tree"/></node>'
-        for number, (longitude, latitude) in enumerate(places, start=1)
+        f'<node id="{number}" lat="60.1{number:02d}" lon="24.9{number:02d}"><tag k="natural" v="tree"/></node>'
+        for number in range(1, 31)
     ]
-    (folder / "objects.osm").write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, "</osm>"]))
+    path.write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, "</osm>"]))
 
 
 def _write_kinds(path: Path) -> None:

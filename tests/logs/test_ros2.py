@@ -129,6 +129,6 @@ def test_real_robot_log() -> None:
     assert (odom.message_count, odom.duplicate_stamps, odom.out_of_order_stamps) == (2639, 0, 0)
     assert odom.rate_hz == pytest.approx(27.28, abs=0.01)
     assert odom.frames == ("base_link", "odom")
-    assert summary.odometry_length_m == pytest.approx(34.32, abs=0.01)
+    assert odom.length_m == pytest.approx(34.32, abs=0.01)
     assert summary.selection is None
     assert "no topic gives detections" in summary.obstacle

@@ -56,7 +56,8 @@ def test_a_summary_tells_what_is_there_and_what_is_odd(log):
     assert odom.frames == ("base_link", "odom")
     assert by_topic["/detections"].frames == ("lidar",)
     assert list(summary.class_counts.items()) == [("tree", 2), ("pole", 1)]
-    assert summary.odometry_length_m == pytest.approx(3 + 0 + 1 + 2 + 26 + 1)
+    assert odom.length_m == pytest.approx(3 + 0 + 1 + 2 + 26 + 1)
+    assert by_topic["/detections"].length_m is None
     assert summary.duration_s == 8.0
     assert summary.selection.topics_of("detections") == ("/detections",)
     assert summary.obstacle == ""
@@ -72,17 +73,8 @@ def test_a_summary_of_a_log_without_messages(tmp_path):
     with LogWriter(tmp_path / "log.mcap"):
         pass
     summary = summarize(tmp_path / "log.mcap")
-    assert (summary.topics, summary.duration_s, summary.odometry_length_m) == ((), 0.0, None)
+    assert (summary.topics, summary.duration_s) == ((), 0.0)
     assert "The log has no topics" in summary.obstacle
-
-
-def test_without_detections_the_length_is_that_of_the_odometry_and_not_of_other_poses(tmp_path):
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        for x in (0.0, 2.0):
-            writer.write("/odom", odometry(SECOND, x))
-            writer.write("/other_pose", m.GroundTruthPose(SECOND, np.eye(4)))
-    summary = summarize(tmp_path / "log.mcap")
-    assert (summary.selection, summary.odometry_length_m) == (None, 2.0)
 
 
 def test_overrides_are_what_would_be_used(log):

@@ -17,6 +17,7 @@ from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.simulation.simulation import write_simulation
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
+from tests.fuzz.sandbox import status_bytes
 
 FLAT = 0.1
 """Memory may grow by that share after the first lap."""
@@ -45,7 +46,7 @@ def main() -> int:
         laps.note(1.0)
     confirmed = result.counters["landmarks_confirmed"]
     print(f"{confirmed} landmarks confirmed, {result.counters['closures_accepted']} closures accepted; the end took "
-          f"{time.perf_counter() - laps.ended:.0f} s and {peak_mb():.0f} MB at most")  # fmt: skip
+          f"{time.perf_counter() - laps.ended:.0f} s and {1e-6 * status_bytes('VmHWM'):.0f} MB at most")  # fmt: skip
     return int(laps.megabytes[-1] > (1.0 + FLAT) * laps.megabytes[0])
 
 
@@ -72,25 +73,10 @@ class Laps:
         if int(done * self._count + 1e-9) <= len(self.megabytes) or len(self.megabytes) >= self._count:
             return
         now = time.process_time()
-        self.megabytes.append(resident_mb())
+        self.megabytes.append(1e-6 * status_bytes("VmRSS"))
         print(f"lap {len(self.megabytes):3d}: {self.megabytes[-1]:6.0f} MB, {now - self._cpu_started:6.1f} s of "
               "processor time", flush=True)  # fmt: skip
         self._cpu_started, self.ended = now, time.perf_counter()
-
-
-def resident_mb() -> float:
-    """Memory of this process now."""
-    return _status("VmRSS")
-
-
-def peak_mb() -> float:
-    """The most memory that it had."""
-    return _status("VmHWM")
-
-
-def _status(name: str) -> float:
-    with open("/proc/self/status", encoding="ascii") as stream:
-        return next(int(line.split()[1]) * 1024 / 1e6 for line in stream if line.startswith(f"{name}:"))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ def test_fleet_exits_with_1_if_a_log_was_not_mapped(
     def map_nothing(logs: list[Any], *_: object, tell: Any, **__: object) -> Fleet:
         tell(f"1/1 {logs[0].name}: not mapped")
         sessions = {log.sha256: Session(log.sha256, reason) for log in logs}
-        return Fleet(tuple(logs if reason else ()), sessions, (), (), (), ())
+        return Fleet(tuple(logs if reason else ()), sessions, (), {}, ())
 
     monkeypatch.setattr("slam.fleet.fleet.map_fleet", map_nothing)
     (tmp_path / "a.mcap").write_bytes(b"a")

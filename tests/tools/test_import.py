@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.logs.clouds.test_cloud_files import street, write_ply
+from tests.logs.clouds.clouds import street, write_ply
 from tests.logs.importers.text_drives import DETECTIONS, TextDrive
 from tests.tools.runs import Run, assert_refused
 

@@ -81,7 +81,7 @@ def map_of_objects(
 
         objects = read_geojson(file)
     elif suffix == ".ply":
-        from logs.clouds.map_of_cloud import read_cloud_map
+        from logs.clouds.cloud_files import read_cloud_map
 
         objects = read_cloud_map(file, _parsed_names(name))
     else:
@@ -129,27 +129,20 @@ def _make_map(
         notes.append(f"{unlabelled} have no class and are of the class {UNLABELLED}; --class NAME sets one for all")
     georeference = imported.georeference
     if json:
-        console.show_json(
-            {
-                "output": str(output),
-                "object_count": len(imported),
-                "class_counts": dict(counts),
-                "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
-                "notes": notes,
-            }
-        )
+        origin_deg = None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg]
+        about = {"output": str(output), "object_count": len(imported), "class_counts": dict(counts), "notes": notes}
+        console.show_json({**about, "origin": origin_deg})
         return
-    classes = ", ".join(f"{name} {count}" for name, count in counts[:10])
     others = f" and {len(counts) - 10} classes more" if len(counts) > 10 else ""
     where = (
         "unknown: give --origin LAT,LON for poses in latitude and longitude"
         if georeference is None
-        else f"latitude {georeference.latitude_deg:.6f}, longitude {georeference.longitude_deg:.6f}"
+        else f"at latitude {georeference.latitude_deg:.6f}, longitude {georeference.longitude_deg:.6f}"
     )
     width_m, height_m = (imported.positions[:, :2].max(axis=0) - imported.positions[:, :2].min(axis=0)).tolist()
     console.show(
         f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
-        f"  {classes}{others}",
-        f"  origin at {where}" if georeference is not None else f"  origin {where}",
+        f"  {', '.join(f'{name} {count}' for name, count in counts[:10])}{others}",
+        f"  origin {where}",
         *(f"  note: {note}" for note in notes),
     )

@@ -62,13 +62,9 @@ def info(
         console.show_json(told)
         return
     if keyframe is None:
-        length_m = summary.odometry_length_m
         head = f"{summary.path}: {summary.duration_s:.1f} s, {summary.size_bytes / 1e6:.2f} MB"
-        odometry = "" if length_m is None else f", {length_m:.0f} m of odometry"
         rows = {**_rows(summary), **(saved_map.rows(log) if is_map else {})}
-        console.show(
-            head + odometry, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows)
-        )
+        console.show(head, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows))
     if closures and keyframe is None:
         decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)
         counts = [
@@ -157,6 +153,7 @@ def _topics(summary: LogSummary) -> list[dict[str, str]]:
             "topic": topic.topic,
             "messages": str(topic.message_count),
             "Hz": _number(topic.rate_hz, ".1f"),
+            "length m": _number(topic.length_m, ".0f"),
             "from s": f"{(topic.first_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
             "to s": f"{(topic.last_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
             "schema": topic.schema_name,

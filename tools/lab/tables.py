@@ -36,15 +36,9 @@ COMPARED = {
 
 def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, str]:
     """The cells of ``figures``; ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}"."""
-    return {heading: _filled(template, figures) for heading, template in columns.items()}
+    from slam.evaluation.report.figures import fill
 
-
-def _filled(template: str, figures: Mapping[str, Any]) -> str:
-    try:
-        text = template.format_map(figures)
-        return text.replace("%", "") if "%}" in template else text
-    except (KeyError, TypeError):  # a figure that is not there, or that is None
-        return UNDEFINED
+    return {heading: fill(figures, template).replace(" %", "") or UNDEFINED for heading, template in columns.items()}
 
 
 def rows_of(spreads: pd.DataFrame) -> list[dict[str, str]]:

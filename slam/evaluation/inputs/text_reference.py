@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.importers.text_files import SourceText, read_source_text
-from logs.importers.trajectory_files import TrajectoryFormat, find_format, read_trajectory
+from logs.importers.text_files import read_source_text
+from logs.importers.trajectory_files import TrajectoryFormat, read_trajectory
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
@@ -22,28 +22,17 @@ def read_text_reference(file: Path, calib: Path | None, path: PoseSeries) -> Pos
         path: the odometry, or an estimate. Poses in KITTI's format, as many as these, are at its stamps.
 
     Raises:
-        DatasetError: a file is missing or wrong.
+        DatasetError: a file is missing or wrong, or has another number of poses without stamps.
         EvaluationError: the axes of the poses are not those of the body.
     """
     source = read_source_text(file)
-    is_kitti = find_format(source) == TrajectoryFormat.KITTI
-    trajectory = read_trajectory(
-        source,
-        times=_times(source, path) if is_kitti else None,
-        calib=read_source_text(calib) if is_kitti and calib is not None else None,
-    )
-    is_camera = is_kitti and calib is None
+    calibration = None if calib is None else read_source_text(calib)
+    trajectory = read_trajectory(source, times_ns=path.stamps_ns, calib=calibration)
+    is_camera = trajectory.format == TrajectoryFormat.KITTI and calib is None
     remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
     truth = PoseSeries(trajectory.stamps_ns, trajectory.T_world_body)
     _check_axes(source.name, truth, path, remedy)
     return truth
-
-
-def _times(source: SourceText, path: PoseSeries) -> SourceText:
-    if len(source.lines()) != len(path.stamps_ns):
-        raise EvaluationError(f"{source.name}: poses without stamps, and not one for each message of the odometry")
-    seconds = (f"{at // 10**9}.{at % 10**9:09d}" for at in path.stamps_ns.tolist())
-    return SourceText("the stamps of the odometry", "\n".join(seconds), "")
 
 
 def _check_axes(name: str, truth: PoseSeries, path: PoseSeries, remedy: str) -> None:

@@ -15,6 +15,7 @@ from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
 from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 
 NEEDS = {
@@ -45,13 +46,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
 
 
 def evaluate_calibration(
-    graph: FactorGraphRecord | None,
-    map_est: ObjectMapRecord | None,
-    map_gt: ObjectMapRecord | None,
-    matches: pd.DataFrame | None,
-    judged: pd.DataFrame | None,
-    truth: PoseSeries,
-    protocol: Protocol,
+    records: EvaluationRecords, matches: pd.DataFrame | None, judged: pd.DataFrame | None, protocol: Protocol
 ) -> tuple[dict[str, float | None], str]:
     """NEES and number of errors of keyframes, landmarks and closures, and why some of them are missing.
 
@@ -59,15 +54,13 @@ def evaluate_calibration(
     alignment, which would fit the errors away, is made.
 
     Args:
-        graph: with the covariances of its poses.
-        map_est: the final map.
-        map_gt: true objects.
+        records: of the log.
         matches: of confirmed landmarks with true objects, by the truth of their detections.
         judged: candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
-        truth: may hold no pose.
         protocol: the thresholds.
     """
     errors: dict[str, _Errors] = {}
+    graph, map_est, map_gt, truth = records.graph, records.object_map, records.true_objects, records.true_path
     T_map_world = _tie_first(graph, truth, protocol)
     if graph is not None and T_map_world is not None:
         if len(graph.pose_covariances):

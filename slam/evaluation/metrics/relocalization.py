@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
 
-from logs.messages import LoopClosureRecord, StatusRecord
+from logs.messages import StatusRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
@@ -26,8 +26,6 @@ PlacedPose = tuple[int, FloatArray]
 
 def evaluate_relocalization(
     records: EvaluationRecords,
-    truth: PoseSeries,
-    odometry: PoseSeries,
     protocol: Protocol,
     *,
     T_world_map: FloatArray | None = None,
@@ -44,22 +42,19 @@ def evaluate_relocalization(
     * A fix is right within ``closure_translation_m`` and ``closure_rotation_deg``, both inclusive.
 
     Args:
-        records: statuses, poses and closures of the drive.
-        truth: may hold no pose.
-        odometry: may hold no pose.
+        records: of the drive.
         protocol: the thresholds.
         T_world_map: (4, 4); without it "map" and "trajectory" leave all fixes undecided.
         method: how the error is measured.
     """
     spans = find_losses(records.statuses)
-    poses = records.online_path
     placed = [
-        _place_by_closure(records.closures, span, truth, protocol)
+        _place_by_closure(records, span, protocol)
         if method == "closure"
-        else _place_by_pose(poses, span, T_world_map)
+        else _place_by_pose(records.online_path, span, T_world_map)
         for span in spans
     ]
-    losses = [_describe_loss(span, each, truth, odometry, protocol) for span, each in zip(spans, placed, strict=True)]
+    losses = [_describe_loss(records, span, each, protocol) for span, each in zip(spans, placed, strict=True)]
     fixes = [loss for loss in losses if loss["fix_ns"] is not None]
     right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
     undecided = len(fixes) - right - wrong
@@ -92,25 +87,25 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
 
 
 def _describe_loss(
-    span: Span, placed: PlacedPose | None, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol
+    records: EvaluationRecords, span: Span, placed: PlacedPose | None, protocol: Protocol
 ) -> dict[str, Any]:
     """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
-    error = _error(placed, truth, protocol)
+    error = _error(placed, records.true_path, protocol)
     return {
         "lost_ns": lost_ns,
         "fix_ns": fix_ns,
         "seconds": None if fix_ns is None else (fix_ns - lost_ns) * 1e-9,
-        "distance_m": None if fix_ns is None else _travel_m(lost_ns, fix_ns, truth, odometry),
+        "distance_m": None if fix_ns is None else _travel_m(records, lost_ns, fix_ns),
         "error_m": None if error is None else float(error[0]),
         "error_deg": None if error is None else float(np.rad2deg(error[1])),
         "is_right": None if error is None else bool(protocol.is_true(*error)),
     }
 
 
-def _travel_m(from_ns: int, to_ns: int, truth: PoseSeries, odometry: PoseSeries) -> float | None:
+def _travel_m(records: EvaluationRecords, from_ns: int, to_ns: int) -> float | None:
     """Along the truth where it spans the time, else along the odometry, which may jump on the way."""
-    for path in (truth, odometry):
+    for path in (records.true_path, records.odometry_path):
         if len(path.stamps_ns) and path.stamps_ns[0] <= from_ns and to_ns <= path.stamps_ns[-1]:
             return float(np.diff(path.travelled_at_m(np.array([from_ns, to_ns], dtype=np.int64)))[0])
     return None
@@ -126,21 +121,19 @@ def _error(placed: PlacedPose | None, truth: PoseSeries, protocol: Protocol) -> 
     return np.array([np.linalg.norm(T_error[:3, 3]), rotation_angle_rad(T_error)]) if known[0] else None
 
 
-def _place_by_closure(
-    closures: Sequence[LoopClosureRecord], span: Span, truth: PoseSeries, protocol: Protocol
-) -> PlacedPose | None:
+def _place_by_closure(records: EvaluationRecords, span: Span, protocol: Protocol) -> PlacedPose | None:
     """Where the closure across the break that ended a loss puts its query keyframe in the world, at its stamp."""
     lost_ns, fix_ns = span
     across = [
         c
-        for c in closures
+        for c in records.closures
         if fix_ns is not None and c.accepted and lost_ns <= c.stamp_ns <= fix_ns and c.reference_stamp_ns < lost_ns
     ]
     made = max(across, key=lambda c: c.stamp_ns, default=None)
     if made is None or made.T_reference_query is None:
         return None
     at_ns = np.array([made.reference_stamp_ns])
-    known, T_world_reference = truth.poses_at(at_ns, max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_reference = records.true_path.poses_at(at_ns, max_gap_s=protocol.max_truth_gap_s)
     return (made.stamp_ns, T_world_reference[0] @ made.T_reference_query) if known[0] else None
 
 

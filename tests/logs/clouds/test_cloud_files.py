@@ -7,44 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.clouds.cloud_files import read_points
+from logs.clouds.cloud_files import read_cloud_map, read_points
 from logs.clouds.labelled_cloud import LabelledCloud, labelled_cloud
-from logs.clouds.map_of_cloud import read_cloud_map
 from logs.errors import DatasetError
-from tests.logs.clouds.clouds import cloud, post
-
-_CODES = {"f4": "float", "f8": "double", "u4": "uint", "i4": "int", "u1": "uchar"}
-LAMP, SIGN, TREE = 302_020_400, 302_020_600, 304_020_000
-
-
-def write_ply(path: Path, points: np.ndarray, order: str = "binary_little_endian") -> Path:
-    """``points``: a structured array (N,)."""
-    lines = ["ply", f"format {order} 1.0", "comment made by a test", f"element vertex {len(points)}"]
-    lines += [f"property {_CODES[kind[1:]]} {name}" for name, kind in points.dtype.descr]
-    header = "\n".join([*lines, "element face 0", "property list uchar int vertex_indices", "end_header\n"]).encode()
-    path.write_bytes(header + points.astype(points.dtype.newbyteorder("<" if "little" in order else ">")).tobytes())
-    return path
+from tests.logs.clouds.clouds import LAMP, SIGN, street, write_ply
 
 
 def read_cloud(path: Path) -> LabelledCloud:
     return labelled_cloud(read_points(path), path.name)
-
-
-def street(class_name: str, instance_name: str) -> np.ndarray:
-    """Six posts with the published fields; the scanner passes them."""
-    numbers = [LAMP, SIGN, LAMP, TREE, SIGN, LAMP]
-    parts = [(number, 10 + i, post(12.0 * i, 5.0)) for i, number in enumerate(numbers)]
-    parts += [(0, 0, np.zeros((20, 3)))]
-    made = cloud(parts)
-    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("x_origin", "<f4"), ("y_origin", "<f4")]
-    kinds += [("GPS_time", "<f8"), ("reflectance", "<u1")]
-    points = np.zeros(len(made.positions), np.dtype([*kinds, (instance_name, "<u4"), (class_name, "<u4")]))
-    for axis, name in enumerate("xyz"):
-        points[name] = made.positions[:, axis]
-    points["x_origin"] = made.positions[:, 0]
-    points[class_name] = made.classes
-    points[instance_name] = made.instances
-    return points
 
 
 @pytest.mark.parametrize("order", ["binary_little_endian", "binary_big_endian"])

@@ -46,14 +46,14 @@ def test_heading_by_unit_of_column(name: str, scale: float) -> None:
 def test_kitti_poses_with_times_and_calibration() -> None:
     # The camera moves along its z, which is forward: x of the body.
     poses = source("".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)))
-    times = source("0.0\n1.037359e-01\n0.2\n", "times.txt")
+    times_ns = np.array([0, 103_735_900, 200_000_000])
     calib = source("Tr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3\n", "calib.txt")
-    trajectory = read_trajectory(poses, times=times, calib=calib)
-    np.testing.assert_array_equal(trajectory.stamps_ns, [0, 103_735_900, 200_000_000])
+    trajectory = read_trajectory(poses, times_ns=times_ns, calib=calib)
+    np.testing.assert_array_equal(trajectory.stamps_ns, times_ns)
     np.testing.assert_allclose(trajectory.T_world_body[:, :3, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], atol=1e-12)
-    np.testing.assert_allclose(read_trajectory(poses, times=times).T_world_body[2, :3, 3], [0, 0, 2], atol=1e-12)
-    with pytest.raises(DatasetError, match=r"poses\.txt has 3 poses, times\.txt 2 times"):
-        read_trajectory(poses, times=source("0\n1\n", "times.txt"))
+    np.testing.assert_allclose(read_trajectory(poses, times_ns=times_ns).T_world_body[2, :3, 3], [0, 0, 2], atol=1e-12)
+    with pytest.raises(DatasetError, match=r"poses\.txt has 3 poses without stamps, and there are 2 times"):
+        read_trajectory(poses, times_ns=times_ns[:2])
 
 
 def test_stamps_keep_every_digit() -> None:

@@ -10,10 +10,8 @@ import numpy as np
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import Config
-from slam.fleet.acceptance import MapPair, judge_pairs
 from slam.fleet.condensed_map import condense_map
-from slam.fleet.joins import Join, PlaceIndex
-from slam.fleet.joint_map import join_parts
+from slam.fleet.joins import Join, find_joins
 from slam.fleet.part import Part, Visit, session_part
 from slam.object_map.map_io import SavedMap
 from tests.helpers.driven_maps import driven_map, town
@@ -26,18 +24,9 @@ def session_parts(maps: Iterable[SavedMap]) -> list[Part]:
     return [session_part(*each) for each in enumerate(condense_map(saved, cell_m=CELL_M) for saved in maps)]
 
 
-def find_joins(maps: Sequence[SavedMap]) -> list[Join]:
-    counts = range(1, len(maps))
-    return [join for count in counts for join in PlaceIndex(maps[:count], CONFIG).find_joins(maps[count])]
-
-
-def find_pairs(parts: Sequence[Part]) -> list[MapPair]:
+def joins_of(parts: Sequence[Part]) -> list[Join]:
     maps = [part.saved for part in parts]
-    return judge_pairs(len(maps), find_joins(maps), CONFIG)
-
-
-def joined(parts: Sequence[Part]) -> list[Part]:
-    return join_parts(parts, find_pairs(parts), CONFIG)
+    return [join for number in range(1, len(maps)) for join in find_joins(maps[number], maps[:number], CONFIG)]
 
 
 def street_part(positions: FloatArray, labels: Sequence[str], seen: BoolArray) -> Part:

@@ -1,13 +1,9 @@
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from slam.common.georeference import Georeference
-from slam.fleet.changes import Change, find_changes, write_changes
+from slam.fleet.changes import Change, find_changes
 from slam.fleet.presence import estimate_presence, find_passes, seen_probabilities
 from tests.slam.fleet.parts import street_part
 
@@ -29,8 +25,7 @@ def changes() -> tuple[Change, ...]:
     seen[[COMES, MOVED], :3] = False
     part = street_part(positions(), [*["lamp"] * 30, "tree", "tree", "bench", "bench"], seen)
     stamps_ns = [month * MONTH_NS for month in range(MONTHS)]
-    passes = find_passes(part)
-    presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
+    presence = estimate_presence(seen, seen_probabilities(*find_passes(part)), stamps_ns)
     return find_changes(part, presence, stamps_ns)
 
 
@@ -45,18 +40,3 @@ def test_what_went_came_and_moved_is_told_with_place_and_dates(changes: tuple[Ch
         assert change.before == "1970-04-01T00:00:00+00:00"
     assert found["moved"].from_landmark == str(MOVES)
     assert found["moved"].from_position == tuple(positions()[MOVES])
-
-
-def test_changes_are_points_on_earth_where_the_origin_is_known(changes: tuple[Change, ...], tmp_path: Path) -> None:
-    write_changes(tmp_path / "changes.geojson", changes, Georeference(60.0, 25.0))
-    features = json.loads((tmp_path / "changes.geojson").read_text())["features"]
-    assert len(features) == len(changes)
-    coordinates = [feature["geometry"]["coordinates"][:2] for feature in features]
-    np.testing.assert_allclose(coordinates, [[25.0, 60.0]] * 3, atol=0.02)
-
-
-def test_without_an_origin_they_are_metres_of_the_map_and_say_so(changes: tuple[Change, ...], tmp_path: Path) -> None:
-    write_changes(tmp_path / "changes.geojson", changes, None)
-    collection = json.loads((tmp_path / "changes.geojson").read_text())
-    assert collection["coordinates"] == "metres in the frame of the map"
-    np.testing.assert_allclose(collection["features"][0]["geometry"]["coordinates"], changes[0].position, atol=1e-3)

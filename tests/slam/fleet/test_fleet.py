@@ -126,7 +126,7 @@ def test_what_is_done_is_not_done_again(
         raise AssertionError("it was done before")
 
     monkeypatch.setattr("slam.fleet.sessions.map_session", refuse)
-    monkeypatch.setattr("slam.fleet.fleet.PlaceIndex", refuse)
+    monkeypatch.setattr("slam.fleet.fleet.find_joins", refuse)
     run(logs, folder)
     assert before == {name: (folder / name).read_bytes() for name in OUTPUTS}
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from slam.common.geometry import apply, invert
-from slam.fleet.acceptance import MapPair
+from slam.fleet.joins import Join, accept_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.part import Part
 from tests.helpers.driven_maps import drive_poses, driven_map, town
-from tests.slam.fleet.parts import CONFIG, find_pairs, session_parts
+from tests.slam.fleet.parts import CONFIG, joins_of, session_parts
 
 pytestmark = pytest.mark.slow
 
@@ -25,13 +25,13 @@ def parts() -> list[Part]:
 
 
 @pytest.fixture(scope="module")
-def pairs(parts: list[Part]) -> list[MapPair]:
-    return find_pairs(parts)
+def joins(parts: list[Part]) -> list[Join]:
+    return accept_joins(joins_of(parts), len(parts), CONFIG)
 
 
 @pytest.fixture(scope="module")
-def joint(parts: list[Part], pairs: list[MapPair]) -> list[Part]:
-    return join_parts(parts, pairs, CONFIG)
+def joint(parts: list[Part], joins: list[Join]) -> list[Part]:
+    return join_parts(parts, joins, CONFIG)
 
 
 def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[Part], parts: list[Part]) -> None:
@@ -54,18 +54,18 @@ def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[Part], parts: l
 
 
 def test_maps_whose_joins_all_contradict_the_solution_stay_alone(
-    parts: list[Part], pairs: list[MapPair], monkeypatch: pytest.MonkeyPatch
+    parts: list[Part], joins: list[Join], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("slam.fleet.joint_map.MAX_DEVIATIONS", 0.0)
-    assert [part.sessions for part in join_parts(parts, pairs, CONFIG)] == [(0,), (1,), (2,), (3,)]
+    assert [part.sessions for part in join_parts(parts, joins, CONFIG)] == [(0,), (1,), (2,), (3,)]
 
 
-def test_a_false_pair_is_rejected_by_the_others(joint: list[Part], parts: list[Part], pairs: list[MapPair]) -> None:
+def test_a_false_pair_is_rejected_by_the_others(joint: list[Part], parts: list[Part], joins: list[Join]) -> None:
     """Maps 0 and 2 joined far from where the chain over 1 puts them."""
-    template = next(pair for pair in pairs if (pair.first, pair.second) == (0, 1)).joins[0]
+    template = next(join for join in joins if (join.reference_map, join.query_map) == (0, 1))
     T = np.eye(4)
     T[:2, 3] = [400.0, 300.0]
     false = replace(template, reference_map=0, query_map=2, T_reference_place=T, log_odds=30.0)
-    found = join_parts(parts, [*pairs, MapPair(0, 2, (false,), "")], CONFIG)[0]
+    found = join_parts(parts, [*joins, false], CONFIG)[0]
     assert found.sessions == (0, 1, 2)
     np.testing.assert_allclose(found.objects.positions, joint[0].objects.positions, atol=0.05)

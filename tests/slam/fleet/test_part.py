@@ -1,26 +1,24 @@
 from __future__ import annotations
 
-import pytest
+import json
+from dataclasses import replace
 
-from slam.fleet.condensed_map import condense_map
-from slam.fleet.part import Part
+from slam.common.config import Config
+from slam.fleet.part import common_metadata
+from slam.object_map.map_io import SavedMap
+from slam.provenance import recorded_config
 from tests.helpers.driven_maps import driven_map, town
-from tests.slam.fleet.parts import CELL_M, joined, session_parts
 
 
-@pytest.fixture(scope="module")
-def sessions() -> list[Part]:
-    drives = (0.0, 200.0), (50.0, 250.0), (150.0, 0.0)
-    return session_parts(driven_map(town(), *drive, seed=seed) for seed, drive in enumerate(drives))
+def common_sigma_m(saved: SavedMap, sigmas_m: list[float]) -> float:
+    estimated = [json.dumps({"objects.landmark_sigma_m": sigma_m}) for sigma_m in sigmas_m]
+    maps = [
+        replace(saved, metadata={"configuration": Config().model_dump_json(), "estimated": text}) for text in estimated
+    ]
+    return recorded_config(common_metadata(maps)).calibration.objects.landmark_sigma_m
 
 
-@pytest.fixture(scope="module")
-def whole(sessions: list[Part]) -> Part:
-    (part,) = joined(sessions)
-    return part
-
-
-def test_a_folded_part_has_the_places_of_its_area_and_not_of_each_session(sessions: list[Part], whole: Part) -> None:
-    folded = condense_map(whole.saved, cell_m=CELL_M).graph
-    assert len(whole.saved.graph.keyframe_ids) == sum(len(each.saved.graph.keyframe_ids) for each in sessions)
-    assert len(folded.keyframe_ids) <= 250.0 / CELL_M + 1
+def test_maps_are_compared_by_the_less_exact_of_them_but_not_by_an_outlier() -> None:
+    saved = driven_map(town(), 0.0, 10.0)
+    assert common_sigma_m(saved, [0.1, 0.4]) == 0.4
+    assert common_sigma_m(saved, [0.2] * 10 + [0.4] * 9 + [9.0]) == 0.4

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.fleet.presence import Passes, estimate_presence, find_passes, seen_probabilities
+from slam.fleet.presence import estimate_presence, find_passes, seen_probabilities
 from tests.slam.fleet.parts import street_part
 
 DAY_NS = 86_400 * 10**9
@@ -85,7 +85,7 @@ def test_probabilities_are_learned_by_the_distance_from_what_certainly_stood_the
     seen[:, [0, -1]] = True
     distances_m[:, 1] = 60.0
     seen[:, 1] = False
-    probabilities = seen_probabilities(Passes(seen, distances_m))
+    probabilities = seen_probabilities(seen, distances_m)
     middle = slice(2, 7)
     missed = ~seen[:, middle]
     away_m = distances_m[:, middle]
@@ -97,6 +97,6 @@ def test_probabilities_are_learned_by_the_distance_from_what_certainly_stood_the
 def test_find_passes_measures_distances_from_the_path_and_beyond_its_ends() -> None:
     positions = np.array([[50.0, 5.0, 0.0], [37.0, -8.0, 1.0], [-3.0, 4.0, 0.0], [101.0, 8.0, 0.0]])
     seen = np.array([[True, False], [True, True], [False, False], [False, True]])
-    passes = find_passes(street_part(positions, ["tree"] * 4, seen))
-    np.testing.assert_array_equal(passes.seen, seen)
-    np.testing.assert_allclose(passes.distances_m, np.repeat([[5.0], [8.0], [5.0], [10.0]], 2, axis=1))
+    found, distances_m = find_passes(street_part(positions, ["tree"] * 4, seen))
+    np.testing.assert_array_equal(found, seen)
+    np.testing.assert_allclose(distances_m, np.repeat([[5.0], [8.0], [5.0], [10.0]], 2, axis=1))

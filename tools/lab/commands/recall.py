@@ -10,7 +10,6 @@ import typer
 from tools.arguments import Json
 from tools.lab.tables import Descriptors, Markdown, report, row_of
 
-RESULTS = "contest.csv"
 COLUMNS = {
     "descriptor": "{proposer}",
     "map": "{map_objects} of {map_classes}",
@@ -51,15 +50,6 @@ def recall(
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FOLDER",
-            help="Folder of a CSV file, to which the measurements are added.",
-        ),
-    ] = None,
     markdown: Markdown = False,
     json: Json = False,
 ) -> None:
@@ -76,24 +66,20 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+    from tools.lab.retrieval.contest import run_contest, side_by_side
 
-    proposers = dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])
-    contest = Contest(
-        proposers=tuple(proposers),
-        sizes=tuple(size or [10_000]),
-        classes=tuple(classes or [20]),
-        scenarios=tuple(query or [""]),
-        queries=queries,
-        seed=seed,
-    )
     world = side_by_side([read_object_table(path) for path in objects])
     with console.progress_bar("measuring") as move:
-        cells = run_contest(world, contest, on_progress=move)
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        path = output / RESULTS
-        cells.to_csv(path, mode="a", header=not path.exists(), index=False, lineterminator="\n")
+        cells = run_contest(
+            world,
+            list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])),
+            sizes=size or [10_000],
+            classes=classes or [20],
+            scenarios=query or [""],
+            queries=queries,
+            seed=seed,
+            on_progress=move,
+        )
     found = cells.to_dict("records")
     report(
         [row_of(COLUMNS, each) for each in found],

@@ -11,7 +11,7 @@ from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
 from tools.lab.tables import report, row_of
 
 COLUMNS = {
-    "where": "everywhere",
+    "where": "{where}",
     "drives": "{kidnaps}",
     "found": "{success_rate:.1%}",
     "late": "{late_rate:.1%}",
@@ -84,7 +84,7 @@ def relocalization(
         )
     elsewhere = [each["is_right"] is not None for each in result["elsewhere"]]
     report(
-        [row_of(COLUMNS, result["everywhere"])],
+        [row_of(COLUMNS, {"where": "everywhere", **result["everywhere"]})],
         "found, late, wrong and lost: per cent of the drives",
         f"outside the map: {sum(elsewhere)} false fixes in {len(elsewhere)} drives",
         title=f"{result['drive']}: {result['landmarks']} landmarks, map ATE {result['map_ate_m']:.2f} m",

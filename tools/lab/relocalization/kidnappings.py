@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,14 @@ from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.common.geometry import invert, yaw_rad
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.synchronization import PoseSeries, series_of, synchronize
 from slam.evaluation.metrics.statistics import percentile
+from slam.evaluation.metrics.trajectory import evaluate_trajectory
+from slam.localization.prior_map import PriorMap
+from slam.object_map.map_io import SavedMap, confirmed
 from slam.place_recognition.imported_map import ImportedMap
 from slam.prepared_log import calibrate_logs
 from slam.system import Slam
-from tools.lab.relocalization.known_map import KnownMap, known_imported, map_drive, truth_of
 
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
@@ -37,6 +40,30 @@ MAX_TRAVEL_M = 1.5 * RECOVERED_WITHIN_M
 """Length of each search: a right fix may come late."""
 _KINDS = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
 _Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownMap:
+    """A map; ``positions`` (P, 3) m in the world are those of the robot that made it, else of its landmarks.
+
+    ``T_map_body`` and ``T_world_body_gt`` (K, 4, 4): poses of the mapping drive, whose trajectory error is ``ate_m``;
+    the identity for an imported map, which has the frame of the world.
+    """
+
+    saved: PriorMap
+    positions: FloatArray
+    T_map_body: FloatArray
+    T_world_body_gt: FloatArray
+    ate_m: float
+    landmark_count: int
+
+    def to_world(self, T_map_body: FloatArray, T_world_near: FloatArray) -> FloatArray:
+        """A pose (4, 4) of the map in the world, by the pose of the mapping drive that is nearest to ``T_world_near``.
+
+        The distortion of the map between distant places has no effect on it.
+        """
+        row = np.argmin(np.linalg.norm(self.T_world_body_gt[:, :2, 3] - T_world_near[:2, 3], axis=1))
+        return np.asarray(self.T_world_body_gt[row] @ invert(self.T_map_body[row]) @ T_map_body)
 
 
 def benchmark_relocalization(
@@ -103,6 +130,38 @@ def benchmark_relocalization(
         "outcomes": outcomes[: len(inside)],
         "elsewhere": outcomes[len(inside) :],
     }
+
+
+def known_imported(imported: ImportedMap) -> KnownMap:
+    """An imported map, whose frame is that of the world."""
+    frame = np.eye(4)[None]
+    return KnownMap(imported, imported.positions.astype(np.float64), frame, frame, 0.0, len(imported))
+
+
+def map_drive(records: Iterable[Record], config: Config) -> KnownMap:
+    """Map a drive whose truth is known.
+
+    Raises:
+        SlamError: it cannot be mapped, or holds no truth.
+    """
+    slam, poses = Slam(config), list[GroundTruthPose]()
+    for record in records:
+        if isinstance(record, GroundTruthPose):
+            poses.append(record)
+        else:
+            slam.process(record)
+    final = slam.finish()
+    max_gap_s = Protocol().max_truth_gap_s
+    estimate = series_of(zip(final.trajectory.stamps_ns.tolist(), final.trajectory.T_map_body, strict=True))
+    est, gt = synchronize(estimate, truth_of(poses), max_gap_s=max_gap_s)
+    return KnownMap(
+        saved=SavedMap(confirmed(final.object_map), final.graph),
+        positions=gt.positions,
+        T_map_body=est.T_world_body,
+        T_world_body_gt=gt.T_world_body,
+        ate_m=evaluate_trajectory(estimate, truth_of(poses), max_gap_s=max_gap_s).ate_m,
+        landmark_count=len(confirmed(final.object_map).ids),
+    )
 
 
 def find_starts(
@@ -197,3 +256,8 @@ def _spread(rows: IntArray, count: int) -> IntArray:
     """At most ``count`` of the rows (R,), evenly."""
     chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)
     return np.unique(rows[chosen])
+
+
+def truth_of(records: Iterable[Record]) -> PoseSeries:
+    """The true poses among records."""
+    return series_of((each.stamp_ns, each.T_world_body) for each in records if isinstance(each, GroundTruthPose))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from itertools import product
 from typing import Any
 
@@ -37,23 +37,6 @@ from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
 
 
-@dataclass(frozen=True, slots=True)
-class Contest:
-    """A measurement: each proposer in maps of the objects nearest to a random one.
-
-    ``sizes``: objects of a map. ``classes``: how many; the commonest keep their names, all others are of one class.
-    ``scenarios``: texts for :func:`~tools.lab.retrieval.path_queries.parse_scenario`. The ``queries`` of one are drawn
-    in the smallest map, and asked in all.
-    """
-
-    proposers: tuple[str, ...]
-    sizes: tuple[int, ...]
-    classes: tuple[int, ...] = (20,)
-    scenarios: tuple[str, ...] = ("",)
-    queries: int = 60
-    seed: int = 0
-
-
 def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
     """The maps along x as one, farther apart than any sensor sees: no constellation has objects of two.
 
@@ -80,11 +63,20 @@ def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
 
 
 def run_contest(
-    objects: MapObjects, contest: Contest, *, on_progress: Callable[[float], None] = lambda fraction: None
+    objects: MapObjects,
+    proposers: Sequence[str],
+    *,
+    sizes: Sequence[int],
+    classes: Sequence[int] = (20,),
+    scenarios: Sequence[str] = ("",),
+    queries: int = 60,
+    seed: int = 0,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> pd.DataFrame:
-    """Each proposer in each map with the queries of each scenario, random vectors of the first; one a row.
+    """Each proposer in maps of the objects nearest to a random one, with the queries of each scenario, random vectors
+    with those of the first; one a row.
 
-    Columns: ``proposer``, ``query``, the fields of its scenario, ``world``, ``map_objects``, ``map_classes``;
+    Columns: ``proposer``, ``query``, the fields of its scenario, ``map_objects``, ``map_classes``;
     ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries
     with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a right pose after verification,
     ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a
@@ -92,26 +84,39 @@ def run_contest(
 
     Args:
         objects: in metres.
-        contest: what is measured.
+        proposers: names of descriptors.
+        sizes: objects of a map.
+        classes: how many; the commonest keep their names, all others are of one class.
+        scenarios: texts for :func:`~tools.lab.retrieval.path_queries.parse_scenario`.
+        queries: how many of a scenario; they are drawn in the smallest map, and asked in all.
+        seed: of the place and of the queries.
         on_progress: called with the fraction done, in [0, 1].
 
     Raises:
         SimulationError: objects so sparse that too few paths pass enough of them.
         DescriptorError: a descriptor that does not exist.
     """
-    for name in contest.proposers:  # what cannot be made is refused before anything is measured
+    for name in proposers:  # what cannot be made is refused before anything is measured
         make_index(name)
-    order = _by_distance(objects.positions, np.random.default_rng(contest.seed))
-    sizes = sorted({min(size, len(order)) for size in contest.sizes})
-    runs = list(product(contest.classes, sizes, contest.proposers))
+    order = _by_distance(objects.positions, np.random.default_rng(seed))
+    there = sorted({min(size, len(order)) for size in sizes})
+    runs = list(product(classes, there, proposers))
     rows = list[dict[str, Any]]()
     with threadpool_limits(limits=1):
-        for done, (classes, size, name) in enumerate(runs, start=1):
-            world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], classes)
-            asked = contest.scenarios[: 1 if name == RandomVector.name else None]
-            rows += _measure(world, sizes[0], size, name, replace(contest, scenarios=asked))
+        for done, (count, size, name) in enumerate(runs, start=1):
+            world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], count)
+            map_ = world.first(size)
+            started = time.process_time()
+            search, nbytes = make_search(name, map_)
+            built = {"build_s": time.process_time() - started, "bytes_per_object": nbytes / size}
+            about = {"proposer": name, "map_objects": size, "map_classes": len(world.vocabulary), **built}
+            for text in scenarios[: 1 if name == RandomVector.name else None]:
+                scenario, rng = parse_scenario(text), np.random.default_rng((seed, 1))  # the same paths in all
+                asked = draw_path_queries(world.first(there[0]), queries, scenario, rng=rng)
+                figures = _measure(search, map_, asked, scenario.range_m)
+                rows.append({**about, "query": text, **asdict(scenario), **figures})
             on_progress(done / len(runs))
-    return pd.DataFrame(rows).assign(world=objects.source)
+    return pd.DataFrame(rows)
 
 
 def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
@@ -154,34 +159,11 @@ def verify(
     return best, bool(log_odds >= -logit(config.localization.error_probability))
 
 
-def _measure(world: LabelledMap, smallest: int, size: int, name: str, contest: Contest) -> list[dict[str, Any]]:
-    """A proposer in a map, with the queries of each scenario, which are drawn in the ``smallest`` map."""
-    objects = world.first(size)
-    started = time.process_time()
-    search, nbytes = make_search(name, objects)
-    about = {
-        "proposer": name,
-        "map_objects": len(objects),
-        "map_classes": len(objects.vocabulary),
-        "build_s": time.process_time() - started,
-        "bytes_per_object": nbytes / len(objects),
-    }
-    tree = cKDTree(objects.positions[:, :2])
-    rows = []
-    for text in contest.scenarios:
-        scenario = parse_scenario(text)
-        rng = np.random.default_rng((contest.seed, 1))  # the same paths, whatever the classes
-        queries = draw_path_queries(world.first(smallest), contest.queries, scenario, rng=rng)
-        rows.append(
-            {**about, "query": text, **asdict(scenario), **_ask(search, objects, tree, queries, scenario.range_m)}
-        )
-    return rows
-
-
-def _ask(
-    search: PlaceSearch, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery], range_m: float
+def _measure(
+    search: PlaceSearch, objects: LabelledMap, queries: Sequence[PathQuery], range_m: float
 ) -> dict[str, float]:
-    """Shares and times of a cell."""
+    """Shares and times of a search in a map."""
+    tree = cKDTree(objects.positions[:, :2])
     answers = pd.DataFrame([_answer(search, objects, tree, query, range_m) for query in queries])
     return {
         **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.errors import DatasetError
 from logs.messages import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import transform_from_xyz_yaw
@@ -41,7 +42,7 @@ def test_poses_without_stamps_are_at_those_of_the_odometry(tmp_path: Path) -> No
     path = tmp_path / "00.txt"
     write_kitti(path, circle())
     assert_circle(read_text_reference(path, None, ODOMETRY))
-    with pytest.raises(EvaluationError, match="without stamps"):
+    with pytest.raises(DatasetError, match="without stamps"):
         read_text_reference(path, None, PoseSeries(STAMPS_NS[:20], circle()[:20]))
 
 

@@ -31,28 +31,15 @@ def statuses(*events: tuple[int, str]) -> tuple[StatusRecord, ...]:
 
 def made(*events: tuple[int, str], closures: tuple[LoopClosureRecord, ...] = ()) -> EvaluationRecords:
     """Poses that are right, and a last status at the end of the drive."""
-    return EvaluationRecords(
-        statuses=statuses(*events, (240, events[-1][1])),
-        online_path=TRUTH,
-        closures=closures,
-    )
+    at_end = (240, events[-1][1])
+    return EvaluationRecords(statuses=statuses(*events, at_end), online_path=TRUTH, true_path=TRUTH, closures=closures)
 
 
 def measure(
-    records: EvaluationRecords,
-    *,
-    truth: PoseSeries = TRUTH,
-    method: Method = "trajectory",
-    T_world_map: FloatArray | None = None,
+    records: EvaluationRecords, *, method: Method = "trajectory", T_world_map: FloatArray | None = None
 ) -> dict[str, Any]:
-    return evaluate_relocalization(
-        records,
-        truth,
-        NO_POSES,
-        Protocol(),
-        T_world_map=np.eye(4) if T_world_map is None else T_world_map,
-        method=method,
-    )
+    T_world_map = np.eye(4) if T_world_map is None else T_world_map
+    return evaluate_relocalization(records, Protocol(), T_world_map=T_world_map, method=method)
 
 
 def test_losses_by_hand() -> None:
@@ -122,12 +109,12 @@ def test_fix_in_own_map_is_judged_by_closure() -> None:
 
 def test_without_truth_fixes_are_undecided_and_still_timed() -> None:
     events = ((0, "LOST"), (10, "RELOCALIZED"), (10, "TRACKING"), (50, "LOST"))
-    found = measure(made(*events), truth=NO_POSES)
+    found = measure(replace(made(*events), true_path=NO_POSES))
     assert (found["fix_count"], found["undecided_count"], found["right_count"], found["wrong_count"]) == (1, 1, 0, 0)
     # The loss that ended in no fix is no success, whatever the truth would say.
     assert (found["success_rate"], found["false_relocalization_rate"]) == (0.0, 0.0)
     assert found["median_seconds"] == pytest.approx(10.0)
     assert found["median_distance_m"] is None
-    assert measure(made(*events[:3]), truth=NO_POSES)["success_rate"] is None
-    along = evaluate_relocalization(made(*events), NO_POSES, TRUTH, Protocol(), method="trajectory")
+    assert measure(replace(made(*events[:3]), true_path=NO_POSES))["success_rate"] is None
+    along = measure(replace(made(*events), true_path=NO_POSES, odometry_path=TRUTH))
     assert along["median_distance_m"] == pytest.approx(10.0)

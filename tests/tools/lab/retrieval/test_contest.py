@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from logs.importers.maps.map_objects import MapObjects
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
-from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+from tools.lab.retrieval.contest import run_contest, side_by_side
 
 
 def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
@@ -23,8 +21,7 @@ def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObject
 
 def test_descriptors_find_more_places_than_chance_in_each_map() -> None:
     proposers = ("descriptellation_lr", "gosmatch_vertex", "random")
-    contest = Contest(proposers, sizes=(400, 1000), classes=(4,), queries=4)
-    cells = run_contest(town(1500, 700.0), contest)
+    cells = run_contest(town(1500, 700.0), proposers, sizes=(400, 1000), classes=(4,), queries=4)
     assert cells["proposer"].tolist() == list(proposers) * 2
     assert set(cells["map_classes"]) == {4}
     assert cells["map_objects"].tolist() == [400] * 3 + [1000] * 3
@@ -40,9 +37,10 @@ def test_descriptors_find_more_places_than_chance_in_each_map() -> None:
 
 
 def test_the_same_paths_are_asked_with_any_classes() -> None:
-    contest = Contest(("descriptellation_lr",), sizes=(600,), classes=(6,), queries=3)
-    alone = run_contest(town(600, 400.0), contest).iloc[0]
-    after_another = run_contest(town(600, 400.0), replace(contest, classes=(1, 6))).iloc[1]
+    alone, after_another = (
+        run_contest(town(600, 400.0), ("descriptellation_lr",), sizes=(600,), classes=classes, queries=3).iloc[-1]
+        for classes in ((6,), (1, 6))
+    )
     same = ["map_classes", "at_1", "right"]
     assert alone[same].tolist() == after_another[same].tolist()
 
