@@ -7,6 +7,7 @@ equal.
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -139,6 +140,13 @@ def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
 def yaw_rad(T: FloatArray) -> FloatArray:
     """Heading (...) of the x axis about z, in (-pi, pi], of transforms (..., 4, 4)."""
     return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
+
+
+def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
+    """Angles (3,) about the fixed axes x, y, z, in this order."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock")  # one of the angles may be chosen then, and is 0
+        return np.asarray(Rotation.from_matrix(R).as_euler("xyz", degrees=True)) + 0.0
 
 
 def rigid(T: FloatArray) -> FloatArray:

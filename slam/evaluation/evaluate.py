@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 
 from logs.closures import find_final_decisions
 from logs.container.json_text import plain
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
+from slam.common.geometry import roll_pitch_yaw_deg
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
+from slam.evaluation.metrics.alignment import align_path, find_axes
 from slam.evaluation.metrics.association import (
     count_detections,
     evaluate_associations,
@@ -67,6 +72,8 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
             return None
 
     paths = {"estimate": records.final_path, "odometry": records.odometry_path, "online": records.online_path}
+    axes = _true_axes(records, protocol)
+    records = replace(records, true_path=records.true_path.turned(axes.T))
     trajectories = {
         name: measure("trajectory" if name == "estimate" else name, partial(_trajectory, records, protocol, name, path))
         for name, path in paths.items()
@@ -89,7 +96,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         undecided, fixes = relocalization["undecided_count"], relocalization["fix_count"]
         unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
     results = {
-        "trajectory": describe_trajectories(trajectories),
+        "trajectory": describe_trajectories(trajectories) | {"true_axes": _describe_turn(axes)},
         "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
         "landmarks": landmarks or {},
         "closures": {} if judged is None else describe_closures(judged, protocol),
@@ -102,6 +109,22 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     if judged is not None and queries is not None:
         results["closures"] |= describe_revisits(queries, judged)
     return Evaluation(plain(results), **trajectories, closures=judged)
+
+
+def _true_axes(records: EvaluationRecords, protocol: Protocol) -> FloatArray:
+    """The axes (3, 3) of the body of the truth, in those of the estimate."""
+    with suppress(EvaluationError):
+        path = records.final_path or records.online_path
+        est, gt = synchronize(path, records.true_path, max_gap_s=protocol.max_truth_gap_s)
+        R_world_map = align_path(est.positions, gt.positions).T_world_map[:3, :3]
+        return find_axes(R_world_map @ est.T_world_body[:, :3, :3], gt.T_world_body[:, :3, :3])
+    return np.eye(3)
+
+
+def _describe_turn(R: FloatArray) -> str | None:
+    """None for no rotation."""
+    roll, pitch, yaw = roll_pitch_yaw_deg(R)
+    return None if np.array_equal(R, np.eye(3)) else f"roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg"
 
 
 def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:

@@ -12,10 +12,8 @@ evidence has one maximum, at the right octave.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -58,7 +56,7 @@ def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
     if len(scans) < 2:
         return np.eye(3)
     pairs = ScanPairs.of(scans, spacing_of(scans))
-    turns = _quarter_turns()
+    turns = sorted(np.rint(Rotation.create_group("O").as_matrix()), key=lambda turn: -np.trace(turn))
     distances = [pairs.log_distances(seen_by(make_transform(turn, np.zeros(3)), pairs.motions)) for turn in turns]
     best = int(np.argmax([np.sum(evidence(each)) for each in distances]))
     return turns[best] if is_better(distances[best], distances[0], FACTOR) else np.eye(3)
@@ -91,24 +89,6 @@ def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
     ahead = np.gradient(positions[:, :2], axis=0)
     poses = transform_from_xyz_yaw(positions, np.arctan2(ahead[:, 1], ahead[:, 0]))
     return [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
-
-
-def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
-    """Angles (3,) about the fixed axes x, y, z, in this order."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Gimbal lock")  # one of the angles may be chosen then, and is 0
-        return np.asarray(Rotation.from_matrix(R).as_euler("xyz", degrees=True)) + 0.0
-
-
-def _quarter_turns() -> list[FloatArray]:
-    """The 24 rotations (3, 3) that map axes to axes, the identity first."""
-    found = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        R = np.zeros((3, 3))
-        R[np.arange(3), order] = signs
-        if np.linalg.det(R) > 0.0:
-            found.append(R)
-    return found
 
 
 def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float = 1.0) -> FloatArray:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
+from slam.common.geometry import roll_pitch_yaw_deg
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
@@ -20,7 +21,6 @@ from slam.self_calibration.frames import (
     find_orientation,
     find_unit,
     is_unit_right,
-    roll_pitch_yaw_deg,
 )
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import interpolate, travelled_m
+from slam.common.geometry import interpolate, make_transform, travelled_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +31,10 @@ class PoseSeries:
     def travelled_m(self) -> FloatArray:
         """Path length (N,), metres, from the first pose."""
         return travelled_m(self.T_world_body)
+
+    def turned(self, R: FloatArray) -> PoseSeries:
+        """The same poses of a body with other axes, which are R (3, 3) in its own."""
+        return PoseSeries(self.stamps_ns, self.T_world_body @ make_transform(R, np.zeros(3)))
 
     def travelled_at_m(self, at_ns: IntArray) -> FloatArray:
         """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends."""

@@ -1,4 +1,4 @@
-"""The rigid motion that lays estimated points on true ones, by least squares."""
+"""The rigid motion that lays estimated points on true ones, by least squares, and the axes of the true body."""
 
 from __future__ import annotations
 
@@ -64,6 +64,18 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
     return Alignment(make_transform(R, mean_gt - R @ mean_est), "se3")
+
+
+def find_axes(R_est: FloatArray, R_gt: FloatArray) -> FloatArray:
+    """The rotation (3, 3), by quarter turns about axes, from the axes of the estimated body to those of the true one.
+
+    Programs name the axes of a body differently. Of orientations (N, 3, 3) in one world those of the nearest quarter
+    turn differ by less than 45 deg on average; where they do not, as where the truth has none, the axes are the same.
+    """
+    turns = np.rint(Rotation.create_group("O").as_matrix())
+    traces = np.einsum("nji,njk,tik->t", R_est, R_gt, turns) / len(R_est)
+    best = int(np.argmax(traces))
+    return np.asarray(turns[best]) if traces[best] > 1.0 + np.sqrt(2.0) else np.eye(3)
 
 
 def _is_one_point(spread_m: float) -> bool:

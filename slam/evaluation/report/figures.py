@@ -16,6 +16,7 @@ SUMMARY = {
         ", odometry {trajectory[odometry_ate_m]:.3f} m",
         ", online {trajectory[online_ate_m]:.3f} m",
         "; {trajectory[estimate][pose_count]:d} poses over {trajectory[estimate][length_m]:.0f} m",
+        "; axes of the true body turned by {trajectory[true_axes]:s}",
     ),
     "landmarks": (
         "{landmarks[confirmed_count]:d} confirmed",

@@ -94,6 +94,20 @@ def test_all_parts_of_a_complete_log() -> None:
     assert at_json(result, "protocol.revisit_m") == 100.0
 
 
+def test_truth_of_a_body_with_other_axes() -> None:
+    """NED: x ahead, y to the right and z down."""
+    axes = np.diag([1.0, -1.0, -1.0, 1.0])
+    log = [
+        (topic, replace(record, T_world_body=record.T_world_body @ axes) if topic == "/ground_truth" else record)
+        for topic, record in made_log()
+    ]
+    result, same = evaluate(collect_records(log)), evaluate(collect_records(made_log()))
+    assert at_json(result, "trajectory.true_axes") == "roll 180, pitch 0, yaw 0 deg"
+    assert at_json(same, "trajectory.true_axes") is None
+    assert at_json(result, "closures.precision") == at_json(same, "closures.precision") == 0.5
+    assert at_json(result, "trajectory.rpe_rotation_deg_per_100m") == pytest.approx(0.0, abs=1e-6)
+
+
 def test_unmeasured_parts_are_empty_with_reason() -> None:
     log = [(topic, record) for topic, record in made_log() if not topic.startswith("/ground_truth")]
     result = evaluate(collect_records(log))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.self_calibration.frames import find_orientation, roll_pitch_yaw_deg
+from slam.common.geometry import roll_pitch_yaw_deg
+from slam.self_calibration.frames import find_orientation
 from slam.self_calibration.object_tracks import SurveyScan
 from tests.helpers.surveyed_drives import SurveyedDrive
 

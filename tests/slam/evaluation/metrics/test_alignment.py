@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply, make_transform, transform_from_xyz_yaw
-from slam.evaluation.metrics.alignment import align_path, align_yaw_translation
+from slam.evaluation.metrics.alignment import align_path, align_yaw_translation, find_axes
 from tests.helpers.poses import pose_at
 
 
@@ -42,3 +42,17 @@ def test_align_path_falls_back_on_straight_line() -> None:
 def test_points_without_heading_are_refused(points: np.ndarray) -> None:
     with pytest.raises(EvaluationError, match="moves"):
         align_path(points, points)
+
+
+@pytest.mark.parametrize("angles_deg", [(180.0, 0.0, 0.0), (0.0, 0.0, 90.0), (-90.0, 0.0, -90.0), (0.0, 0.0, 0.0)])
+def test_axes_of_another_program_are_found(angles_deg: tuple[float, float, float]) -> None:
+    rng = np.random.default_rng(0)
+    R_est, noise = (Rotation.random(50, rng=rng), Rotation.from_rotvec(rng.normal(0.0, 0.2, (50, 3))))
+    axes = Rotation.from_euler("xyz", angles_deg, degrees=True)
+    found = find_axes(R_est.as_matrix(), (R_est * noise * axes).as_matrix())
+    np.testing.assert_allclose(found, axes.as_matrix(), atol=1e-12)
+
+
+def test_orientations_that_are_not_known_have_the_same_axes() -> None:
+    headings = Rotation.from_euler("z", np.linspace(0.0, 5.0, 50)[:, None]).as_matrix()
+    np.testing.assert_array_equal(find_axes(headings, np.tile(np.eye(3), (50, 1, 1))), np.eye(3))
