@@ -1,12 +1,14 @@
 """Whether gravity holds the tilt of the odometry, by the whole graph.
 
 Over single steps the detections determine the tilt of the odometry no better than heights; over a whole drive they do.
-Gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. The noise of the tilts is the one
-with the larger evidence (Laplace's approximation: MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
-ch. 28): with c the cost at the solution, H the information of all variables there, and f a factor on the standard
-deviations of roll and pitch of E steps,
+Gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. If gravity holds it, the tilts of
+its E steps are not free parameters, and the decrease of the squared residuals when they are freed is chi-squared with
+their effective number of degrees of freedom (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5):
 
-    log p(measurements | f) = -c - 1/2 log det H - 2 E log f + constant.
+    nu = 2 E + 1/2 d log det H / d log f,
+
+with H the information of all variables and f a factor on the standard deviations of the tilts. Of several factors the
+least one that is not contradicted is used, so that a drive near the level of significance is near both solutions.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import logging
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.special import chdtrc
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
@@ -23,12 +26,14 @@ from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
 
-HELD = 0.1
-"""Factor on the standard deviations of roll and pitch if gravity holds them."""
+DIFFERENCE = 0.8
+"""Factor on the standard deviations of roll and pitch by which the derivative is taken."""
+FACTORS = 10.0 ** np.array([-1.0, -0.75, -0.5])
+"""Those by which the tilt may be held; a weaker hold changes little."""
 
 
 def hold_tilt(graph: FactorGraph) -> None:
-    """Optimise the whole graph, with the tilt of the odometry held if there is more evidence for it."""
+    """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
     free = graph.optimize()
     steps = {
         number: each
@@ -39,15 +44,27 @@ def hold_tilt(graph: FactorGraph) -> None:
         return
     configured = {number: each.covariance for number, each in steps.items()}
     try:
-        evidence = -free.error - 0.5 * graph.log_determinant()
-        graph.replace_covariances(_scaled(graph, steps, HELD))
-        held = graph.optimize()
-        if -held.error - 0.5 * graph.log_determinant() - 2.0 * len(steps) * np.log(HELD) > evidence:
-            return
+        freedom = _effective_freedom(graph, steps)
     except FactorGraphError as error:
         logger.info("the noise of the tilt stays as it is configured: %s", error)
+        graph.replace_covariances(configured)
+        return
+    for factor in FACTORS:
+        graph.replace_covariances(_scaled(graph, steps, factor))
+        held = graph.optimize()
+        # A tilt that gravity holds is freed in one drive of a hundred.
+        if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > 0.01:
+            return
     graph.replace_covariances(configured)
     graph.optimize()
+
+
+def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:
+    """Degrees of freedom of the tilts of the steps that the rest of the graph determines."""
+    before = graph.log_determinant()
+    graph.replace_covariances(_scaled(graph, steps, DIFFERENCE))
+    slope = (graph.log_determinant() - before) / np.log(DIFFERENCE)
+    return float(max(2 * len(steps) + 0.5 * slope, 0.0))
 
 
 def _scaled(graph: FactorGraph, steps: Mapping[int, Edge], factor: float) -> dict[int, FloatArray]:

@@ -111,7 +111,7 @@ class Tracker:
         is_lost = is_failing
         is_ambiguous = tracked.assignment.is_contested and tracked.assignment.is_uncertain
         if len(self.active.rows) > 1 and (is_failing or is_ambiguous):
-            gathered = self._gathered(tracked, pose, self._lost if is_failing else ())
+            gathered = self._gathered(tracked, pose, self._lost)
             search = self._search_of(gathered)
             if is_failing or search.is_pose_uncertain:
                 modes = search.modes(self._components(pose, is_failing=is_failing))

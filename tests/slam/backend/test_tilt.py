@@ -67,6 +67,15 @@ def test_exact_tilt_is_held(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_tilt_that_drifts_less_than_configured_is_held_less_firmly(seed):
+    graph = drive(0.5 * TILT_RAD, seed)
+    graph.optimize()
+    free = tilt_errors_rad(graph)
+    hold_tilt(graph)
+    assert np.linalg.norm(tilt_errors_rad(graph)) < 0.97 * np.linalg.norm(free)
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_drifting_tilt_is_estimated(seed):
     graph = drive(TILT_RAD, seed)
     graph.optimize()

@@ -191,6 +191,31 @@ def test_scans_that_do_not_fit_are_decided_together() -> None:
     assert drive.error()[1] < 0.1
 
 
+def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
+    drive = Drive(forest(), spacing_m=1e6)
+    drive.drive(15)
+    drive.err(pose_at(yaw=1.5))
+    gathered, counts = Tracker._gathered, list[int]()
+    monkeypatch.setattr(Tracker, "_gathered", lambda self, *at: counts.append(len(at[2])) or gathered(self, *at))
+    near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))
+    for each in near[:3].tolist():
+        drive.located(np.array([each]))
+    drive.err(pose_at(yaw=-1.5))
+    drive.located(near[3:4])
+    assert counts == [0, 1, 0]
+
+
+def test_pairs_at_a_pose_that_is_not_sure_are_not_used(monkeypatch) -> None:
+    """At the pose of the odometry they would drag the landmarks."""
+    drive = Drive(forest())
+    drive.drive(15)
+    drive.err(pose_at(yaw=1.5))
+    monkeypatch.setattr(Tracker, "_sure_mode", lambda *_: None)
+    tracked = drive.located()
+    assert tracked.is_lost
+    assert not tracked.assignment.matched.any()
+
+
 def test_frozen_odometry_is_corrected_scan_by_scan() -> None:
     drive = Drive(forest())
     drive.drive(15)
@@ -278,5 +303,11 @@ def test_unknown_place_is_not_rejoined(seed: int) -> None:
     assert drive.rejoined().is_lost
 
 
-def test_nothing_is_tracked_at_first() -> None:
-    assert not Drive(forest()).mapper.tracker.is_tracking
+def test_nothing_is_tracked_at_first_and_after_a_restart() -> None:
+    drive = Drive(forest())
+    tracker = drive.mapper.tracker
+    assert not tracker.is_tracking
+    drive.drive(3)
+    assert tracker.is_tracking
+    tracker.restart()
+    assert not tracker.is_tracking
