@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, skew, transform_from_xyz_yaw, yaw_rad
-from slam.frontend.data_association import Objects, associate, density
+from slam.frontend.data_association import AMBIGUOUS, Objects, associate, density
 from slam.frontend.pose_posterior import (
     KnownLandmarks,
     ModeSearch,
@@ -190,6 +190,15 @@ def test_labels_decide_between_places_that_look_alike() -> None:
     modes = scene.search(scene.seen(which, T_off, labels[which])).modes([anywhere])
     assert modes[0].assignment.landmark_rows.tolist() == which.tolist()
     assert probabilities(modes)[0] > 0.99
+
+
+def test_detection_that_may_be_bad_has_no_mode_of_its_own() -> None:
+    """Outside the gate of its landmark, but not as far off as a new object."""
+    scene = Scene(row_of_objects())
+    seen = scene.seen(np.array([3]), np.eye(4))
+    seen.positions[0, 2] += 0.2
+    assert scene.nearest_only(seen).tolist() == [AMBIGUOUS]
+    assert len(scene.search(seen).modes([AS_PREDICTED])) == 1
 
 
 def test_a_scan_without_detections_has_one_mode() -> None:

@@ -177,6 +177,15 @@ def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
     assert drive.wrong_pairs(tracked, near) == 0
 
 
+@pytest.mark.parametrize("bursts", [False, True])
+def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
+    drive = Drive(forest(), bursts=bursts)
+    drive.drive(15)
+    turn, shift = np.sqrt(np.diagonal(drive.mapper.tracker._slip(drive.stamp_ns() + STEP_NS, 0.0, 0.0))[[2, 3]])
+    assert 0.005 < turn < 0.03
+    assert shift == pytest.approx(STEP_M, rel=0.2)
+
+
 def test_scans_that_do_not_fit_are_decided_together() -> None:
     """Each has one object, which tells too little by itself."""
     drive = Drive(forest(), spacing_m=1e6)
