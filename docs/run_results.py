@@ -61,7 +61,7 @@ class Figure:
 
 
 ATE, ODOMETRY = r"ATE (\S+ m), odometry", r"ATE \S+ m, odometry (\S+ m)"
-PRECISION, RECALL = r"accepted, precision (\S+ %)", r"recall (\S+ % of \d+) revisits"
+PRECISION, RECALL = r"accepted, precision (\S+ %)", r"recall (\S+ % of \d+)\s+revisits"
 FIGURES = (
     Figure("KITTI 00", "ATE", "kitti00", ATE, ("kitti00", "ATE m")),
     Figure("", "ATE of the odometry", "kitti00", ODOMETRY),

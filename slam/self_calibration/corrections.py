@@ -129,6 +129,20 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
+def is_chance(tracks: ObjectTracks, motion: BodyMotion, term: str, value: float) -> bool:
+    """Whether a value of a term that was found otherwise explains the motion of blocks no better than chance does; not
+    where they do not tell.
+    """
+    regression = _regression(tracks, motion)
+    if regression is None:
+        return False
+    number = TERMS.index(term)
+    parts = np.zeros((BLOCKS, len(TERMS)))
+    parts[:, number] = value * regression.scale[number]
+    gain, is_sure = _gain(regression.sums[2], _left_of(*regression.sums, parts))
+    return gain != 0.0 and not is_sure
+
+
 def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
     """The change of a term that explains most, if it is earned. Each value must be held out, so that it has two blocks
     at least.

@@ -14,7 +14,14 @@ from slam.common.geometry import roll_pitch_yaw_deg
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
-from slam.self_calibration.corrections import Change, Correction, estimate_corrections, find_change
+from slam.self_calibration.corrections import (
+    BodyMotion,
+    Change,
+    Correction,
+    estimate_corrections,
+    find_change,
+    is_chance,
+)
 from slam.self_calibration.frames import (
     better_frame,
     facing_ahead,
@@ -117,6 +124,12 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     now = known.with_values(corrected)
     aligned, unaligned = find_alignment(logs, now, _unknown(given))
     delay_s = aligned.pop("delay_s", 0.0)
+    if "climb_share" in aligned:
+        level = {"detection.time_offset_s": known.detection.time_offset_s + delay_s} | _of_sensor(
+            {term: value for term, value in aligned.items() if term != "climb_share"}, now
+        )
+        if _is_chance("climb_share", aligned["climb_share"], *scans_of(logs, now.with_values(level))):
+            unaligned = unaligned | {"climb_share": aligned.pop("climb_share")}
     corrected |= _of_sensor(aligned, now)
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
@@ -165,6 +178,11 @@ def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]
     changed = _angles(rotation @ _turned(now.detection)) if not found.keys().isdisjoint(ANGLES) else {}
     climb = {"odometry.climb": now.odometry.climb + found["climb_share"]} if "climb_share" in found else {}
     return changed | climb
+
+
+def _is_chance(term: str, value: float, scans: list[SurveyScan], motion: BodyMotion) -> bool:
+    """Whether a term may explain by chance how objects that are followed seem to move."""
+    return is_chance(objects_among(follow_objects(scans, motion.headings)), motion, term, value)
 
 
 def _first_change(

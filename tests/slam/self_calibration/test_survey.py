@@ -306,6 +306,15 @@ def test_sensor_that_is_turned_on_the_way_is_told():
     assert found.change_s == pytest.approx((middle_ns - before[0].stamp_ns) * 1e-9, rel=0.2)
 
 
+@pytest.mark.parametrize(("climb", "is_corrected"), [(1e-9, False), (0.1, True)])
+def test_climb_that_may_be_chance_is_suspected_only(monkeypatch, climb, is_corrected):
+    monkeypatch.setattr("slam.self_calibration.survey.find_alignment", lambda *_: ({"climb_share": -0.1}, {}))
+    found = survey(scaled_records(1.0, climb), ON_BODY)
+    told = found.corrected if is_corrected else found.suspected
+    assert told["odometry.climb"] == pytest.approx(-0.1)
+    assert ("odometry.climb" in found.corrected) == is_corrected
+
+
 @pytest.mark.slow
 def test_angles_are_added_to_the_quarter_turn_of_the_sensor():
     """It hangs upside down, and the body pitches."""
