@@ -259,10 +259,9 @@ def _held_out(
 ) -> tuple[FloatArray, FloatArray]:
     """What the terms ``used`` (T,) are without each block, (B, T), and the squared residuals (B,) of it then."""
     parts = np.zeros(right.shape)
-    least = 1e-9 * np.trace(normal.sum(axis=0)) * np.eye(int(used.sum()))
-    for each in range(len(normal)):
-        others = (normal.sum(axis=0) - normal[each])[np.ix_(used, used)]
-        parts[each, used] = np.linalg.lstsq(others + least, (right.sum(axis=0) - right[each])[used])[0]
+    least = max(1e-9 * float(np.trace(normal.sum(axis=0))), 1e-300) * np.eye(int(used.sum()))
+    others, sides = normal.sum(axis=0) - normal, right.sum(axis=0) - right
+    parts[:, used] = np.linalg.solve(others[:, used][:, :, used] + least, sides[:, used, None])[..., 0]
     return parts, _left_of(normal, right, squared, parts)
 
 
