@@ -89,8 +89,9 @@ class Tracker:
         return len(self._path) > 0 and len(self.active.rows) > 1
 
     def restart(self) -> None:
-        """Forget the motion, as after a discontinuity of the odometry."""
+        """Forget the motion and lost scans, as after a discontinuity of the odometry."""
         self._path.clear()
+        self._lost.clear()
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to, and
@@ -151,6 +152,7 @@ class Tracker:
         moved = self._shifted(tracked, mode)
         T_odom = rigid(self.active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
+        self._lost.clear()
         moved = replace(moved, correction=Correction(T_odom, moved.correction.variances))
         self._update(moved)
         self._follow(pose.stamp_ns)

@@ -214,6 +214,24 @@ def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
     assert counts == [0, 1, 0]
 
 
+@pytest.mark.parametrize("rejoins", [False, True])
+def test_scans_before_a_discontinuity_are_not_gathered(monkeypatch, rejoins: bool) -> None:
+    drive = Drive(forest(), spacing_m=1e6)
+    drive.drive(15)
+    drive.err(pose_at(yaw=1.5))
+    (nearest,) = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))[:1]
+    assert drive.located(np.array([nearest])).is_lost
+    if rejoins:
+        assert not drive.rejoined().is_lost
+    else:
+        drive.mapper.tracker.restart()
+    gathered, counts = Tracker._gathered, list[int]()
+    monkeypatch.setattr(Tracker, "_gathered", lambda self, *at: counts.append(len(at[2])) or gathered(self, *at))
+    drive.err(pose_at(yaw=-1.5))
+    drive.located()
+    assert counts == [0]
+
+
 def test_pairs_at_a_pose_that_is_not_sure_are_not_used(monkeypatch) -> None:
     """At the pose of the odometry they would drag the landmarks."""
     drive = Drive(forest())
