@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,6 +140,18 @@ def known(tracked: Tracked) -> float:
     return float(tracked.assignment.matched.mean())
 
 
+def gathered_counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many earlier scans are gathered from now on, at each scan that is decided by modes."""
+    counts, gathered = list[int](), Tracker._gathered
+
+    def counting(tracker: Tracker, tracked: Tracked, pose: OdometryPose, earlier: Sequence[Any]) -> Tracked:
+        counts.append(len(earlier))
+        return gathered(tracker, tracked, pose, earlier)
+
+    monkeypatch.setattr(Tracker, "_gathered", counting)
+    return counts
+
+
 def test_exact_odometry_is_left_alone() -> None:
     drive = Drive(forest())
     _, *found = drive.drive(40)
@@ -204,8 +217,7 @@ def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
     drive = Drive(forest(), spacing_m=1e6)
     drive.drive(15)
     drive.err(pose_at(yaw=1.5))
-    gathered, counts = Tracker._gathered, list[int]()
-    monkeypatch.setattr(Tracker, "_gathered", lambda self, *at: counts.append(len(at[2])) or gathered(self, *at))
+    counts = gathered_counts(monkeypatch)
     near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))
     for each in near[:3].tolist():
         drive.located(np.array([each]))
@@ -225,8 +237,7 @@ def test_scans_before_a_discontinuity_are_not_gathered(monkeypatch, rejoins: boo
         assert not drive.rejoined().is_lost
     else:
         drive.mapper.tracker.restart()
-    gathered, counts = Tracker._gathered, list[int]()
-    monkeypatch.setattr(Tracker, "_gathered", lambda self, *at: counts.append(len(at[2])) or gathered(self, *at))
+    counts = gathered_counts(monkeypatch)
     drive.err(pose_at(yaw=-1.5))
     drive.located()
     assert counts == [0]
