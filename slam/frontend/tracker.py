@@ -66,6 +66,44 @@ class Tracked:
         return np.where(indices >= 0, np.append(self.active, 0)[indices], indices)
 
 
+class _Path:
+    """Poses of the body among the landmarks at the last scans."""
+
+    def __init__(self) -> None:
+        self._poses = deque[tuple[int, FloatArray]](maxlen=RECENT_STEPS + 1)
+
+    def __bool__(self) -> bool:
+        return bool(self._poses)
+
+    def add(self, stamp_ns: int, T_local_body: FloatArray) -> None:
+        self._poses.append((stamp_ns, T_local_body))
+
+    def clear(self) -> None:
+        self._poses.clear()
+
+    def step_until(self, stamp_ns: int) -> FloatArray:
+        """The motion (4, 4) from the last scan on, as in the interval before it; scans may come in bursts."""
+        now_ns, T_now = self._poses[-1]
+        interval_ns = (now_ns - self._poses[0][0]) / max(len(self._poses) - 1, 1)
+        before_ns, T_before = next(each for each in reversed(self._poses) if now_ns - each[0] >= interval_ns)
+        return blend(np.eye(4), relative(T_before, T_now), (stamp_ns - now_ns) / max(now_ns - before_ns, 1))
+
+    def way_until(self, stamp_ns: int) -> FloatArray:
+        """Turn [rad] and length [m] of the way from the last scan, (2,), at the speed of all."""
+        way = np.zeros(2)
+        for (_, before), (_, after) in pairwise(self._poses):
+            way += _size(relative(before, after))
+        if len(self._poses) < 2:
+            return way
+        span_ns = max(self._poses[-1][0] - self._poses[0][0], 1)
+        return way * (stamp_ns - self._poses[-1][0]) / span_ns
+
+
+def _size(T: FloatArray) -> FloatArray:
+    """Turn [rad] and length [m] of a motion (4, 4)."""
+    return np.array([float(rotation_angle_rad(T)), float(np.linalg.norm(T[:3, 3]))])
+
+
 class Tracker:
     """Places the scans of one drive among the active landmarks."""
 
@@ -79,14 +117,13 @@ class Tracker:
         self._scans, self._slips = PRIOR_SCANS, 1
         self._failures = 0
         self._lost = deque[tuple[Tracked, OdometryPose]](maxlen=WAITED_SCANS)
-        # Stamps [ns] and poses of the body at the scans placed since the last restart.
-        self._path = deque[tuple[int, FloatArray]](maxlen=RECENT_STEPS + 1)
+        self._path = _Path()  # since the last restart
         self._T_odom_body: FloatArray | None = None
 
     @property
     def is_tracking(self) -> bool:
         """Whether scans have been placed since the last restart, and landmarks are active."""
-        return len(self._path) > 0 and len(self.active.rows) > 1
+        return bool(self._path) and len(self.active.rows) > 1
 
     def restart(self) -> None:
         """Forget the motion and lost scans, as after a discontinuity of the odometry."""
@@ -140,7 +177,7 @@ class Tracker:
         self.active.advance(self._expected(pose), is_guess=True)
         tracked = self._associated(scan)
         gathered = self._gathered(tracked, pose, untold)
-        slip = self._slip(pose.stamp_ns, 0.0, 0.0)
+        slip = self._slip(pose.stamp_ns)
         components = [
             PriorComponent(0.5 * JUMPED, slip),
             PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self.active.T_local_body)),
@@ -176,14 +213,9 @@ class Tracker:
         return replace(tracked, seen=tracked.scan.seen_from(self.active.T_local_body))
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
-        """The pose if the body has gone on as in the last interval between scans, which may come in bursts."""
+        """The pose if the body has gone on as before."""
         assert self._T_odom_body is not None
-        now_ns, T_now = self._path[-1]
-        interval_ns = (now_ns - self._path[0][0]) / max(len(self._path) - 1, 1)
-        before_ns, T_before = next(each for each in reversed(self._path) if now_ns - each[0] >= interval_ns)
-        took_ns = max(now_ns - before_ns, 1)
-        T_step = blend(np.eye(4), relative(T_before, T_now), (pose.stamp_ns - now_ns) / took_ns)
-        return replace(pose, T_odom_body=self._T_odom_body @ T_step)
+        return replace(pose, T_odom_body=self._T_odom_body @ self._path.step_until(pose.stamp_ns))
 
     def _associated(self, scan: Scan) -> Tracked:
         """The scan with the assignment at the predicted pose."""
@@ -221,32 +253,23 @@ class Tracker:
         slips = self._slips / self._scans
         components = [PriorComponent(1.0 - slips, np.zeros((6, 6)))]
         if is_failing or self._slips > 1:
-            components.append(PriorComponent(slips, self._slip(pose.stamp_ns, *self._odometry_step(pose))))
+            components.append(PriorComponent(slips, self._slip(pose.stamp_ns, self._odometry_step(pose))))
         if is_failing and self._path:
             T_expected = self.active.T_local_odom @ self._expected(pose).T_odom_body
             T_motion = T_expected @ invert(self.active.T_local_body)
-            components.append(PriorComponent(JUMP_PROBABILITY, self._slip(pose.stamp_ns, 0.0, 0.0), T_motion))
+            components.append(PriorComponent(JUMP_PROBABILITY, self._slip(pose.stamp_ns), T_motion))
         # The wide search is repeated at ever longer intervals while it fails.
         if is_failing and self._failures > 1 and self._failures & (self._failures - 1) == 0:
             components.append(self._anywhere(JUMP_PROBABILITY))
         return components
 
-    def _odometry_step(self, pose: OdometryPose) -> tuple[float, float]:
-        """Turn [rad] and length [m] of the step by the odometry since the last scan."""
-        if self._T_odom_body is None:
-            return 0.0, 0.0
-        step = relative(self._T_odom_body, pose.T_odom_body)
-        return float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))
+    def _odometry_step(self, pose: OdometryPose) -> FloatArray:
+        """Turn [rad] and length [m] of the step by the odometry since the last scan, (2,)."""
+        return np.zeros(2) if self._T_odom_body is None else _size(relative(self._T_odom_body, pose.T_odom_body))
 
-    def _slip(self, stamp_ns: int, turn_rad: float, length_m: float) -> FloatArray:
-        """Covariance (6, 6) of an error as large as the motion since the last scan, at the recent speed."""
-        share = 0.0
-        if len(self._path) > 1:
-            share = (stamp_ns - self._path[-1][0]) / max(self._path[-1][0] - self._path[0][0], 1)
-        steps = [relative(before, after) for (_, before), (_, after) in pairwise(self._path)]
-        turn = max(turn_rad, share * sum(float(rotation_angle_rad(step)) for step in steps))
-        shift = max(length_m, share * sum(float(np.linalg.norm(step[:3, 3])) for step in steps))
-        return np.diag(np.repeat([turn**2 + 1e-8, shift**2 + 1e-8], 3))
+    def _slip(self, stamp_ns: int, step: FloatArray | float = 0.0) -> FloatArray:
+        """Covariance (6, 6) of an error as large as the motion since the last scan, or as a step (2,)."""
+        return np.diag(np.repeat(np.maximum(step, self._path.way_until(stamp_ns)) ** 2 + 1e-8, 3))
 
     def _anywhere(self, weight: float) -> PriorComponent:
         """Any place among the landmarks around, at any heading."""
@@ -315,5 +338,5 @@ class Tracker:
 
     def _follow(self, stamp_ns: int) -> None:
         """Remember the pose, corrected by the landmarks."""
-        self._path.append((stamp_ns, self.active.T_local_body))
+        self._path.add(stamp_ns, self.active.T_local_body)
         self._T_odom_body = self.active.T_odom_body

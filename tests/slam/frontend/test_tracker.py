@@ -194,7 +194,7 @@ def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
 def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
     drive = Drive(forest(), bursts=bursts)
     drive.drive(15)
-    turn, shift = np.sqrt(np.diagonal(drive.mapper.tracker._slip(drive.stamp_ns() + STEP_NS, 0.0, 0.0))[[2, 3]])
+    turn, shift = np.sqrt(np.diagonal(drive.mapper.tracker._slip(drive.stamp_ns() + STEP_NS))[[2, 3]])
     assert 0.005 < turn < 0.03
     assert shift == pytest.approx(STEP_M, rel=0.2)
 
