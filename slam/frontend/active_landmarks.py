@@ -11,15 +11,16 @@ import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import covariance_in_axes, invert, relative, rigid, view_change
+from slam.common.geometry import covariance_in_axes, invert, make_transform, relative, rigid, rotation_of, view_change
 from slam.frontend.data_association import squared_distances
 from slam.frontend.input.scan import Scan
 from slam.frontend.local_map import LocalMap
 from slam.frontend.pose_posterior import KnownLandmarks, fit_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
-from slam.odometry.noise_scale import GATE, NoiseScale
+from slam.odometry.noise_scale import AXES, GATE, NoiseScale
 from slam.odometry.pose import OdometryPose
+from slam.odometry.track import Correction
 
 MAX_LANDMARKS = 200
 """Landmarks around the robot that are kept for association, confirmed and tentative ones each, the latest seen."""
@@ -143,15 +144,20 @@ class ActiveLandmarks:
         """Correct the pose of the body by (4, 4) in the local frame, and add a covariance (6, 6) to its error, local
         axes; returns the same correction (4, 4) in the frame of the odometry, whose poses it corrects from now on.
         """
-        assert self._pose is not None
         T_local_odom = self.T_local_odom
         self._local.shift(T_correction, covariance)
-        T_odom_correction = rigid(invert(T_local_odom) @ T_correction @ T_local_odom)
-        self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
-        return T_odom_correction
+        self._variances = np.zeros(6)
+        return self._correct_odometry(invert(T_local_odom) @ T_correction @ T_local_odom)
 
-    def update(self, rows: IntArray, scan: Scan, *, is_uncertain: bool) -> None:
-        """Correct landmarks and robot by detections of them.
+    def _correct_odometry(self, T_odom: FloatArray) -> FloatArray:
+        """Move the pose of the body by (4, 4) in the frame of the odometry; returns that."""
+        assert self._pose is not None
+        T_odom = rigid(T_odom)
+        self._pose = replace(self._pose, T_odom_body=rigid(T_odom @ self._pose.T_odom_body))
+        return T_odom
+
+    def update(self, rows: IntArray, scan: Scan, *, is_uncertain: bool) -> Correction | None:
+        """Correct landmarks and robot by detections of them; returns the correction of the odometry if it slipped.
 
         Args:
             rows: (K,) of active landmarks.
@@ -170,23 +176,30 @@ class ActiveLandmarks:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
         seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[corrects] - self.T_local_body[:3, 3]
-        self._correct(indices[corrects], offsets, seen.covariances[corrects])
+        slip = self._correct(indices[corrects], offsets, seen.covariances[corrects])
         others = ~corrects
         seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[others] - self.T_local_body[:3, 3]
         self._local.update_landmarks(indices[others], offsets, seen.covariances[others])
         self._store()
+        return slip
 
-    def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
+    def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> Correction | None:
         """Correct the state by landmarks, and learn from it how large the errors of the odometry are."""
-        effects = self._local.step_effects(slots) * np.sqrt(self._variances)
-        innovation, effects = self._local.update(slots, offsets, covariances, effects)
+        sigmas, slip = np.sqrt(self._variances), None
+        innovation, effects = self._local.update(slots, offsets, covariances, self._local.step_effects(slots) * sigmas)
         if len(slots):
+            error = sigmas * self._noise.slip(innovation, effects)
             self._noise.add(innovation, effects)
             self._variances = np.zeros(6)
+            if error.any():
+                T_error = make_transform(rotation_of(error[:3]), error[3:])
+                T_odom = self._correct_odometry(self.T_odom_body @ T_error @ invert(self.T_odom_body))
+                slip = Correction(T_odom, np.array([np.mean(error[axes] ** 2) for axes in AXES]))
         if len(slots) >= FIXING_LANDMARKS:
             R, fit = self.T_local_body[:3, :3], fit_of(self.positions[slots] - self.T_local_body[:3, 3])
             self.pose_covariance = covariance_in_axes(fit @ self._local.relative_covariance(slots) @ fit.T, R)
+        return slip
 
     @property
     def innovation_ratios(self) -> dict[str, float]:

@@ -134,8 +134,7 @@ class Tracker:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to, and
         correct them and the pose by it.
         """
-        tracked = self._with_expected_noise(self._track(scan, pose))
-        self._update(tracked)
+        tracked = self._updated(self._with_expected_noise(self._track(scan, pose)))
         if not tracked.is_lost:
             self._follow(pose.stamp_ns)
         return tracked
@@ -191,7 +190,7 @@ class Tracker:
         assert moved.correction is not None
         self._lost.clear()
         moved = replace(moved, correction=Correction(T_odom, moved.correction.variances))
-        self._update(moved)
+        moved = self._updated(moved)
         self._follow(pose.stamp_ns)
         return moved
 
@@ -330,11 +329,12 @@ class Tracker:
         scan = with_expected_noise(tracked.scan, ranges, self._detection)
         return replace(tracked, scan=scan, seen=scan.seen_from(T))
 
-    def _update(self, tracked: Tracked) -> None:
-        """Correct the active landmarks and the pose among them by a scan."""
+    def _updated(self, tracked: Tracked) -> Tracked:
+        """Correct the active landmarks and the pose among them by a scan, and the odometry if they show a slip."""
         known = tracked.landmark_rows >= 0
         rows, is_uncertain = tracked.landmark_rows[known], tracked.assignment.is_uncertain
-        self.active.update(rows, tracked.scan.of(known), is_uncertain=is_uncertain)
+        slip = self.active.update(rows, tracked.scan.of(known), is_uncertain=is_uncertain)
+        return tracked if slip is None else replace(tracked, correction=slip)
 
     def _follow(self, stamp_ns: int) -> None:
         """Remember the pose, corrected by the landmarks."""

@@ -9,12 +9,15 @@ with the columns of W for translation, tilt or heading, scaled by their standard
 (Zhou et al., MM algorithms for variance components models, JCGS 2019). It takes one landmark, and tells what that one
 can tell. The ratio is the weighted median over a window of scans, so that detections that err by far, and single
 slips, do not change it.
+
+A slip is an error n that the model of the odometry cannot explain, whatever the factor has become, although it explains
+the innovations of several landmarks: its posterior mean is W' y.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from slam.common.arrays import FloatArray
 
@@ -39,6 +42,20 @@ class NoiseScale:
         """The last squared correction by its variance and the gate, the largest of the three."""
         self._ratios: list[FloatArray] = []
         self._weights: list[FloatArray] = []
+
+    def slip(self, innovation: FloatArray, effects: FloatArray) -> FloatArray:
+        """The slip (6,) of the step before, in the standard deviations that ``effects`` are scaled by; zeros if there
+        was none. Arguments as of ``add``.
+        """
+        none = np.zeros(6)
+        # Noise of long ago had other lever arms: no more than all of the innovation can come from it.
+        error = effects.T @ innovation / max(float(np.linalg.norm(effects, 2)), 1.0) ** 2
+        ratios = self.factors * [float(error[axes] @ error[axes]) for axes in AXES]
+        if np.max(ratios) < GATE * self._least:
+            return none
+        rest = innovation - effects @ np.linalg.lstsq(effects, innovation)[0]
+        # One or two landmarks leave no rest, which tells nothing.
+        return error if chdtrc(len(innovation) - len(error), rest @ rest) > 0.01 else none
 
     def add(self, innovation: FloatArray, effects: FloatArray) -> None:
         """Add whitened innovations (M,), and the effects (M, 6) on them of an error of one standard deviation in each

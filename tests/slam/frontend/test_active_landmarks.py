@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from slam.frontend.input.scan import Scan
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.odometry.noise import SLIP_INFLATION
 from slam.odometry.pose import OdometryPose
+from slam.odometry.track import Correction
 
 QUIET = {
     "yaw_sigma": 1e-9,
@@ -78,7 +81,9 @@ class Bench:
             self.active.advance(pose_at(float(each)))
         self.x = x
 
-    def see(self, rows: IntArray, positions: FloatArray | None = None, *, is_uncertain: bool = False) -> None:
+    def see(
+        self, rows: IntArray, positions: FloatArray | None = None, *, is_uncertain: bool = False
+    ) -> Correction | None:
         """Detect landmarks, where they are or at ``positions`` (N, 3) m, local frame."""
         indices = [self.active.rows.tolist().index(row) for row in rows]
         where = self.active.positions[indices] if positions is None else np.array(positions)
@@ -86,7 +91,7 @@ class Bench:
         used = np.ones(len(rows), dtype=np.bool_)
         seen = apply(invert(self.active.T_local_body), where)
         scan = Scan(round(self.x * 1e9), "lidar", seen, covariances, ("tree",) * len(where), used, used)
-        self.active.update(rows, scan, is_uncertain=is_uncertain)
+        return self.active.update(rows, scan, is_uncertain=is_uncertain)
 
     def surplus_rows(self) -> list[int]:
         return self.active.rows[self.active.surplus()].tolist()
@@ -230,3 +235,27 @@ def test_shift_corrects_the_odometry_and_not_what_the_landmarks_correct_it_by() 
     np.testing.assert_allclose(bench.active.T_local_odom, T_local_odom, atol=1e-12)
     np.testing.assert_allclose(bench.active.T_odom_body, T_odom @ pose_at(10.0).T_odom_body)
     np.testing.assert_allclose(bench.active.at(pose_at(9.0)), T_local_odom @ pose_at(9.0).T_odom_body, atol=1e-12)
+
+
+def test_slip_that_all_landmarks_show_corrects_the_odometry() -> None:
+    bench = Bench()
+    places = np.array([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]])
+    rows = bench.add(places)
+    bench.advance(10.0)
+    correction = bench.see(rows, places - [4.0, 0.0, 0.0])
+    assert correction is not None
+    np.testing.assert_allclose(correction.T_odom[:3, 3], [4.0, 0.0, 0.0], atol=0.7)
+    assert correction.variances[0] == pytest.approx(np.sum(correction.T_odom[:3, 3] ** 2) / 3.0)
+    np.testing.assert_allclose(bench.active.T_odom_body, correction.T_odom @ pose_at(10.0).T_odom_body)
+    np.testing.assert_allclose(bench.active.T_local_odom, np.eye(4), atol=0.1)
+    bench.active.advance(replace(pose_at(11.0), T_odom_body=correction.T_odom @ pose_at(11.0).T_odom_body))
+    assert bench.see(rows) is None
+
+
+def test_error_that_a_shift_has_corrected_is_no_slip() -> None:
+    bench = Bench()
+    places = np.array([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]])
+    rows = bench.add(places)
+    bench.advance(10.0)
+    bench.active.shift(np.eye(4), np.zeros((6, 6)))
+    assert bench.see(rows, places - [4.0, 0.0, 0.0]) is None

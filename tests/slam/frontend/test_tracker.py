@@ -17,6 +17,7 @@ from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
+from slam.odometry.track import Correction
 from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.03
@@ -261,6 +262,14 @@ def test_frozen_odometry_is_corrected_scan_by_scan() -> None:
     assert np.mean([known(tracked) for tracked in found]) > 0.9
     assert drive.corrections > 10
     assert drive.error()[0] < 0.3
+
+
+def test_locate_passes_on_the_slip_that_landmarks_show(monkeypatch) -> None:
+    drive = Drive(forest())
+    drive.drive(5)
+    slip = Correction(np.eye(4), np.ones(3))
+    monkeypatch.setattr(drive.mapper.tracker.active, "update", lambda *_, **__: slip)
+    assert drive.located().correction is slip
 
 
 def test_error_while_nothing_was_in_view_is_corrected() -> None:

@@ -117,3 +117,39 @@ def test_factors_do_not_grow_without_end() -> None:
     for _ in range(10 * WINDOW):
         scale.add(np.full(6, 1e6), np.eye(6))
     np.testing.assert_array_equal(scale.factors, [50.0, 1.0, 1.0])
+
+
+FORWARD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+LEAST = 9.0
+
+
+def orthogonal(rows: int) -> FloatArray:
+    """Effects (rows, 6), each of norm 0.9, of errors that a scan tells apart."""
+    return 0.9 * np.asarray(np.linalg.qr(np.random.default_rng(0).normal(size=(rows, 6)))[0])
+
+
+def test_slip_is_the_error_of_the_step_by_the_innovations() -> None:
+    effects = orthogonal(12)
+    _, _, others = np.linalg.svd(effects.T)
+    slip = NoiseScale(LEAST, NO_LIMIT).slip(effects @ (20.0 * FORWARD) + 2.4 * others[-1], effects)
+    np.testing.assert_allclose(slip, 0.81 * 20.0 * FORWARD, atol=1e-12)
+
+
+def test_slip_is_what_the_model_does_not_explain_though_its_factor_grew() -> None:
+    scale, effects = NoiseScale(LEAST, NO_LIMIT), orthogonal(12)
+    assert not scale.slip(effects @ (2.0 * FORWARD), effects).any()
+    scale.factors = np.array([100.0 * LEAST, LEAST, LEAST])
+    assert scale.slip(effects @ (2.0 * FORWARD), effects).any()
+    assert not scale.slip(effects @ (0.2 * FORWARD), effects).any()
+
+
+def test_slip_explains_the_innovations_of_several_landmarks() -> None:
+    scale, effects = NoiseScale(LEAST, NO_LIMIT), orthogonal(12)
+    _, _, others = np.linalg.svd(effects.T)
+    assert not scale.slip(effects @ (20.0 * FORWARD) + 5.0 * others[-1], effects).any()
+    assert not scale.slip(orthogonal(6) @ (20.0 * FORWARD), orthogonal(6)).any()
+
+
+def test_slip_is_no_larger_than_the_innovations_tell() -> None:
+    effects = 20.0 * orthogonal(12)
+    assert not NoiseScale(LEAST, NO_LIMIT).slip(effects @ (0.1 * FORWARD), effects).any()
