@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
+from logs.messages import ObjectDetections, Odometry, Record
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
+from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan
 from slam.self_calibration.variance_components import Motion, NoiseComponents
 
 INTERVAL_S = 0.2
 VIEWS = 720
 """Steps of the random walks by which the error of a view changes."""
-NO_NOISE = dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0)
+NO_NOISE = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
+NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+"""Standard deviations of a good detector and a good odometry."""
 
 
 class SurveyedDrive:
@@ -35,7 +43,7 @@ class SurveyedDrive:
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self.scale, self.range_m = scale, range_m
-        self.noise = NoiseComponents(**(NO_NOISE | {name: sigma**2 for name, sigma in sigmas.items()}))
+        self.noise = replace(NO_NOISE, **{name: sigma**2 for name, sigma in sigmas.items()})
         self._drive(scans, turns)
         self._odometry()
         self._see(objects)
@@ -132,3 +140,19 @@ class SurveyedDrive:
             if len(xy):
                 found.append(SurveyScan(round(self.times_s[k] * 1e9), T, xyz, labels, np.full(len(xy), np.nan)))
         return found
+
+
+def records_of(scans: Iterable[SurveyScan], frame_id: str = "base_link") -> list[Record]:
+    """Odometry and detections of one class, as a log has them."""
+    found: list[Record] = []
+    for scan in scans:
+        count = len(scan.labels)
+        found.append(Odometry(scan.stamp_ns, scan.T_odom_body, "odom", "base_link"))
+        found.append(ObjectDetections(scan.stamp_ns, frame_id, scan.positions, ("stem",) * count, np.ones(count)))
+    return found
+
+
+def with_odometry(records: Iterable[Record], **calibration: float) -> list[Record]:
+    """Records whose odometry is as a calibration (see ``OdometryCalibration``) makes it."""
+    changed = CalibratedOdometry(OdometryCalibration(**calibration))
+    return [changed.correct(each) if isinstance(each, Odometry) else each for each in records]

@@ -16,8 +16,8 @@ from slam.self_calibration.corrections import TERMS, Change
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
 from slam.self_calibration.survey import Survey, summarize
-from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
-from tests.helpers.surveyed_drives import SurveyedDrive
+from slam.self_calibration.variance_components import ComponentEstimate
+from tests.helpers.surveyed_drives import NO_NOISE, SurveyedDrive
 
 NOISE = {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05, "heading_by_turn": 0.03}
 
@@ -49,8 +49,7 @@ def scaled(survey: Survey, factor: float) -> Survey:
 
 def with_noise(survey: Survey, **variances: float) -> Survey:
     """The survey of a log that has these variances for certain, and no others."""
-    none = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
-    return replace(survey, components=ComponentEstimate(replace(none, **variances), none, 1000))
+    return replace(survey, components=ComponentEstimate(replace(NO_NOISE, **variances), NO_NOISE, 1000))
 
 
 # Which settings

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from logs.messages import ObjectDetections, Odometry, Record
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, invert
 from slam.self_calibration.frames import better_frame
@@ -15,9 +14,7 @@ from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.scan_pairs import spacing_of
 from slam.self_calibration.survey import Survey, survey
 from slam.self_calibration.surveyed_log import SurveyedLog
-from tests.helpers.surveyed_drives import SurveyedDrive
-
-NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+from tests.helpers.surveyed_drives import NOISE, SurveyedDrive, records_of
 
 
 @pytest.fixture(scope="module")
@@ -30,18 +27,9 @@ def fixed(scans: list[SurveyScan]) -> list[SurveyScan]:
     return [replace(scan, positions=apply(scan.T_odom_body, scan.positions)) for scan in scans]
 
 
-def records(scans: list[SurveyScan], frame: str) -> list[Record]:
-    found: list[Record] = []
-    for scan in scans:
-        labels = tuple("stem" for _ in scan.labels)
-        found.append(Odometry(scan.stamp_ns, scan.T_odom_body, "odom", "base_link"))
-        found.append(ObjectDetections(scan.stamp_ns, frame, scan.positions, labels, np.ones(len(labels))))
-    return found
-
-
 def surveyed(scans: list[SurveyScan], frame: str, detection: DetectionCalibration | None = None) -> Survey:
     given = Calibration() if detection is None else Calibration(detection=detection)
-    found = survey([SurveyedLog.of(records(scans, frame))], given)
+    found = survey([SurveyedLog.of(records_of(scans, frame))], given)
     assert found is not None
     return found
 

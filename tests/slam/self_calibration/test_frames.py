@@ -11,15 +11,9 @@ from scipy.spatial.transform import Rotation
 from slam.common.geometry import roll_pitch_yaw_deg
 from slam.self_calibration.frames import find_orientation
 from slam.self_calibration.object_tracks import SurveyScan
-from tests.helpers.surveyed_drives import SurveyedDrive
+from tests.helpers.surveyed_drives import NOISE, SurveyedDrive
 
-NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
 RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL = (0, 0, 0), (180, 0, 0), (0, 0, 180), (0, 0, 90), (-90, 0, -90)
-
-
-@pytest.fixture(scope="module")
-def drive() -> SurveyedDrive:
-    return SurveyedDrive(0, NOISE, scans=600, objects=80)
 
 
 def turned(scans: list[SurveyScan], R: np.ndarray) -> list[SurveyScan]:

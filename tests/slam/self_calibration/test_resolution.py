@@ -10,9 +10,7 @@ import pytest
 from slam.common.arrays import FloatArray
 from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.resolution import find_resolution
-from tests.helpers.surveyed_drives import SurveyedDrive
-
-NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+from tests.helpers.surveyed_drives import NOISE, SurveyedDrive
 
 
 @pytest.fixture(scope="module")

@@ -19,14 +19,7 @@ from slam.self_calibration.scan_pairs import (
     seen_by,
     spacing_of,
 )
-from tests.helpers.surveyed_drives import SurveyedDrive
-
-NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
-
-
-@pytest.fixture(scope="module")
-def drive() -> SurveyedDrive:
-    return SurveyedDrive(0, NOISE, scans=600, objects=80)
+from tests.helpers.surveyed_drives import NOISE, SurveyedDrive
 
 
 def test_distances_are_those_of_the_nearest_of_the_class_by_the_motion_and_by_its_inverse(drive):

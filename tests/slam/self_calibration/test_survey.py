@@ -15,14 +15,13 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
-from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
+from slam.self_calibration.variance_components import ComponentEstimate
 from tests.helpers.poses import pose_at
-from tests.helpers.surveyed_drives import SurveyedDrive
+from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, with_odometry
 
 CONFIG = DetectionCalibration()
 ON_BODY = DetectionCalibration(assume_body_frame=True)
@@ -156,8 +155,8 @@ def test_too_few_objects_tell_no_noise():
 
 
 def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
-    none = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
-    found = ComponentEstimate(replace(none, radial=0.03, tangential=0.05, view=0.05), none, 1000)
+    noise = replace(NO_NOISE, radial=0.03, tangential=0.05, view=0.05)
+    found = ComponentEstimate(noise, NO_NOISE, 1000)
     monkeypatch.setattr("slam.self_calibration.survey.estimate_components", lambda *_: found)
     monkeypatch.setattr("slam.self_calibration.survey.clutter_density", lambda scans, tracked, sigma_m: sigma_m)
     assert survey(straight(), CONFIG).clutter_density == pytest.approx(0.3)
@@ -182,16 +181,8 @@ def test_lengths_of_a_survey_scale_with_the_log():
 
 def turned_records(yaw_deg: float, *, scans: int = 600, objects: int = 100) -> list[Record]:
     """A drive whose sensor is turned by an angle that no transform tells."""
-    noise = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
-    drive = SurveyedDrive(0, noise, scans=scans, objects=objects)
-    R = Rotation.from_euler("z", -yaw_deg, degrees=True).as_matrix()
-    records: list[Record] = []
-    for scan in drive.scans:
-        labels = tuple("stem" for _ in scan.labels)
-        scores = np.ones(len(labels))
-        records.append(Odometry(scan.stamp_ns, scan.T_odom_body))
-        records.append(ObjectDetections(scan.stamp_ns, "base_link", scan.positions @ R.T, labels, scores))
-    return records
+    records = records_of(SurveyedDrive(0, NOISE, scans=scans, objects=objects).scans)
+    return turned(records, "z", yaw_deg)
 
 
 def short_records() -> list[Record]:
@@ -207,16 +198,19 @@ def moved(change: Callable[[FloatArray], FloatArray], records: list[Record]) -> 
     ]
 
 
+def turned(records: list[Record], axis: str, angle_deg: float) -> list[Record]:
+    R = Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix()
+    return moved(lambda positions: positions @ R, records)
+
+
 def pitched_records(pitch_deg: float) -> list[Record]:
     """Seen by a sensor that pitches, what is ahead is nearer, as if the odometry were too long."""
-    R = Rotation.from_euler("y", -pitch_deg, degrees=True).as_matrix()
-    return moved(lambda positions: positions @ R.T, turned_records(0.0))
+    return turned(turned_records(0.0), "y", pitch_deg)
 
 
 def scaled_records(length: float, climb: float = 0.0) -> list[Record]:
     """A drive whose odometry has its lengths multiplied by a factor, or climbs among objects of rough heights."""
-    wrong, rng = CalibratedOdometry(OdometryCalibration(length_scale=length, climb=climb)), np.random.default_rng(0)
-    records = [wrong.correct(each) if isinstance(each, Odometry) else each for each in turned_records(0.0)]
+    rng, records = np.random.default_rng(0), with_odometry(turned_records(0.0), length_scale=length, climb=climb)
     return moved(lambda xyz: xyz + [0.0, 0.0, 0.05 * bool(climb)] * rng.normal(size=xyz.shape), records)
 
 
@@ -225,13 +219,13 @@ def winding_records(turn: float) -> list[Record]:
     rng = np.random.default_rng(0)
     stems = np.column_stack([rng.uniform(-25.0, 25.0, (60, 2)), np.zeros(60)])
     rates = np.where(np.arange(600) % 200 < 100, 0.06, -0.06)
-    T, wrong, records = np.eye(4), CalibratedOdometry(OdometryCalibration(turn_scale=turn)), list[Record]()
+    T, records = np.eye(4), list[Record]()
     for row, rate in enumerate(rates):
         T = T @ transform_from_xyz_yaw(0.4 * np.array([np.cos(rate / 2), np.sin(rate / 2), 0.0]), rate)
         seen = apply(invert(T), stems)
         seen = seen[np.hypot(seen[:, 0], seen[:, 1]) < 20.0] + rng.normal(0.0, 0.02, 3)
-        records += [wrong.correct(Odometry(10**8 * row, T)), detections(0.1 * row, seen)]
-    return records
+        records += [Odometry(10**8 * row, T), detections(0.1 * row, seen)]
+    return with_odometry(records, turn_scale=turn)
 
 
 @pytest.mark.slow
@@ -279,9 +273,7 @@ def test_an_object_that_is_detected_twice_is_one_unless_a_resolution_was_given()
 
 def test_lengths_of_another_unit_are_corrected_to_the_last_percent_unless_a_scale_was_given():
     """By 1 / 1300, of which the octave is 1 / 1024."""
-    wrong = CalibratedOdometry(OdometryCalibration(length_scale=1300.0))
-    records = turned_records(0.0, scans=300, objects=60)
-    records = [wrong.correct(each) if isinstance(each, Odometry) else each for each in records]
+    records = with_odometry(turned_records(0.0, scans=300, objects=60), length_scale=1300.0)
     assert survey(records, ON_BODY).corrected["odometry.length_scale"] == pytest.approx(1.0 / 1300.0, rel=0.02)
     given = OdometryCalibration(length_scale=1.0)
     assert "odometry.length_scale" not in survey(records, ON_BODY, odometry=given).corrected

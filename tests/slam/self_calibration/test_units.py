@@ -12,12 +12,10 @@ from slam.self_calibration.frames import find_unit, is_unit_right
 from slam.self_calibration.object_tracks import SurveyScan
 from tests.helpers.surveyed_drives import SurveyedDrive
 
-NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
-
 
 @pytest.fixture(scope="module")
-def drive() -> list[SurveyScan]:
-    return SurveyedDrive(0, NOISE, scans=600, objects=80).scans
+def scans(drive: SurveyedDrive) -> list[SurveyScan]:
+    return drive.scans
 
 
 def scaled(scans: list[SurveyScan], factor: float) -> list[SurveyScan]:
@@ -27,27 +25,27 @@ def scaled(scans: list[SurveyScan], factor: float) -> list[SurveyScan]:
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-2, 1e5])
-def test_the_octave_of_another_unit_is_found(drive, factor):
-    assert not is_unit_right(scaled(drive, factor))
-    assert 0.6 < find_unit(scaled(drive, factor)) * factor < 1.7
+def test_the_octave_of_another_unit_is_found(scans, factor):
+    assert not is_unit_right(scaled(scans, factor))
+    assert 0.6 < find_unit(scaled(scans, factor)) * factor < 1.7
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.6, 1.7])
-def test_lengths_that_are_wrong_by_a_part_are_of_the_same_unit(drive, factor):
-    assert is_unit_right(scaled(drive, factor))
+def test_lengths_that_are_wrong_by_a_part_are_of_the_same_unit(scans, factor):
+    assert is_unit_right(scaled(scans, factor))
 
 
-def test_a_sensor_that_is_turned_tells_no_unit(drive):
+def test_a_sensor_that_is_turned_tells_no_unit(scans):
     R = Rotation.from_euler("xyz", [-90.0, 0.0, -90.0], degrees=True).as_matrix()
-    assert find_unit([replace(scan, positions=scan.positions @ R) for scan in drive]) == 1.0
+    assert find_unit([replace(scan, positions=scan.positions @ R) for scan in scans]) == 1.0
 
 
-def test_few_pairs_of_scans_tell_no_unit(drive):
-    assert find_unit(scaled(drive[:30], 1e3)) == 1.0
+def test_few_pairs_of_scans_tell_no_unit(scans):
+    assert find_unit(scaled(scans[:30], 1e3)) == 1.0
 
 
-def test_without_shared_objects_there_is_no_unit(drive):
+def test_without_shared_objects_there_is_no_unit(scans):
     rng = np.random.default_rng(0)
-    assert find_unit([replace(e, positions=rng.uniform(-15.0, 15.0, e.positions.shape)) for e in drive]) == 1.0
-    assert find_unit([]) == find_unit(drive[:1]) == 1.0
-    assert not is_unit_right(drive[:1])
+    assert find_unit([replace(e, positions=rng.uniform(-15.0, 15.0, e.positions.shape)) for e in scans]) == 1.0
+    assert find_unit([]) == find_unit(scans[:1]) == 1.0
+    assert not is_unit_right(scans[:1])
