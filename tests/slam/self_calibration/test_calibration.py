@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.common.calibration import Calibration, OdometryCalibration
+from slam.common.calibration import Calibration, ObjectCalibration, OdometryCalibration
 from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
@@ -31,9 +31,9 @@ def settings() -> dict[str, str]:
     }
 
 
-def value_of(config: Config, key: str) -> float:
+def value_of(config: Config, key: str) -> object:
     branch, name = key.split(".")
-    return float(getattr(getattr(config.calibration, branch), name))
+    return getattr(getattr(config.calibration, branch), name)
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,21 @@ def scaled(survey: Survey, factor: float) -> Survey:
 def with_noise(survey: Survey, **variances: float) -> Survey:
     """The survey of a log that has these variances for certain, and no others."""
     return replace(survey, components=ComponentEstimate(replace(NO_NOISE, **variances), NO_NOISE, 1000))
+
+
+def with_errors(survey: Survey, **variances: float) -> Survey:
+    """The survey of a log whose noise is known with these standard errors."""
+    assert survey.components is not None
+    errors = replace(survey.components.standard_errors, **variances)
+    return replace(survey, components=replace(survey.components, standard_errors=errors))
+
+
+def calibrated(survey: Survey) -> Calibration:
+    return calibrate(Config(), survey).config.calibration
+
+
+def notes(survey: Survey) -> str:
+    return "\n".join(calibrate(Config(), survey).notes)
 
 
 # Which settings
@@ -70,15 +85,10 @@ def test_every_setting_in_metres_is_derived(surveyed):
 
 def test_what_is_estimated_is_what_changed(surveyed):
     found = calibrate(Config(), surveyed)
-    changed = {key for key in settings() if getattr(*_at(found.config, key)) != getattr(*_at(Config(), key))}
+    changed = {key for key in settings() if value_of(found.config, key) != value_of(Config(), key)}
     assert changed <= set(found.estimated)
     for key, value in found.estimated.items():
         assert value_of(found.config, key) == value
-
-
-def _at(config: Config, key: str) -> tuple[object, str]:
-    branch, name = key.split(".")
-    return getattr(config.calibration, branch), name
 
 
 @pytest.mark.parametrize("key", ["odometry.yaw_sigma", "detection.common_sigma_m"])
@@ -92,21 +102,17 @@ def test_what_was_set_by_hand_stays(surveyed, key):
     assert set(found.estimated) == set(others) - {key}
 
 
-def test_a_setting_by_hand_counts_even_if_it_is_the_default(surveyed):
-    given = Config.model_validate({"calibration": {"detection": {"sensor_range_m": 30.0}}})
-    assert calibrate(given, scaled(surveyed, 100.0)).config.sensor_range_m == 30.0
+@pytest.mark.parametrize("range_m", [30.0, 60.0], ids=["default", "another"])
+def test_a_range_that_was_set_by_hand_decides_the_lengths(surveyed, range_m):
+    given = Config.model_validate({"calibration": {"detection": {"sensor_range_m": range_m}}})
+    found = calibrate(given, scaled(surveyed, 100.0)).config
+    assert found.keyframe_distance_m == pytest.approx(range_m / 30.0 * Config().keyframe_distance_m)
 
 
 @pytest.mark.parametrize("factor", [1e-320, 1e-100, 1e100])
 def test_lengths_beyond_all_numbers_are_refused(surveyed, factor):
     with pytest.raises(InputDataError, match=r"objects are seen at .* m; give their positions in metres"):
         calibrate(Config(), scaled(surveyed, factor))
-
-
-def test_a_range_that_was_set_by_hand_decides_the_lengths(surveyed):
-    found = calibrate(Config.model_validate({"calibration": {"detection": {"sensor_range_m": 60.0}}}), surveyed).config
-    default = Config()
-    assert found.keyframe_distance_m == pytest.approx(2.0 * default.keyframe_distance_m)
 
 
 def test_without_a_survey_everything_stays():
@@ -147,45 +153,36 @@ def test_all_lengths_scale_with_the_log(surveyed, power):
 
 
 def test_the_noise_is_that_of_the_log(surveyed):
-    found = calibrate(Config(), surveyed).config
-    assert 0.1 / 1.5 < found.calibration.detection.base_sigma_m < 0.1 * 1.5
-    assert 0.05 / 1.5 < found.calibration.odometry.translation_sigma < 0.05 * 1.5
+    found = calibrated(surveyed)
+    assert 0.1 / 1.5 < found.detection.base_sigma_m < 0.1 * 1.5
+    assert 0.05 / 1.5 < found.odometry.translation_sigma < 0.05 * 1.5
 
 
 def test_little_data_make_the_noise_large(surveyed):
     """One standard error is added to each variance."""
-    assert surveyed.components is not None
-    errors = surveyed.components.standard_errors
-    doubtful = replace(
-        surveyed,
-        components=replace(
-            surveyed.components, standard_errors=replace(errors, tangential=1.0, translation_by_travel=1.0)
-        ),
-    )
-    sure, unsure = (calibrate(Config(), each).config for each in (surveyed, doubtful))
-    assert unsure.calibration.detection.base_sigma_m > 2.0 * sure.calibration.detection.base_sigma_m
-    assert unsure.calibration.odometry.translation_sigma > 2.0 * sure.calibration.odometry.translation_sigma
+    doubtful = with_errors(surveyed, tangential=1.0, translation_by_travel=1.0)
+    sure, unsure = calibrated(surveyed), calibrated(doubtful)
+    assert unsure.detection.base_sigma_m > 2.0 * sure.detection.base_sigma_m
+    assert unsure.odometry.translation_sigma > 2.0 * sure.odometry.translation_sigma
 
 
 def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed):
-    told, untold = (calibrate(Config(), each).config for each in (surveyed, replace(surveyed, components=None)))
+    told, untold = calibrated(surveyed), calibrated(replace(surveyed, components=None))
     range_m = surveyed.range_m
-    assert untold.calibration.detection.base_sigma_m == pytest.approx(0.02 * range_m)
-    assert untold.calibration.odometry.translation_sigma == pytest.approx(0.05 * np.sqrt(range_m))
-    assert untold.calibration.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
-    for name in ("translation_sigma", "yaw_sigma", "yaw_sigma_by_turn"):
-        assert getattr(untold.calibration.odometry, name) > getattr(told.calibration.odometry, name), name
+    assert untold.detection.base_sigma_m == pytest.approx(0.02 * range_m)
+    assert untold.odometry.translation_sigma == pytest.approx(0.05 * np.sqrt(range_m))
+    assert untold.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
+    assert untold.odometry.yaw_sigma_by_turn > told.odometry.yaw_sigma_by_turn
 
 
 def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
-    calibration = calibrate(Config(), with_noise(replace(surveyed, shared_bias_m=0.0)))
-    found = calibration.config.calibration.odometry
+    found = calibrated(with_noise(replace(surveyed, shared_bias_m=0.0))).odometry
     assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_TURN_RAD)
     assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_DRIFT * surveyed.range_m)
 
 
 def test_standard_errors_of_noise_are_those_of_a_root(surveyed):
-    found = calibrate(Config(), surveyed).config.calibration
+    found = calibrated(surveyed)
     for key, name in (
         ("detection.base_sigma_m", "tangential"),
         ("odometry.translation_sigma", "translation_by_travel"),
@@ -195,9 +192,9 @@ def test_standard_errors_of_noise_are_those_of_a_root(surveyed):
 
 
 def test_landmarks_of_two_passes_are_apart_by_the_view_and_by_the_drift_over_half_a_submap(surveyed):
-    found = calibrate(Config(), with_noise(surveyed, view=0.01, translation_by_travel=0.02)).config
+    found = calibrated(with_noise(surveyed, view=0.01, translation_by_travel=0.02))
     expected = 0.01 + 0.5 * SUBMAP_RANGES * surveyed.range_m * 0.02
-    assert found.calibration.objects.landmark_sigma_m == pytest.approx(np.sqrt(expected))
+    assert found.objects.landmark_sigma_m == pytest.approx(np.sqrt(expected))
 
 
 def test_what_a_bias_of_the_detections_explains_is_no_noise_of_the_odometry(surveyed):
@@ -205,7 +202,7 @@ def test_what_a_bias_of_the_detections_explains_is_no_noise_of_the_odometry(surv
     bias_m, range_m = 2.0, surveyed.median_range_m
     drift, turn = 4.0 * bias_m**2 / range_m, 4.0 * bias_m**2 / range_m**3
     noisy = with_noise(replace(surveyed, shared_bias_m=bias_m), translation_by_travel=drift, heading_by_travel=turn)
-    found = calibrate(Config(), noisy).config.calibration.odometry
+    found = calibrated(noisy).odometry
     assert (found.translation_sigma, found.yaw_sigma) == pytest.approx(np.sqrt([0.75 * drift, 0.75 * turn]))
 
 
@@ -213,16 +210,16 @@ def test_what_a_bias_of_the_detections_explains_is_no_noise_of_the_odometry(surv
 def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed, name):
     over_m = 1.0 if name == "rise" else surveyed.median_range_m
     steady, swaying = with_noise(surveyed), with_noise(surveyed, **{name: 0.04 / over_m})
-    found = calibrate(Config(), swaying).config
-    assert found.calibration.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
-    assert found.calibration.objects.landmark_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))
-    assert calibrate(Config(), steady).config.calibration.detection.height_sigma_m == 0.0, "as the position says"
+    found = calibrated(swaying)
+    assert found.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
+    assert found.objects.landmark_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))
+    assert calibrated(steady).detection.height_sigma_m == 0.0, "as the position says"
 
 
 def test_objects_that_are_never_two_of_a_class_cannot_be_confused(surveyed):
-    found = calibrate(Config(), replace(surveyed, spacing_m=float("nan"))).config
-    assert found.calibration.objects.spacing_m > 100.0 * surveyed.range_m
-    assert calibrate(Config(), surveyed).config.calibration.objects.spacing_m == surveyed.spacing_m
+    alone = calibrated(replace(surveyed, spacing_m=float("nan")))
+    assert alone.objects.spacing_m > 100.0 * surveyed.range_m
+    assert calibrated(surveyed).objects.spacing_m == surveyed.spacing_m
 
 
 @pytest.mark.parametrize("change", [{"travel_m": 0.0}, {"duration_s": 0.0}, {"turn_rad": 0.0}, {"scans": 1}])
@@ -261,21 +258,20 @@ def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of
     (0.2, 0.2**0.5), (0.26, 1.0), (1.0, 1.0), (3.9, 1.0), (9.0, 3.0), (float("nan"), 1.0),
 ])  # fmt: skip
 def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
-    calibration = calibrate(Config(), replace(surveyed, claimed_ratio=ratio))
-    assert calibration.config.calibration.detection.claimed_sigma_factor == pytest.approx(factor)
-    assert any("scatter" in note for note in calibration.notes) == (factor != 1.0)
+    claiming = replace(surveyed, claimed_ratio=ratio)
+    assert calibrated(claiming).detection.claimed_sigma_factor == pytest.approx(factor)
+    assert ("scatter" in notes(claiming)) == (factor != 1.0)
 
 
 def test_what_was_corrected_is_told_and_what_was_given_stays(surveyed):
     wrong = replace(surveyed, corrected={"odometry.turn_scale": 1.25, "detection.roll_deg": 180.0})
-    calibration = calibrate(Config(), wrong)
     for told in ("rotations of the odometry need a factor of 1.250: corrected", "has a roll of 180.0 deg"):
-        assert told in " ".join(calibration.notes)
-    assert calibration.config.calibration.odometry.turn_scale == 1.25
+        assert told in notes(wrong)
+    assert calibrated(wrong).odometry.turn_scale == 1.25
     by_hand = calibrate(Config(calibration=Calibration(odometry=OdometryCalibration(turn_scale=1.0))), wrong)
     assert by_hand.config.calibration.odometry.turn_scale == 1.0
     assert "turns" not in " ".join(by_hand.notes)
-    assert calibrate(Config(), surveyed).notes == ()
+    assert notes(surveyed) == ""
 
 
 def test_suspicions_are_notes_and_change_nothing(surveyed):
@@ -286,18 +282,17 @@ def test_suspicions_are_notes_and_change_nothing(surveyed):
 
 
 def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
-    config = calibrate(Config(), replace(surveyed, labels=LabelNoise(0.7))).config
-    assert config.calibration.objects.label_accuracy == 0.7
-    assert config.calibration.objects.max_classes == Config().calibration.objects.max_classes
+    objects = calibrated(replace(surveyed, labels=LabelNoise(0.7))).objects
+    assert (objects.label_accuracy, objects.max_classes) == (0.7, ObjectCalibration().max_classes)
 
 
 @pytest.mark.parametrize(
     ("labels", "told"), [(LabelNoise(0.1), "change at random"), (LabelNoise(0.9, 1_500_000_000), "all at once")]
 )
 def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
-    calibration = calibrate(Config(), replace(surveyed, labels=labels))
-    assert calibration.config.calibration.objects.max_classes == 1
-    assert any(told in note for note in calibration.notes)
+    useless = replace(surveyed, labels=labels)
+    assert calibrated(useless).objects.max_classes == 1
+    assert told in notes(useless)
 
 
 def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
@@ -307,7 +302,7 @@ def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
         surveyed,
         radial=0.5, radial_by_range=1.5 / square_m, tangential=0.05, tangential_by_range=0.03 / square_m,
     )  # fmt: skip
-    detection = calibrate(Config(), camera).config.calibration.detection
+    detection = calibrated(camera).detection
     assert detection.base_sigma_m == pytest.approx(0.05**0.5)
     assert detection.sigma_per_m == pytest.approx(0.03**0.5 / surveyed.median_range_m)
     assert detection.range_sigma_ratio == pytest.approx(5.0)
@@ -315,58 +310,52 @@ def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
 
 def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed):
     rare = replace(surveyed, scans=2, shared_bias_m=0.0, travel_m=surveyed.median_range_m)
-    assert calibrate(Config(), rare).config.calibration.detection.covariance_inflation == pytest.approx(2.0)
+    assert calibrated(rare).detection.covariance_inflation == pytest.approx(2.0)
 
 
 def test_change_within_the_log_is_told(surveyed):
     change = Change("yaw_rad", np.deg2rad(15.0), 40)
-    (note,) = calibrate(Config(), replace(surveyed, change=change, change_s=61.2)).notes
+    note = notes(replace(surveyed, change=change, change_s=61.2))
     assert note.startswith("about 61 s after the first scan, the sensor turns by a yaw of +15.0 deg: not corrected")
 
 
 @pytest.mark.parametrize("term", TERMS)
 def test_change_of_each_term_has_a_meaning(surveyed, term):
-    (note,) = calibrate(Config(), replace(surveyed, change=Change(term, -0.125, 1), change_s=1.0)).notes
+    note = notes(replace(surveyed, change=Change(term, -0.125, 1), change_s=1.0))
     assert any(value in note for value in ("-0.12", "-12.5%", "-7.2 deg"))
 
 
 @pytest.mark.parametrize(("detour", "told"), [(1.4, False), (1.6, True)])
 def test_odometry_that_steps_back_and_forth_is_told(surveyed, detour, told):
-    notes = calibrate(Config(), replace(surveyed, detour=detour)).notes
-    assert any("do two sources publish" in note for note in notes) == told
+    assert ("do two sources publish" in notes(replace(surveyed, detour=detour))) == told
 
 
 @pytest.mark.parametrize(("period", "detected", "probability"), [(1, 0.2, 0.2), (3, 0.9, 0.3), (1, float("nan"), 1.0)])
 def test_how_often_an_object_is_detected_is_that_of_the_log(surveyed, period, detected, probability):
-    objects = calibrate(
-        Config(), replace(surveyed, detectability=Detectability(period, detected))
-    ).config.calibration.objects
+    objects = calibrated(replace(surveyed, detectability=Detectability(period, detected))).objects
     assert objects.detection_probability == pytest.approx(probability)
     assert objects.detection_period == period
 
 
 @pytest.mark.parametrize(("name", "of"), [("assume_odometry_frame", "odometry"), ("assume_body_frame", "body")])
 def test_detections_in_another_frame_than_they_say_are_taken_from_it_and_told(surveyed, name, of):
-    calibration = calibrate(Config(), replace(surveyed, corrected={f"detection.{name}": True}))
-    assert getattr(calibration.config.calibration.detection, name) is True
-    assert f"detections are in the frame of the {of}" in " ".join(calibration.notes)
+    elsewhere = replace(surveyed, corrected={f"detection.{name}": True})
+    assert getattr(calibrated(elsewhere).detection, name) is True
+    assert f"detections are in the frame of the {of}" in notes(elsewhere)
 
 
 def test_odometry_without_orientations_is_told(surveyed):
-    assert "seems to hold positions only" in " ".join(calibrate(Config(), replace(surveyed, lacks_heading=True)).notes)
-    assert "positions only" not in " ".join(calibrate(Config(), surveyed).notes)
+    assert "seems to hold positions only" in notes(replace(surveyed, lacks_heading=True))
 
 
 # False detections
 
 
 def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
-    usual = calibrate(Config(), surveyed).config.calibration.objects.new_object_density
+    usual = calibrated(surveyed).objects.new_object_density
     few, many = (replace(surveyed, clutter_density=factor * usual) for factor in (0.5, 20.0))
-    assert calibrate(Config(), few).config.calibration.objects.new_object_density == usual
-    assert calibrate(Config(), many).config.calibration.objects.new_object_density == 20.0 * usual
-    unknown = replace(many, components=None)
-    assert calibrate(Config(), unknown).config.calibration.objects.new_object_density == usual
+    for survey, expected in ((few, usual), (many, 20.0 * usual), (replace(many, components=None), usual)):
+        assert calibrated(survey).objects.new_object_density == expected
 
 
 @pytest.mark.parametrize(
@@ -380,8 +369,5 @@ def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
 )
 def test_tilt_noise_is_what_heights_and_headings_show_for_certain(surveyed, tilt, heading, sigma):
     noisy = with_noise(surveyed, tilt_by_travel=tilt[0], heading_by_travel=heading[0])
-    assert noisy.components is not None
-    errors = replace(noisy.components.standard_errors, tilt_by_travel=tilt[1], heading_by_travel=heading[1])
-    noisy = replace(noisy, components=replace(noisy.components, standard_errors=errors))
-    found = calibrate(Config(), noisy).config.calibration.odometry
-    assert found.tilt_sigma == pytest.approx(sigma)
+    noisy = with_errors(noisy, tilt_by_travel=tilt[1], heading_by_travel=heading[1])
+    assert calibrated(noisy).odometry.tilt_sigma == pytest.approx(sigma)
