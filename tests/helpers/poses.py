@@ -1,4 +1,4 @@
-"""Poses of bodies that stand upright."""
+"""Poses of bodies that stand upright, and keyframes there."""
 
 from __future__ import annotations
 
@@ -6,8 +6,17 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
 
 
 def pose_at(x: float = 0.0, y: float = 0.0, *, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
     """(4, 4), in metres and radians."""
     return transform_from_xyz_yaw(np.array([x, y, z], dtype=np.float64), yaw)
+
+
+def keyframe_at(
+    T: FloatArray, number: int = 0, *, travel_m: float = 0.0, segment: int = 0, is_prior: bool = False
+) -> Keyframe:
+    """One a second, with the pose ``T`` (4, 4) by the odometry and among landmarks."""
+    return Keyframe(number, OdometryPose(10**9 * number, T, travel_m, segment, 1.0), T, is_prior)

@@ -9,13 +9,14 @@ import pytest
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.frontend.active_landmarks import ActiveLandmarks
-from slam.frontend.input.scan import Scan
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.odometry.noise import SLIP_INFLATION
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import Correction
+from tests.helpers.landmarks import add_landmarks, scan_of
+from tests.helpers.poses import pose_at
 
 QUIET = {
     "yaw_sigma": 1e-9,
@@ -26,11 +27,12 @@ QUIET = {
 }
 WIDE = {"detection": {"farthest_m": 500.0, "common_sigma_m": 0.02}}
 SIGMA_M = 0.05
+PLACES = [[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]]
 
 
-def pose_at(x: float) -> OdometryPose:
+def odometry_at(x: float) -> OdometryPose:
     """On a straight line, at 1 m/s."""
-    return OdometryPose(round(x * 1e9), transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), 0.0), x, 0, 1.0)
+    return OdometryPose(round(x * 1e9), pose_at(x), x, 0, 1.0)
 
 
 class Bench:
@@ -42,43 +44,24 @@ class Bench:
         self.map = ObjectMap(self.config.calibration.objects)
         self.active = ActiveLandmarks(self.config, self.map)
         self.x = 0.0
-        self.active.advance(pose_at(0.0))
+        self.active.advance(odometry_at(0.0))
 
-    def add(
-        self, positions: FloatArray, labels: tuple[str, ...] | None = None, *, scan: int = 1, confirmed: bool = True
-    ) -> IntArray:
-        """Landmarks at ``positions`` (N, 3) m, local frame, seen in a scan of that number."""
-        positions = np.array(positions, dtype=np.float64)
-        rows = self.map.add(
-            positions,
-            np.tile(SIGMA_M**2 * np.eye(3), (len(positions), 1, 1)),
-            self.map.labels.indices(labels or ("tree",) * len(positions)),
-            stamp_ns=round(self.x * 1e9),
-            scan=scan,
+    def add(self, positions: list[list[float]], *, confirmed: bool = True) -> IntArray:
+        """Landmarks at ``positions`` (N, 3) m, local frame."""
+        rows = add_landmarks(
+            self.map,
+            np.array(positions),
+            sigma_m=SIGMA_M,
+            second=self.x,
             travel_m=self.x,
+            confirmed=confirmed,
         )
         self.active.add(rows)
-        if confirmed:
-            self.map.confirm(rows)
         return rows
-
-    def count(self, rows: IntArray, labels: tuple[str, ...], *, scan: int, times: int) -> None:
-        """Let landmarks have been observed in a scan with those labels, so many times."""
-        P = np.tile(SIGMA_M**2 * np.eye(3), (len(rows), 1, 1))
-        for _ in range(times):
-            self.map.record_observations(
-                rows,
-                self.map.rows["position_local"][rows],
-                P,
-                self.map.labels.indices(labels),
-                stamp_ns=round(self.x * 1e9),
-                scan=scan,
-                travel_m=self.x,
-            )
 
     def advance(self, x: float, step_m: float | None = None) -> None:
         for each in [x] if step_m is None else np.arange(self.x + step_m, x + 1e-9, step_m):
-            self.active.advance(pose_at(float(each)))
+            self.active.advance(odometry_at(float(each)))
         self.x = x
 
     def see(
@@ -87,10 +70,8 @@ class Bench:
         """Detect landmarks, where they are or at ``positions`` (N, 3) m, local frame."""
         indices = [self.active.rows.tolist().index(row) for row in rows]
         where = self.active.positions[indices] if positions is None else np.array(positions)
-        covariances = np.tile(SIGMA_M**2 * np.eye(3), (len(rows), 1, 1))
-        used = np.ones(len(rows), dtype=np.bool_)
         seen = apply(invert(self.active.T_local_body), where)
-        scan = Scan(round(self.x * 1e9), "lidar", seen, covariances, ("tree",) * len(where), used, used)
+        scan = scan_of(seen, sigma_m=SIGMA_M, stamp_ns=round(self.x * 1e9))
         return self.active.update(rows, scan, is_uncertain=is_uncertain)
 
     def surplus_rows(self) -> list[int]:
@@ -129,8 +110,7 @@ def test_error_of_a_landmark_changes_with_the_view_of_it() -> None:
 def test_body_that_turns_on_the_spot_sees_landmarks_as_before() -> None:
     bench = Bench(detection={"common_sigma_m": 0.3})
     bench.add([[5.0, 2.0, 0.0]])
-    turned = OdometryPose(10**9, transform_from_xyz_yaw(np.zeros(3), 1.5), 0.0, 0, 0.0)
-    bench.active.advance(turned)
+    bench.active.advance(OdometryPose(10**9, pose_at(yaw=1.5), 0.0, 0, 0.0))
     assert bench.sigma_m(0) == pytest.approx(SIGMA_M, rel=1e-3)
 
 
@@ -206,8 +186,7 @@ def test_landmarks_correct_the_robot_if_confirmed_or_its_pose_is_uncertain(
     bench.advance(10.0)
     bench.see(rows, [[20.5, 3.0, 0.0], [20.5, -3.0, 0.0]], is_uncertain=is_uncertain)
     assert bench.active.T_local_body[0, 3] == pytest.approx(x, abs=0.05)
-    T_odom_body = transform_from_xyz_yaw(np.array([10.0, 0.0, 0.0]), 0.0)
-    np.testing.assert_allclose(bench.active.T_local_odom @ T_odom_body, bench.active.T_local_body, atol=1e-12)
+    np.testing.assert_allclose(bench.active.T_local_odom @ pose_at(10.0), bench.active.T_local_body, atol=1e-12)
 
 
 @pytest.mark.parametrize(("speed_mps", "retires"), [(1e-3, False), (0.0, True)], ids=["moving", "retired"])
@@ -229,33 +208,31 @@ def test_shift_corrects_the_odometry_and_not_what_the_landmarks_correct_it_by() 
     bench.advance(10.0)
     bench.see(rows, [[20.5, 3.0, 0.0], [20.5, -3.0, 0.0]])
     before, T_local_odom = bench.active.T_local_body, bench.active.T_local_odom
-    T_shift = transform_from_xyz_yaw(np.array([1.0, 2.0, 0.0]), 0.3)
+    T_shift = pose_at(1.0, 2.0, yaw=0.3)
     T_odom = bench.active.shift(T_shift, np.zeros((6, 6)))
     np.testing.assert_allclose(bench.active.T_local_body, T_shift @ before)
     np.testing.assert_allclose(bench.active.T_local_odom, T_local_odom, atol=1e-12)
-    np.testing.assert_allclose(bench.active.T_odom_body, T_odom @ pose_at(10.0).T_odom_body)
-    np.testing.assert_allclose(bench.active.at(pose_at(9.0)), T_local_odom @ pose_at(9.0).T_odom_body, atol=1e-12)
+    np.testing.assert_allclose(bench.active.T_odom_body, T_odom @ pose_at(10.0))
+    np.testing.assert_allclose(bench.active.at(odometry_at(9.0)), T_local_odom @ pose_at(9.0), atol=1e-12)
 
 
 def test_slip_that_all_landmarks_show_corrects_the_odometry() -> None:
     bench = Bench()
-    places = np.array([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]])
-    rows = bench.add(places)
+    rows = bench.add(PLACES)
     bench.advance(10.0)
-    correction = bench.see(rows, places - [4.0, 0.0, 0.0])
+    correction = bench.see(rows, np.array(PLACES) - [4.0, 0.0, 0.0])
     assert correction is not None
     np.testing.assert_allclose(correction.T_odom[:3, 3], [4.0, 0.0, 0.0], atol=0.7)
     assert correction.variances[0] == pytest.approx(np.sum(correction.T_odom[:3, 3] ** 2) / 3.0)
-    np.testing.assert_allclose(bench.active.T_odom_body, correction.T_odom @ pose_at(10.0).T_odom_body)
+    np.testing.assert_allclose(bench.active.T_odom_body, correction.T_odom @ pose_at(10.0))
     np.testing.assert_allclose(bench.active.T_local_odom, np.eye(4), atol=0.1)
-    bench.active.advance(replace(pose_at(11.0), T_odom_body=correction.T_odom @ pose_at(11.0).T_odom_body))
+    bench.active.advance(replace(odometry_at(11.0), T_odom_body=correction.T_odom @ pose_at(11.0)))
     assert bench.see(rows) is None
 
 
 def test_error_that_a_shift_has_corrected_is_no_slip() -> None:
     bench = Bench()
-    places = np.array([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]])
-    rows = bench.add(places)
+    rows = bench.add(PLACES)
     bench.advance(10.0)
     bench.active.shift(np.eye(4), np.zeros((6, 6)))
-    assert bench.see(rows, places - [4.0, 0.0, 0.0]) is None
+    assert bench.see(rows, np.array(PLACES) - [4.0, 0.0, 0.0]) is None

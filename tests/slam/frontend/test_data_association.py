@@ -26,6 +26,7 @@ from slam.frontend.data_association import (
     other_shares,
     squared_distances,
 )
+from tests.helpers.landmarks import spheres
 
 CONFIG = ObjectCalibration(spacing_m=0.01)
 SIGMA_M = 0.2
@@ -65,7 +66,7 @@ def plain_scene(seen, landmarks, *, labels=None, beliefs=None, sigma_m: float = 
     places = [np.array(each, dtype=float) for each in (seen, landmarks)]
     places = [each if each.ndim == 2 else np.column_stack([each, np.zeros((len(each), 2))]) for each in places]
     D, L = map(len, places)
-    P = [np.tile(sigma_m**2 * np.eye(3), (count, 1, 1)) for count in (D, L)]
+    P = [spheres(sigma_m, count) for count in (D, L)]
     labels = np.zeros(D, dtype=np.int64) if labels is None else np.array(labels)
     beliefs = np.tile([1.0, 0.0], (L, 1)) if beliefs is None else np.array(beliefs)
     return Scene(Objects(places[0], P[0], labels), places[1], P[1], beliefs)
@@ -248,8 +249,9 @@ def test_density_is_that_of_objects_in_a_cylinder() -> None:
     rng = np.random.default_rng(0)
     positions = rng.uniform(-50.0, 50.0, (4000, 3)) * [1.0, 1.0, 0.1]
     positions = positions[np.linalg.norm(positions[:, :2], axis=1) < 50.0]
-    covariances = np.tile(0.01 * np.eye(3), (len(positions), 1, 1))
-    assert density(positions, covariances) == pytest.approx(len(positions) / (np.pi * 50.0**2 * 10.0), rel=0.05)
+    assert density(positions, spheres(0.1, len(positions))) == pytest.approx(
+        len(positions) / (np.pi * 50.0**2 * 10.0), rel=0.05
+    )
 
 
 def test_density_of_a_single_object_is_that_of_its_noise() -> None:

@@ -12,7 +12,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.frontend.frontend import REJOINING_SCANS, Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -20,6 +20,8 @@ from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
+from tests.helpers.landmarks import spheres
+from tests.helpers.poses import pose_at
 from tests.slam.frontend.test_tracker import STEP_NS, T_true, forest
 
 START_NS = 10**9
@@ -55,8 +57,8 @@ class Drive:
         positions = positions[np.linalg.norm(positions, axis=1) < 25.0]
         positions += self.rng.normal(scale=0.03, size=positions.shape)
         count = len(positions)
-        covariances = np.tile(0.03**2 * np.eye(3), (count, 1, 1))
-        return ObjectDetections(stamp_ns, self.frame_id, positions, ("tree",) * count, np.ones(count), covariances)
+        labels, scores, covariances = ("tree",) * count, np.ones(count), spheres(0.03, count)
+        return ObjectDetections(stamp_ns, self.frame_id, positions, labels, scores, covariances)
 
     def take(self, placed) -> None:
         for each in placed:
@@ -111,7 +113,7 @@ def test_poses_are_handed_out_as_corrected(yaw: float) -> None:
     drive = Drive()
     drive.drive(20)
     body = T_true(drive.step)
-    drive.T_fault = body @ transform_from_xyz_yaw(np.array([0.5, 0.3, 0.0]), yaw) @ invert(body)
+    drive.T_fault = body @ pose_at(0.5, 0.3, yaw=yaw) @ invert(body)
     drive.drive(10)
     drive.finish()
     drive.assert_each_once()

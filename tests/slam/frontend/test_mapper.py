@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,14 +14,15 @@ from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
-from slam.frontend.input.scan import Scan
+from slam.common.geometry import apply, invert, relative
 from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
+from tests.helpers.landmarks import scan_of
+from tests.helpers.poses import pose_at
 
 OBJECTS = np.array([[10.0, 4.0, 0.0], [12.0, -5.0, 1.0], [25.0, 6.0, 0.5], [5.0, -7.0, 0.0]])
 LABELS = ("tree", "lamp", "tree", "bench")
@@ -41,9 +45,7 @@ class Bench:
         self.track = OdometryTrack()
 
     def move(self, seconds: float, x: float = 0.0) -> Keyframe | None:
-        T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), 0.0)
-        odometry = Odometry(round(seconds * 1e9), T)
-        (pose,) = self.track.add(odometry) or self.track.finish()
+        (pose,) = self.track.add(Odometry(round(seconds * 1e9), pose_at(x))) or self.track.finish()
         assert pose is not None
         return self.mapper.add_odometry(pose)
 
@@ -52,22 +54,16 @@ class Bench:
         seconds: float,
         objects: FloatArray = OBJECTS,
         labels: tuple[str, ...] = LABELS,
-        *,
-        sigma_m: float = 0.2,
-        has_own: bool = True,
-        sensor: str = "lidar",
+        **detected: Any,
     ) -> tuple[Tracked, OdometryPose]:
         pose = self.track.at(round(seconds * 1e9))
         assert pose is not None
-        count = len(objects)
-        positions = apply(invert(pose.T_odom_body), np.asarray(objects, dtype=float).reshape(-1, 3))
-        covariances = np.tile(sigma_m**2 * np.eye(3), (count, 1, 1))
-        used = np.ones(count, dtype=np.bool_)
-        scan = Scan(pose.stamp_ns, sensor, positions, covariances, labels, used, used & has_own)
+        positions = apply(invert(pose.T_odom_body), objects)
+        scan = scan_of(positions, labels, stamp_ns=pose.stamp_ns, **({"sigma_m": 0.2} | detected))
         return self.mapper.locate(scan, pose), pose
 
-    def see(self, seconds: float, *seen: object, **noise: object) -> DetectionAssociations:
-        return self.mapper.add_scan(*self.locate(seconds, *seen, **noise))
+    def see(self, seconds: float, *seen: Any, **detected: Any) -> DetectionAssociations:
+        return self.mapper.add_scan(*self.locate(seconds, *seen, **detected))
 
     def drive(self, scans: int, *, start: int = 0, step_m: float = 0.5, **seen) -> list[DetectionAssociations]:
         """Ten scans a second, ``step_m`` apart."""
@@ -385,9 +381,7 @@ def test_associations_have_one_entry_per_detection_of_the_message():
     bench = Bench()
     bench.move(0.0)
     pose = bench.track.latest
-    used = np.array([False, True, True, False])
-    own = np.ones(2, dtype=np.bool_)
-    scan = Scan(0, "lidar", OBJECTS[1:3], np.tile(0.04 * np.eye(3), (2, 1, 1)), LABELS[1:3], used, own)
+    scan = replace(scan_of(OBJECTS[1:3], LABELS[1:3]), used=np.array([False, True, True, False]))
     associations = bench.mapper.add_scan(bench.mapper.locate(scan, pose), pose)
     assert associations.landmark_ids == ("", "0", "1", "")
     assert associations.created.tolist() == [False, True, True, False]

@@ -11,8 +11,7 @@ from slam.common.calibration import OdometryCalibration
 from slam.frontend.observation_group import MAX_ADDED_VARIANCE, ObservationGroup
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
-from slam.odometry.pose import OdometryPose
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import keyframe_at, pose_at
 from tests.logs.examples import random_covariance
 
 PRECISE = OdometryCalibration(
@@ -22,7 +21,7 @@ PRECISE = OdometryCalibration(
 
 def keyframe(number: int, *, segment: int = 0) -> Keyframe:
     T = pose_at(2.0 * number, 0.5 * number, yaw=0.3 * number)
-    return Keyframe(number, OdometryPose(number * 10**9, T, 2.1 * number, segment, 1.0), np.eye(4))
+    return keyframe_at(T, number, travel_m=2.1 * number, segment=segment)
 
 
 def observation(number: int, landmark: int, rng: np.random.Generator, inflation: float = 1.0) -> Observation:

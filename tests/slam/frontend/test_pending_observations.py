@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
-from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import MAX_MEASUREMENTS, PendingObservations
 from slam.object_map.landmarks import ObjectMap, RetirementReason
-from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
+from tests.helpers.landmarks import add_landmarks, scan_of
+from tests.helpers.poses import keyframe_at, pose_at
 from tests.logs.examples import random_covariance
 
 PRECISE = {"translation_sigma": 1e-4, "yaw_sigma": 1e-5, "min_translation_sigma_m": 1e-4}
 NOISY = {"translation_sigma": 1.0, "yaw_sigma": 0.1}
-
-
-def keyframe(number: int) -> Keyframe:
-    T = transform_from_xyz_yaw(np.array([2.0 * number, 0.0, 0.0]), 0.0)
-    return Keyframe(number, OdometryPose(number * 10**9, T, 2.0 * number, 0, 1.0), np.eye(4))
 
 
 class Drive:
@@ -30,18 +25,13 @@ class Drive:
 
     def __init__(self, odometry: dict[str, float]) -> None:
         self.map = ObjectMap(ObjectCalibration())
-        labels = self.map.labels.indices(("tree", "tree"))
-        covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
-        self.rows = self.map.add(np.eye(2, 3), covariances, labels, stamp_ns=0, scan=0, travel_m=0.0)
+        self.rows = add_landmarks(self.map, np.eye(2, 3), confirmed=False)
         self.pending = PendingObservations(Config.model_validate({"calibration": {"odometry": odometry}}), self.map)
 
     def close(self, number: int, *, ends_group: bool = False) -> list[tuple[int, int]]:
         """Landmark and keyframe of each observation that goes into the graph."""
-        flags = np.ones(2, dtype=np.bool_)
-        covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
-        scan = Scan(number, "lidar", 5.0 * np.eye(2, 3), covariances, ("tree",) * 2, flags, flags)
-        self.pending.add(self.rows, scan)
-        last = keyframe(number)
+        self.pending.add(self.rows, scan_of(5.0 * np.eye(2, 3)))
+        last = keyframe_at(pose_at(2.0 * number), number, travel_m=2.0 * number)
         ready = self.pending.close(last, last.odometry.T_odom_body, ends_group=ends_group)
         return [(each.landmark, each.keyframe) for each in ready]
 
@@ -92,15 +82,12 @@ def test_what_is_held_back_can_be_dropped():
 def summed(scans, *, own: bool = True):
     """The observations of keyframe 7, of confirmed landmarks, by (rows, positions, covariances) of each scan."""
     object_map = ObjectMap(ObjectCalibration())
-    labels = object_map.labels.indices(("tree",) * 5)
-    rows = object_map.add(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)), labels, stamp_ns=0, scan=0, travel_m=0.0)
-    object_map.confirm(rows)
+    add_landmarks(object_map, np.zeros((5, 3)))
     detection = {"common_sigma_m": 0.3, "covariance_inflation": 25.0}
     pending = PendingObservations(Config.model_validate({"calibration": {"detection": detection}}), object_map)
     for rows, positions, covariances in scans:
-        used, flags = np.ones(len(rows), dtype=np.bool_), np.full(len(rows), own)
-        pending.add(rows, Scan(0, "lidar", positions, covariances, ("tree",) * len(rows), used, flags))
-    return {each.landmark: each for each in pending.close(keyframe(7), np.eye(4), ends_group=True)}
+        pending.add(rows, replace(scan_of(positions, has_own=own), covariances=covariances))
+    return {each.landmark: each for each in pending.close(keyframe_at(np.eye(4), 7), np.eye(4), ends_group=True)}
 
 
 @pytest.mark.parametrize("own", [True, False])

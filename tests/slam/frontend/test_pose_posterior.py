@@ -19,6 +19,8 @@ from slam.frontend.pose_posterior import (
     fit_of,
     probabilities,
 )
+from tests.helpers.landmarks import spheres
+from tests.helpers.poses import pose_at
 
 CONFIG = ObjectCalibration()
 ORIGIN = np.array([40.0, -10.0, 1.0])
@@ -51,7 +53,7 @@ class Scene:
         noise = np.random.default_rng(seed).normal(scale=NOISE_M, size=(len(which), 3))
         positions = apply(invert(T_off), self.landmarks[which]) + noise
         labels = np.zeros(len(which), dtype=np.int64) if labels is None else labels
-        return Objects(positions, np.tile(NOISE_M**2 * np.eye(3), (len(which), 1, 1)), labels)
+        return Objects(positions, spheres(NOISE_M, len(which)), labels)
 
     def search(self, seen: Objects) -> ModeSearch:
         return ModeSearch(seen, self.known, ORIGIN, CONFIG)
@@ -64,7 +66,7 @@ class Scene:
 def about_body(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     """A motion (4, 4) of the body at ``ORIGIN``: a shift and a turn about itself."""
     at = transform_from_xyz_yaw(ORIGIN, 0.0)
-    return np.asarray(at @ transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw) @ invert(at))
+    return np.asarray(at @ pose_at(x, y, yaw=yaw) @ invert(at))
 
 
 def row_of_objects() -> FloatArray:
@@ -150,7 +152,7 @@ def test_wide_component_finds_any_heading(yaw: float) -> None:
 
 def test_wide_component_finds_nothing_where_all_objects_are_new() -> None:
     scene = Scene(scattered(), shift_m=0.1)
-    new = Objects(ORIGIN + scattered(12, seed=9), np.tile(NOISE_M**2 * np.eye(3), (12, 1, 1)), np.zeros(12, np.int64))
+    new = Objects(ORIGIN + scattered(12, seed=9), spheres(NOISE_M, 12), np.zeros(12, np.int64))
     anywhere = PriorComponent(1e-4, np.diag([1e-3, 1e-3, np.pi, 50.0, 50.0, 1.0]) ** 2, is_anywhere=True)
     modes = scene.search(new).modes([PriorComponent(1.0 - 1e-4, np.zeros((6, 6))), anywhere])
     assert modes[0].assignment.matched.sum() <= 2

@@ -18,6 +18,7 @@ from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import Correction
+from tests.helpers.landmarks import scan_of
 from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.03
@@ -80,10 +81,8 @@ class Drive:
     def scan(self, which: IntArray) -> Scan:
         positions = apply(invert(self.T_body()), self.objects[which])
         positions += self.rng.normal(scale=SIGMA_M, size=positions.shape)
-        used = np.ones(len(which), dtype=np.bool_)
-        P = np.tile(SIGMA_M**2 * np.eye(3), (len(which), 1, 1))
-        labels = tuple(f"tag {each}" if self.are_identities else "tree" for each in which.tolist())
-        return Scan(self.stamp_ns(), "lidar", positions, P, labels, used, used)
+        labels = [f"tag {each}" if self.are_identities else "tree" for each in which.tolist()]
+        return scan_of(positions, labels, sigma_m=SIGMA_M, stamp_ns=self.stamp_ns())
 
     def located(self, which: IntArray | None = None) -> Tracked:
         """The next scan, tracked and mapped."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from logs.messages import ObjectDetections, Odometry
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.sensor_frames import SensorFrames
+from tests.helpers.poses import pose_at
 
 ROW = [[5.0, 1.0, 0.0], [9.0, -2.0, 0.0]]
 
@@ -25,8 +25,7 @@ def prepared(*scans: ObjectDetections, speed_m: float = 0.1) -> tuple[list[int],
     inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
     records: list[Odometry | ObjectDetections] = []
     for row, each in enumerate(scans):
-        T_odom_body = transform_from_xyz_yaw(np.array([speed_m * row, 0.0, 0.0]), 0.0)
-        records += [Odometry(each.stamp_ns, T_odom_body), each]
+        records += [Odometry(each.stamp_ns, pose_at(speed_m * row)), each]
     stamps = [each.stamp_ns for each in inputs.prepare(records) if isinstance(each, ObjectDetections)]
     return stamps, inputs.counters
 

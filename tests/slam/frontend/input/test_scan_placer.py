@@ -7,14 +7,14 @@ import pytest
 
 from logs.messages import ObjectDetections, Odometry, Transform
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.scan_placer import ScanPlacer
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import pose_at
 
-T_ODOM_BODY = transform_from_xyz_yaw(np.array([5.0, 1.0, 0.0]), 0.5)
+T_ODOM_BODY = pose_at(5.0, 1.0, yaw=0.5)
 POSE = OdometryPose(10, T_ODOM_BODY, 0.0, 0, 1.0)
-T_BODY_SENSOR = transform_from_xyz_yaw(np.array([1.0, 0.0, 2.0]), 0.0)
+T_BODY_SENSOR = pose_at(1.0, z=2.0)
 
 
 def detections(frame_id: str, at: tuple[float, float, float] = (4.0, 0.0, 0.0)) -> ObjectDetections:
@@ -47,7 +47,7 @@ def test_detections_in_the_odometry_frame_are_seen_from_the_pose(placer):
 
 def test_detections_in_a_map_of_the_odometry_frame_are_seen_from_the_pose():
     """Of another program that publishes map -> odom: its map is connected with the body by the odometry alone."""
-    T_map_odom = transform_from_xyz_yaw(np.array([-3.0, 7.0, 0.0]), 1.0)
+    T_map_odom = pose_at(-3.0, 7.0, yaw=1.0)
     frames = SensorFrames()
     frames.add(Transform(0, "map", "odom", T_map_odom))
     placer = ScanPlacer(DetectionCalibration(), frames)

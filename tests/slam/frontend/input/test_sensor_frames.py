@@ -7,8 +7,9 @@ import pytest
 
 from logs.messages import Transform
 from slam.common.errors import InputDataError
-from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import invert
 from slam.frontend.input.sensor_frames import SensorFrames
+from tests.helpers.poses import pose_at
 from tests.logs.examples import random_transform
 
 
@@ -38,7 +39,7 @@ def test_what_nothing_connects_is_not_found():
 
 
 def test_a_later_transform_replaces_the_earlier_one():
-    T = make_transform(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    T = pose_at(1.0, 2.0, z=3.0)
     found = frames(base__lidar=np.eye(4))
     found.add(Transform(1, "base", "lidar", T))
     np.testing.assert_array_equal(found.find("base", "lidar"), T)
@@ -46,11 +47,11 @@ def test_a_later_transform_replaces_the_earlier_one():
 
 def test_a_sensor_that_moves_is_interpolated_at_the_stamp():
     found = SensorFrames()
-    found.add(Transform(0, "base", "mast", transform_from_xyz_yaw(np.array([0.0, 0.0, 1.0]), 0.0)))
+    found.add(Transform(0, "base", "mast", pose_at(z=1.0)))
     for second, yaw, x in ((0, 0.0, 0.0), (2, 0.8, 1.0), (1, 0.2, 0.0)):
-        found.add(Transform(second * 10**9, "mast", "camera", transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)))
+        found.add(Transform(second * 10**9, "mast", "camera", pose_at(x, yaw=yaw)))
     for seconds, yaw, x in ((-1.0, 0.0, 0.0), (0.5, 0.1, 0.0), (1.0, 0.2, 0.0), (1.75, 0.65, 0.75), (9.0, 0.8, 1.0)):
-        expected = transform_from_xyz_yaw(np.array([x, 0.0, 1.0]), yaw)
+        expected = pose_at(x, z=1.0, yaw=yaw)
         np.testing.assert_allclose(found.find("base", "camera", round(seconds * 1e9)), expected, atol=1e-12)
         np.testing.assert_allclose(found.find("camera", "base", round(seconds * 1e9)), invert(expected), atol=1e-12)
 

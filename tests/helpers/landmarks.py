@@ -1,0 +1,59 @@
+"""Landmarks and detections of them, without a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.frontend.input.scan import Scan
+from slam.object_map.landmarks import ObjectMap
+
+
+def spheres(sigma_m: float, count: int) -> FloatArray:
+    """Covariances (count, 3, 3) m^2 of errors that are alike in all directions."""
+    return np.tile(sigma_m**2 * np.eye(3), (count, 1, 1))
+
+
+def add_landmarks(
+    object_map: ObjectMap,
+    positions: FloatArray,
+    labels: Sequence[str] = (),
+    *,
+    sigma_m: float = 0.1,
+    second: float = 0.0,
+    scan: int = 1,
+    travel_m: float = 0.0,
+    segment: int = 0,
+    confirmed: bool = True,
+) -> IntArray:
+    """The rows of new landmarks at ``positions`` (N, 3) m, trees unless ``labels`` (N,) are given."""
+    rows = object_map.add(
+        positions,
+        spheres(sigma_m, len(positions)),
+        object_map.labels.indices(tuple(labels) or ("tree",) * len(positions)),
+        stamp_ns=round(second * 1e9),
+        scan=scan,
+        travel_m=travel_m,
+        segment=segment,
+    )
+    if confirmed:
+        object_map.confirm(rows)
+    return rows
+
+
+def scan_of(
+    positions: FloatArray,
+    labels: Sequence[str] = (),
+    *,
+    sigma_m: float = 0.1,
+    stamp_ns: int = 0,
+    sensor: str = "lidar",
+    has_own: bool = True,
+) -> Scan:
+    """Detections at ``positions`` (N, 3) m, trees unless ``labels`` (N,) are given; all are used."""
+    count = len(positions)
+    used = np.ones(count, dtype=np.bool_)
+    names = tuple(labels) or ("tree",) * count
+    return Scan(stamp_ns, sensor, positions, spheres(sigma_m, count), names, used, used & has_own)
