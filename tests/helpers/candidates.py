@@ -9,8 +9,8 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.loop_closure.candidate import Candidate
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
 from slam.place_recognition.place import Place
+from tests.helpers.poses import keyframe_at
 
 HERE = np.eye(4)
 
@@ -29,8 +29,8 @@ def make_candidate(
     """``llrs``: LLR of each landmark of the query; ``sigma`` is that of angles [rad] and of positions [m]."""
     llr_of = llrs or {0: 25.0}
     return Candidate(
-        query=query if isinstance(query, Keyframe) else _keyframe(query, 300.0),
-        reference=reference if isinstance(reference, Keyframe) else _keyframe(reference, 0.0),
+        query=query if isinstance(query, Keyframe) else keyframe_at(HERE, query, travel_m=300.0),
+        reference=reference if isinstance(reference, Keyframe) else keyframe_at(HERE, reference),
         place=Place(T_local_query, 0.0, 0, ""),
         T_reference_query=T_reference_query,
         T_local_query=T_local_query,
@@ -40,7 +40,3 @@ def make_candidate(
         odometry_penalty=odometry_penalty,
         unpredicted_penalty=0.0,
     )
-
-
-def _keyframe(number: int, travel_m: float) -> Keyframe:
-    return Keyframe(number, OdometryPose(10**9 * number, HERE, travel_m, 0, 1.0), HERE)

@@ -13,6 +13,7 @@ from slam.backend.factors import Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
 from slam.graph_condenser import find_anchors
+from tests.helpers.poses import pose_at
 from tests.slam.backend.graphs import PLAIN
 
 ROUND, LANDMARKS = 12, 15
@@ -108,7 +109,7 @@ def test_the_drive_goes_on_from_a_condensed_graph():
 def test_closures_to_an_attached_keyframe_pull_at_its_anchor():
     graph = condensed(3)
     attached = (set(graph.keyframes.tolist()) - set(graph.keyframe_variables.tolist())).pop()
-    T_true = true_poses(3)[attached] @ transform_from_xyz_yaw(np.array([1.0, 2.0, 0.0]), 0.3)
+    T_true = true_poses(3)[attached] @ pose_at(1.0, 2.0, yaw=0.3)
     graph.add_keyframe(99, np.eye(4))
     closure = relative(true_poses(3)[attached], T_true)
     graph.add_edge(Edge(attached, 99, closure, 1e-4 * np.eye(6), "closure"))
@@ -128,7 +129,7 @@ def test_merged_landmarks_can_be_condensed_and_removed():
 
 
 def test_edges_to_keyframes_that_stay_remain():
-    step = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    step = pose_at(1.0)
     graph = FactorGraph(kernel_width=PLAIN)
     graph.add_keyframe(0, np.eye(4))
     for k in range(5):
@@ -188,7 +189,7 @@ def test_an_edge_of_an_attached_keyframe_has_the_error_that_it_had(ends):
 
 
 def test_an_observation_is_turned_with_its_noise():
-    quarter = transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), np.pi / 2)
+    quarter = pose_at(1.0, 2.0, z=3.0, yaw=np.pi / 2)
     seen = Observation(2, 7, np.array([5.0, 0.0, 0.0]), np.diag([0.01, 0.04, 0.09]), 2.0)
     found = attached_at(quarter).observation(seen)
     assert (found.keyframe, found.landmark, found.covariance_inflation) == (1, 7, 2.0)

@@ -10,7 +10,8 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.graph_record import observations_of
-from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, relative
+from tests.helpers.poses import pose_at
 from tests.slam.backend.graphs import (
     KEYFRAMES,
     OFTEN_SEEN,
@@ -127,14 +128,14 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     """Neither segment is bent, though the edge is far from the first estimate; the break is what it is now."""
     graph = FactorGraph(kernel_width=PLAIN)
     soft, loose = np.diag(np.repeat([1e-2, 1.0], 3)), np.diag(np.repeat([1.0, 1e4], 3))
-    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    step = pose_at(2.0)
     graph.add_keyframe(0, np.eye(4))
     graph.add_next_keyframe(Edge(0, 1, step, soft, EdgeKind.ODOMETRY))
     graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
     graph.add_next_keyframe(Edge(2, 3, step, soft, EdgeKind.ODOMETRY))
     seen = [(0, 5, [4.0, 3.0, 0.0]), (1, 5, [2.0, 3.0, 0.0]), (2, 6, [4.0, 3.0, 0.0]), (3, 6, [2.0, 3.0, 0.0])]
     graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
-    T_far = transform_from_xyz_yaw(np.array([-60.0, 45.0, 0.0]), 2.5)
+    T_far = pose_at(-60.0, 45.0, yaw=2.5)
     T_from_to = T_far if ends == (0, 3) else invert(T_far)
     number = graph.add_joining_edge(Edge(ends[0], ends[1], T_from_to, soft, EdgeKind.LOOP_CLOSURE), {2, 3})
     poses = [np.eye(4), step, T_far @ invert(step), T_far]
@@ -151,7 +152,7 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
 def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it():
     """Landmarks seen by both parts would pull them together again."""
     graph = build(noisy_edges(), sightings())
-    T_step, loose = transform_from_xyz_yaw(np.array([300.0, 0.0, 0.0]), 0.0), np.diag(np.repeat([1.0, 1e4], 3))
+    T_step, loose = pose_at(300.0), np.diag(np.repeat([1.0, 1e4], 3))
     graph.break_before(Edge(3, 4, T_step, loose, EdgeKind.DISCONTINUITY))
     graph.optimize()
     assert np.linalg.norm(relative(graph.pose(3), graph.pose(4))[:3, 3]) == pytest.approx(300.0, abs=0.01)
@@ -159,11 +160,11 @@ def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it():
 
 
 def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
-    T_0_1 = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    T_0_1 = pose_at(1.0)
     graph = FactorGraph(kernel_width=PLAIN)
     graph.add_keyframe(0, np.eye(4))
     graph.add_next_keyframe(Edge(0, 1, T_0_1, 0.01 * np.eye(6), "odometry"))
-    other = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    other = pose_at(2.0)
     graph.add_edge(Edge(0, 1, other, 0.01 * np.eye(6), "odometry"))
     graph.optimize()
     assert graph.pose(1)[0, 3] == pytest.approx(1.5, abs=1e-3)

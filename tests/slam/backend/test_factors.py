@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, Edge, Observation, between_factor, observation_factors
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import make_transform, transform_from_xyz_yaw
+from slam.common.geometry import make_transform
+from tests.helpers.poses import pose_at
 
 FAR = np.array([6.0, 8.0, 0.0])
 SIGMA_M = 0.2
@@ -37,8 +38,7 @@ def observed(position: FloatArray = FAR, inflation: float = 1.0, sigma_m: float 
 
 
 def error(kind: str, off_m: float) -> float:
-    off = transform_from_xyz_yaw(np.array([off_m, 0.0, 0.0]), 0.0)
-    return float(between_factor(edge(kind)).error(values(off)))
+    return float(between_factor(edge(kind)).error(values(pose_at(off_m))))
 
 
 @pytest.mark.parametrize("kind", ["odometry", "discontinuity"])

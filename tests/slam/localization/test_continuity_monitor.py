@@ -10,7 +10,6 @@ import pytest
 
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.continuity_monitor import (
     FALSE_MATCH_PROBABILITY,
     ContinuityMonitor,
@@ -18,7 +17,7 @@ from slam.localization.continuity_monitor import (
 )
 from slam.object_map.landmarks import LANDMARK, LandmarkState
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import keyframe_at, pose_at
 
 RANGE_M = 30.0
 STEP_M = 2.0
@@ -67,8 +66,7 @@ class Street:
         return np.arange(len(self.positions)) < self.gone
 
     def _keyframe(self, travel_m: float) -> Keyframe:
-        T = transform_from_xyz_yaw(np.array([travel_m, 0.0, 0.0]), 0.0)
-        return Keyframe(self.keyframe, OdometryPose(10**9 * self.keyframe, T, travel_m, self.segment, STEP_M), T)
+        return keyframe_at(pose_at(travel_m), self.keyframe, travel_m=travel_m, segment=self.segment)
 
     def _map(self) -> Any:
         rows = np.zeros(len(self.positions), dtype=LANDMARK)

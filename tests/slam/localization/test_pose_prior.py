@@ -5,25 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.pose_prior import PosePrior
+from tests.helpers.poses import pose_at
 
 COVARIANCE = np.diag([1e-4, 1e-4, 0.02**2, 0.2**2, 0.2**2, 0.1**2])
 VOLUME = (2.0 * np.pi) ** 1.5 * 0.02 * 0.2 * 0.2
-T_PREDICTED = transform_from_xyz_yaw(np.array([30.0, -4.0, 1.0]), 2.0)
+T_PREDICTED = pose_at(30.0, -4.0, z=1.0, yaw=2.0)
 
 
 def prior(*, sigma_m: float = 1.0, sigma_rad: float = 0.05, failed: float = 1e-6, area_m2: float = 1e5) -> PosePrior:
     return PosePrior(T_PREDICTED, sigma_m, sigma_rad, failed, area_m2)
 
 
-def off(x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0, z_m: float = 0.0) -> np.ndarray:
-    return T_PREDICTED @ transform_from_xyz_yaw(np.array([x_m, y_m, z_m]), yaw_rad)
-
-
 def test_without_odometry_it_is_the_share_of_the_area_that_the_measurement_covers():
     lost = prior(sigma_m=np.inf, sigma_rad=np.inf)
-    for T in (T_PREDICTED, off(x_m=500.0, yaw_rad=3.0)):
+    for T in (T_PREDICTED, T_PREDICTED @ pose_at(500.0, yaw=3.0)):
         assert lost.log_mass(T, COVARIANCE) == pytest.approx(np.log(VOLUME / (2.0 * np.pi * 1e5)))
 
 
@@ -36,19 +32,19 @@ def test_at_the_predicted_pose_it_is_the_ratio_of_the_volumes():
 @pytest.mark.parametrize(
     ("moved", "squares"),
     [
-        ({"x_m": 3.0}, 9.0 / 1.04),
-        ({"y_m": -3.0}, 9.0 / 1.04),
-        ({"yaw_rad": 0.1}, 0.01 / (0.05**2 + 0.02**2)),
-        ({"z_m": 50.0}, 0.0),
+        (pose_at(3.0), 9.0 / 1.04),
+        (pose_at(0.0, -3.0), 9.0 / 1.04),
+        (pose_at(yaw=0.1), 0.01 / (0.05**2 + 0.02**2)),
+        (pose_at(z=50.0), 0.0),
     ],
 )
 def test_it_falls_with_the_distance_from_the_prediction_in_the_plane_and_in_heading(moved, squares):
-    fall = prior().log_mass(T_PREDICTED, COVARIANCE) - prior().log_mass(off(**moved), COVARIANCE)
+    fall = prior().log_mass(T_PREDICTED, COVARIANCE) - prior().log_mass(T_PREDICTED @ moved, COVARIANCE)
     assert fall == pytest.approx(0.5 * squares, abs=0.01)
 
 
 def test_far_from_the_prediction_only_a_failure_of_the_odometry_is_left():
-    far, lost = off(x_m=300.0), prior(sigma_m=np.inf).log_mass(T_PREDICTED, COVARIANCE)
+    far, lost = T_PREDICTED @ pose_at(300.0), prior(sigma_m=np.inf).log_mass(T_PREDICTED, COVARIANCE)
     assert prior(failed=1e-3).log_mass(far, COVARIANCE) == pytest.approx(lost + np.log(1e-3))
     assert prior(failed=1e-6).log_mass(far, COVARIANCE) == pytest.approx(lost + np.log(1e-6))
 

@@ -11,18 +11,20 @@ from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.localization.prior_map import restore, with_heights_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
+from tests.helpers.landmarks import add_landmarks
+from tests.helpers.poses import pose_at
 
 WIDTH = 1e6
 SURE = np.diag(np.repeat([1e-4, 1e-4], 3))
 LOOSE = np.diag(np.repeat([0.1, 4.0], 3))
 SEEN = 0.05**2 * np.eye(3)
 OBJECTS = np.array([[4.0, 3.0, 0.5], [6.0, -4.0, 1.0], [9.0, 2.0, 0.0], [12.0, -3.0, 0.4]])
-POSES = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]]), np.zeros(3))
-NEW_POSE = transform_from_xyz_yaw(np.array([[5.0, 1.0, 0.0]]), np.array([0.3]))[0]
+POSES = np.stack([pose_at(0.0), pose_at(2.0), pose_at(4.0)])
+NEW_POSE = pose_at(5.0, 1.0, yaw=0.3)
 OFFSET = np.array([0.2, -0.1, 0.1])
 """By how much the drive sees everything beside where the map has it."""
 
@@ -34,9 +36,7 @@ def seen_from(T: FloatArray, keyframe: int, rows: dict[int, FloatArray]) -> list
 @pytest.fixture
 def saved() -> SavedMap:
     object_map = ObjectMap(ObjectCalibration())
-    labels = object_map.labels.indices(("tree", "lamp", "tree", "bench"))
-    rows = object_map.add(OBJECTS, np.tile(SEEN, (4, 1, 1)), labels, stamp_ns=5, scan=0, travel_m=0.0)
-    object_map.confirm(rows)
+    rows = add_landmarks(object_map, OBJECTS, ("tree", "lamp", "tree", "bench"))
     graph = FactorGraph(kernel_width=WIDTH)
     graph.add_keyframe(0, POSES[0])
     for k in (1, 2):
@@ -56,7 +56,7 @@ def loaded(saved: SavedMap, *, fixed: bool) -> tuple[ObjectMap, FactorGraph]:
 
 def see_again(graph: FactorGraph) -> None:
     """A fourth keyframe, placed wrongly by a metre, that sees objects 4 to 7, which are landmarks 0 to 3 of the map."""
-    wrong = transform_from_xyz_yaw(np.array([[6.0, 0.5, 0.0]]), np.array([0.2]))[0]
+    wrong = pose_at(6.0, 0.5, yaw=0.2)
     graph.add_next_keyframe(Edge(2, 3, invert(POSES[2]) @ wrong, LOOSE, "odometry"))
     graph.add_observations(seen_from(NEW_POSE, 3, {4 + row: at + OFFSET for row, at in enumerate(OBJECTS)}))
     graph.update()
@@ -115,7 +115,7 @@ def test_what_was_merged_into_such_a_map_can_be_taken_apart_again(saved: SavedMa
 def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved: SavedMap) -> None:
     _, graph = loaded(saved, fixed=True)
     see_again(graph)
-    far = transform_from_xyz_yaw(np.array([[40.0, 9.0, 0.0]]), np.array([1.0]))[0]
+    far = pose_at(40.0, 9.0, yaw=1.0)
     graph.add_joining_edge(Edge(0, 3, far, SURE, "closure"), {3})
     np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=0.05)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from slam.localization.state import CONTRADICTED, DISCONTINUITY, Fix, LocalizationState, State
-from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import keyframe_at
 
-KEYFRAME = Keyframe(3, OdometryPose(7, np.eye(4), 20.0, 0, 1.0), np.eye(4))
+KEYFRAME = keyframe_at(np.eye(4), 7, travel_m=20.0)
 
 
 def update(state: LocalizationState, *, is_localized: bool, began: str = "") -> list[tuple[State, str]]:
@@ -32,7 +31,7 @@ def test_a_lost_robot_is_found_again():
     assert update(state, is_localized=False) == []
     assert [each for each, _ in update(state, is_localized=True)] == [State.RELOCALIZED, State.TRACKING]
     assert state.state is State.TRACKING
-    assert state.fixes == [Fix(7, 20.0)]
+    assert state.fixes == [Fix(7 * 10**9, 20.0)]
     assert update(state, is_localized=True) == []
     assert update(state, is_localized=False) == [(State.LOST, CONTRADICTED)]
 

@@ -16,6 +16,7 @@ from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import MIN_LANDMARKS, MIRRORED, why_doubtful, why_not_recognised
 from slam.object_map.map_io import SavedMap
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
+from tests.helpers.poses import pose_at
 from tests.slam.evaluation.results import graph
 
 SIGMA_M = 0.1
@@ -43,8 +44,7 @@ def driven(known: ImportedMap) -> tuple[ObjectMapRecord, TrajectoryRecord]:
     seen[:, :2] += np.random.default_rng(1).normal(0.0, SIGMA_M, (SEEN, 2))
     ids = tuple(str(row) for row in range(SEEN))
     objects = ObjectMapRecord.of_objects(ids, seen, known.classes[rows], known.vocabulary, stamp_ns=5)
-    T_map_body = transform_from_xyz_yaw(np.array([[7.0, -3.0, 1.0]]), np.zeros(1))
-    return objects, TrajectoryRecord(5, "map", np.array([5]), T_map_body)
+    return objects, TrajectoryRecord(5, "map", np.array([5]), pose_at(7.0, -3.0, z=1.0)[None])
 
 
 @pytest.mark.parametrize(

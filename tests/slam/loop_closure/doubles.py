@@ -7,22 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.candidate import Candidate, Query
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
-
-
-def at(x_m: float) -> FloatArray:
-    """A pose (4, 4) on a street along x."""
-    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
+from tests.helpers.poses import keyframe_at, pose_at
 
 
 def make_keyframe(number: int, travel_m: float, *, segment: int = 0, is_prior: bool = False) -> Keyframe:
     """A keyframe ``travel_m`` along the street."""
-    pose = OdometryPose(10**9 * number, at(travel_m), travel_m, segment, 2.0)
-    return Keyframe(number, pose, at(travel_m), is_prior=is_prior)
+    return keyframe_at(pose_at(travel_m), number, travel_m=travel_m, segment=segment, is_prior=is_prior)
 
 
 def make_submap(positions: FloatArray, labels: list[int] | None = None, *, first_row: int = 0) -> Submap:

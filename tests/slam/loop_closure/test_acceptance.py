@@ -13,7 +13,8 @@ from slam.common.config import Config, LocalizationConfig
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
-from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
+from tests.helpers.poses import pose_at
+from tests.slam.loop_closure.doubles import Patterns, make_keyframe, make_query
 
 PENALTY = 15.0
 SURE_LLR = PENALTY - logit(LocalizationConfig().error_probability) + 0.5
@@ -21,7 +22,9 @@ SURE_LLR = PENALTY - logit(LocalizationConfig().error_probability) + 0.5
 
 
 def candidate(x_m: float, llr: float) -> Candidate:
-    made = make_candidate(T_local_query=at(x_m), llrs={0: llr}, odometry_penalty=PENALTY, T_reference_query=at(0.0))
+    made = make_candidate(
+        T_local_query=pose_at(x_m), llrs={0: llr}, odometry_penalty=PENALTY, T_reference_query=pose_at(0.0)
+    )
     return replace(made, unpredicted_penalty=PENALTY + 10.0)
 
 

@@ -14,7 +14,8 @@ from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
 from tests.helpers.candidates import make_candidate
-from tests.slam.loop_closure.doubles import at, make_keyframe
+from tests.helpers.poses import pose_at
+from tests.slam.loop_closure.doubles import make_keyframe
 
 STEP_M = 2.0
 ROUND = 90
@@ -33,10 +34,10 @@ class Drive:
             segment = second_segment if number >= ROUND else 0
             self.keyframes.append(make_keyframe(number, STEP_M * number, segment=segment))
             if number == 0:
-                graph.add_keyframe(0, at(0.0))
+                graph.add_keyframe(0, pose_at(0.0))
             else:
                 covariance = np.diag(np.repeat([1e-6, 1e-2], 3))
-                graph.add_next_keyframe(Edge(number - 1, number, at(STEP_M), covariance, "odometry"))
+                graph.add_next_keyframe(Edge(number - 1, number, pose_at(STEP_M), covariance, "odometry"))
         graph.update()
 
     def accept(self, query: int, *, reference: int | None = None) -> None:
@@ -46,8 +47,8 @@ class Drive:
         return make_candidate(
             query=self.keyframes[query],
             reference=self.keyframes[query - ROUND if reference is None else reference],
-            T_reference_query=at(STEP_M * ROUND),
-            T_local_query=at(STEP_M * query),
+            T_reference_query=pose_at(STEP_M * ROUND),
+            T_local_query=pose_at(STEP_M * query),
         )
 
     def declare_lost(self, since: int) -> list[int]:

@@ -26,14 +26,15 @@ from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
 from slam.registration.registration import MIN_INLIERS
 from tests.helpers.candidates import make_candidate
-from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
+from tests.helpers.poses import pose_at
+from tests.slam.loop_closure.doubles import Patterns, make_keyframe, make_query
 
 STEP_M = 2.0
 LOOP_M = 400.0
 """The street is driven again after so much travel."""
 FIRST = int(LOOP_M / STEP_M)
 SURE_LLR, TRACKED_LLR, WEAK_LLR = 30.0, 8.0, 1.0
-PLACE = Place(at(0.0), 0.0, 0, "descriptor")
+PLACE = Place(pose_at(0.0), 0.0, 0, "descriptor")
 
 
 class Parts(Patterns):
@@ -63,7 +64,7 @@ class Parts(Patterns):
     # Verifier.
     def predict(self, seed: Candidate, query: Query) -> Place | None:
         travel_m = query.travel_m - LOOP_M
-        return Place(at(travel_m), travel_m, 0, "prediction", predicted_by=seed.query.id)
+        return Place(pose_at(travel_m), travel_m, 0, "prediction", predicted_by=seed.query.id)
 
     def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
         self.queries.append(query)
@@ -73,7 +74,7 @@ class Parts(Patterns):
         found = make_candidate(
             query=query.keyframe,
             reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
-            T_local_query=at(query.travel_m - LOOP_M + self.off_m),
+            T_local_query=pose_at(query.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
         )
         return replace(found, place=place)
@@ -242,12 +243,12 @@ def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
 
 def test_query_of_a_tilted_body_is_upright(parts):
     drive = Drive(parts)
-    T_local_body = at(STEP_M * FIRST)
+    T_local_body = pose_at(STEP_M * FIRST)
     T_local_body[:3, :3] = Rotation.from_euler("xyz", [5.0, -10.0, 0.0], degrees=True).as_matrix()
     keyframe = make_keyframe(FIRST, STEP_M * FIRST, segment=0)
     drive.keyframes.append(keyframe)
     drive.closer.close(Keyframe(keyframe.id, keyframe.odometry, T_local_body))
-    np.testing.assert_allclose([each.T_local_gravity for each in parts.queries], [at(STEP_M * FIRST)], atol=1e-9)
+    np.testing.assert_allclose([each.T_local_gravity for each in parts.queries], [pose_at(STEP_M * FIRST)], atol=1e-9)
 
 
 def test_a_query_with_the_landmarks_of_the_last_one_is_not_looked_up_again(parts):

@@ -15,9 +15,9 @@ from slam.common.config import Config
 from slam.loop_closure.accepted_closures import Accepted, AcceptedClosures
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
 from tests.helpers.candidates import make_candidate
-from tests.slam.loop_closure.doubles import at
+from tests.helpers.landmarks import add_landmarks
+from tests.helpers.poses import keyframe_at, pose_at
 
 STATIONS = 5
 SPACING_M = 10.0
@@ -27,7 +27,7 @@ DRIFT_M = 3.0
 
 
 def edge(a: int, b: int, x_m: float, sigma_m: float) -> Edge:
-    return Edge(a, b, at(x_m), np.diag(np.repeat([1e-4, sigma_m**2], 3)), "odometry")
+    return Edge(a, b, pose_at(x_m), np.diag(np.repeat([1e-4, sigma_m**2], 3)), "odometry")
 
 
 class Street:
@@ -44,10 +44,9 @@ class Street:
             {"loop_closure": {"min_travel_m": min_travel_m}, "calibration": {"detection": {"sensor_range_m": 3.0}}}
         )
         self.closures = AcceptedClosures(config, self.map, self.graph, self.keyframes)
-        self.graph.add_keyframe(0, at(0.0))
+        self.graph.add_keyframe(0, pose_at(0.0))
         for number in range(PASSES * STATIONS):
             self._visit(number)
-        self.map.confirm(np.arange(PASSES * STATIONS))
         self.graph.update()
 
     def _visit(self, number: int) -> None:
@@ -56,17 +55,10 @@ class Street:
             back_m = SPACING_M if station else DRIFT_M - (STATIONS - 1) * SPACING_M
             self.graph.add_next_keyframe(edge(number - 1, number, back_m, 0.01 if station else 5.0))
         odom_m = drive * DRIFT_M + station * SPACING_M
-        labels = self.map.labels.indices(("lamp" if station % 2 else "tree",))
         travel_m = drive * self.pass_m + station * SPACING_M
-        self.keyframes.append(Keyframe(number, OdometryPose(10**9 * number, at(odom_m), travel_m, 0, 5.0), at(odom_m)))
-        self.map.add(
-            np.array([[odom_m, 4.0, 0.0]]),
-            0.01 * np.eye(3)[None],
-            labels,
-            stamp_ns=10**9 * number,
-            scan=number,
-            travel_m=travel_m,
-        )
+        self.keyframes.append(keyframe_at(pose_at(odom_m), number, travel_m=travel_m))
+        place, label = np.array([[odom_m, 4.0, 0.0]]), "lamp" if station % 2 else "tree"
+        add_landmarks(self.map, place, [label], second=number, scan=number, travel_m=travel_m)
         seen = Observation(number, number, np.array([0.0, 4.0, 0.0]), 0.01 * np.eye(3))
         self.graph.add_observations([seen])
 
@@ -75,7 +67,7 @@ class Street:
         candidate = make_candidate(
             query=self.keyframes[query],
             reference=self.keyframes[reference],
-            T_reference_query=at(apart_m),
+            T_reference_query=pose_at(apart_m),
             sigma=0.3,
             pairs=pairs,
         )

@@ -11,6 +11,7 @@ from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
+from tests.helpers.landmarks import add_landmarks
 
 KEYFRAMES = 6
 SURE = 1e-6 * np.eye(6)
@@ -21,17 +22,13 @@ Seen = tuple[str, tuple[float, float, float], tuple[int, ...]]
 
 def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[ObjectMap, FactorGraph]:
     """A map of those landmarks, seen without noise along a straight street."""
-    object_map, graph = (
-        ObjectMap(ObjectCalibration()),
-        FactorGraph(kernel_width=1e6),
-    )
+    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(kernel_width=1e6)
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
     graph.add_keyframe(0, T[0])
     for k in range(1, KEYFRAMES):
         graph.add_next_keyframe(Edge(k - 1, k, invert(T[k - 1]) @ T[k], SURE, "odometry"))
     places = np.array([place for _, place, _ in landmarks])
-    labels = object_map.labels.indices(tuple(label for label, _, _ in landmarks))
-    rows = object_map.add(places, np.tile(SEEN, (len(landmarks), 1, 1)), labels, stamp_ns=0, scan=0, travel_m=0.0)
+    rows = add_landmarks(object_map, places, [label for label, _, _ in landmarks], confirmed=False)
     object_map.confirm(np.setdiff1d(rows, tentative))
     for row, (_, place, keyframes) in enumerate(landmarks):
         seen = [Observation(k, row, apply(invert(T[k]), np.array([place]))[0], SEEN) for k in keyframes]

@@ -16,20 +16,21 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from tests.slam.loop_closure.doubles import at, make_keyframe, make_query
+from tests.helpers.poses import pose_at
+from tests.slam.loop_closure.doubles import make_keyframe, make_query
 
 CONFIG = Config()
 STEP_M = 2.0
 COUNT = 100
 LATEST_M = STEP_M * (COUNT - 1)
-PLACE = Place(at(7.0), 0.0, 0, "descriptor")
+PLACE = Place(pose_at(7.0), 0.0, 0, "descriptor")
 
 
 def make_priors(keyframes: list[Keyframe], *, bent_m: float = 0.0) -> Verifier:
     """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
 
     def pose(id: int) -> Any:
-        return at(keyframes[id].odometry.travel_m + (bent_m if 2 * id > COUNT else 0.0))
+        return pose_at(keyframes[id].odometry.travel_m + (bent_m if 2 * id > COUNT else 0.0))
 
     return Verifier(CONFIG, cast(PlaceRetriever, None), keyframes, pose)
 
@@ -49,7 +50,7 @@ def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure(
 ) -> None:
     priors = make_priors(keyframes, bent_m=5.0)
     followed = priors._prior(query, PLACE, keyframes[3])
-    np.testing.assert_allclose(followed.T_local_query, at(LATEST_M + 5.0), atol=1e-12)
+    np.testing.assert_allclose(followed.T_local_query, pose_at(LATEST_M + 5.0), atol=1e-12)
     predicted = priors._prior(query, replace(PLACE, predicted_by=20), keyframes[3])
     np.testing.assert_array_equal(predicted.T_local_query, PLACE.T_local_query)
 

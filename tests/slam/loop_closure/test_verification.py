@@ -19,11 +19,10 @@ from slam.loop_closure.verification import Verifier
 from slam.object_map.submap import Submap, gravity_frame
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
-from slam.odometry.pose import OdometryPose
 from slam.place_recognition.place import Place
 from slam.registration.registration import registration_config
 from tests.helpers.candidates import make_candidate
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import keyframe_at, pose_at
 from tests.slam.loop_closure.doubles import make_submap, part_of
 
 STEP_M = 2.0
@@ -44,9 +43,8 @@ def body(number: int) -> FloatArray:
 def make_keyframes(*, second_segment: int = 0) -> list[Keyframe]:
     found = []
     for number in range(ROUND + 40):
-        T = body(number)
         segment = second_segment if number >= ROUND else 0
-        found.append(Keyframe(number, OdometryPose(10**9 * number, T, STEP_M * number, segment, STEP_M), T))
+        found.append(keyframe_at(body(number), number, travel_m=STEP_M * number, segment=segment))
     return found
 
 

@@ -11,6 +11,7 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import keyframe_at, pose_at
 
 STEP_M = 2.0
 STEP_S = 0.5
@@ -139,8 +140,8 @@ def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
     track = KeyframeTrack(Calibration(odometry=odometry_noise()))
     for number in range(20):  # to and fro; then from the beginning, as another segment
         x_m = 2.0 * (number % 10)
-        T = transform_from_xyz_yaw(np.array([x_m, 0.5 if number >= 10 else 0.0, 0.0]), 0.0)
-        track.add(Keyframe(number, OdometryPose(number, T, 2.0 * number, number // 10, 1.0), T))
+        T = pose_at(x_m, 0.5 * (number // 10))
+        track.add(keyframe_at(T, number, travel_m=2.0 * number, segment=number // 10))
     place = np.array([8.0, 0.5, 0.0])
     everywhere = {"from_m": -np.inf, "to_m": np.inf}
     assert track.nearest(place, segment=0, **everywhere) == (4, 0.5)
@@ -165,6 +166,5 @@ def test_replaced_keyframes_are_a_segment_of_their_own():
 def test_keyframes_of_a_segment_share_cells_of_a_sensor_range():
     track = KeyframeTrack(Calibration())
     for number, (x_m, segment) in enumerate([(1.0, 0), (29.0, 0), (31.0, 0), (1.0, 1)]):
-        T = transform_from_xyz_yaw(np.array([x_m, 1.0, 0.0]), 0.0)
-        track.add(Keyframe(number, OdometryPose(number, T, x_m, segment, 1.0), T))
+        track.add(keyframe_at(pose_at(x_m, 1.0), number, travel_m=x_m, segment=segment))
     assert track.cells == {(0, 0.0, 0.0), (0, 1.0, 0.0), (1, 0.0, 0.0)}

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.odometry.keyframe import Keyframe, is_keyframe_due
-from slam.odometry.pose import OdometryPose
-from tests.helpers.poses import pose_at
+from slam.odometry.keyframe import is_keyframe_due
+from tests.helpers.poses import keyframe_at, pose_at
 
 
 @pytest.mark.parametrize(
@@ -25,7 +24,5 @@ from tests.helpers.poses import pose_at
 )
 def test_a_keyframe_is_due_after_a_way_a_turn_or_a_time_in_motion(seconds, moved_m, turn_deg, is_due):
     T_first = pose_at(3.0, 1.0, yaw=0.7)
-    odometry = OdometryPose(0, np.eye(4), 0.0, 0, 1.0)
     T = T_first @ pose_at(0.0, moved_m, yaw=np.deg2rad(turn_deg))
-    last = Keyframe(0, odometry, T_first)
-    assert is_keyframe_due(last, round(seconds * 1e9), T, 2.0, sensor_range_m=30.0) is is_due
+    assert is_keyframe_due(keyframe_at(T_first), round(seconds * 1e9), T, 2.0, sensor_range_m=30.0) is is_due

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.common.calibration import OdometryCalibration
-from slam.common.geometry import make_transform, transform_from_xyz_yaw
+from slam.common.geometry import make_transform
 from slam.odometry.noise import model_variances, step_covariance, step_variances
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import pose_at
 
 SILENT = {
     "translation_sigma": 1e-6,
@@ -27,8 +28,7 @@ TRANSLATION, TILT, HEADING = range(3)
 
 
 def pose(x: float = 0.0, *, yaw: float = 0.0, seconds: float = 0.0, travel_m: float | None = None) -> OdometryPose:
-    T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
-    return OdometryPose(round(seconds * 1e9), T, x if travel_m is None else travel_m, 0, 1.0)
+    return OdometryPose(round(seconds * 1e9), pose_at(x, yaw=yaw), x if travel_m is None else travel_m, 0, 1.0)
 
 
 @pytest.mark.parametrize(

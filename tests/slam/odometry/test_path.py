@@ -2,13 +2,13 @@ import tracemalloc
 
 import numpy as np
 
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
+from tests.helpers.poses import pose_at
 
 
 def pose(number: int, segment: int = 0) -> OdometryPose:
-    T_odom_body = transform_from_xyz_yaw(np.array([0.1 * number, 1.0, -2.0]), 0.01 * number)
+    T_odom_body = pose_at(0.1 * number, 1.0, z=-2.0, yaw=0.01 * number)
     return OdometryPose(10**18 + number, T_odom_body, 0.1 * number, segment, 1.0)
 
 

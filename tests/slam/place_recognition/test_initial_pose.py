@@ -7,8 +7,8 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.place_recognition.initial_pose import InitialPose
+from tests.helpers.poses import pose_at
 
 
 @pytest.mark.parametrize(
@@ -25,8 +25,8 @@ from slam.place_recognition.initial_pose import InitialPose
 )
 def test_places_and_headings(x_m: float, travel_m: float, yaw_deg: float, turned_deg: float, is_allowed: bool) -> None:
     prior = InitialPose(np.array([100.0, 50.0]), 10.0, yaw_rad=np.pi / 2)
-    T_map_query = transform_from_xyz_yaw(np.array([x_m, 50.0, 0.0]), np.deg2rad(yaw_deg))
-    T_first_query = transform_from_xyz_yaw(np.zeros(3), np.deg2rad(turned_deg))
+    T_map_query = pose_at(x_m, 50.0, yaw=np.deg2rad(yaw_deg))
+    T_first_query = pose_at(yaw=np.deg2rad(turned_deg))
     assert prior.allows(T_map_query, T_first_query, travel_m) is is_allowed
 
 
@@ -40,4 +40,4 @@ def test_what_is_no_place_is_refused(position: FloatArray, sigma_m: float) -> No
 
 def test_without_a_heading_any_is_allowed() -> None:
     prior = InitialPose(np.zeros(2), 1.0)
-    assert prior.allows(transform_from_xyz_yaw(np.zeros(3), 3.0), np.eye(4), 0.0)
+    assert prior.allows(pose_at(yaw=3.0), np.eye(4), 0.0)

@@ -8,9 +8,10 @@ import pytest
 from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.registry import shipped_likelihood
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.object_map.submap import Submap
 from slam.place_recognition.place_search import SAME_TURN_RAD, PlaceSearch, _Poses, _query
+from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.2
 
@@ -31,7 +32,7 @@ def observed(
     positions: FloatArray, centre: tuple[float, float], rng: np.random.Generator, *, missing: float, clutter: int
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Objects (N, 3) within 30 m of a robot, their rows (N,), -1 of clutter, and the robot's pose (4, 4)."""
-    T_map_query = transform_from_xyz_yaw(np.array([*centre, 2.0]), float(rng.uniform(-np.pi, np.pi)))
+    T_map_query = pose_at(*centre, z=2.0, yaw=float(rng.uniform(-np.pi, np.pi)))
     rows = np.flatnonzero(np.hypot(*(positions[:, :2] - centre).T) < 30.0)
     rows = rows[rng.random(len(rows)) >= missing]
     local = apply(invert(T_map_query), positions[rows])
@@ -133,7 +134,7 @@ def test_pose_voted_for_beside_the_right_one_is_fitted_until_it_is_right(monkeyp
     for _ in range(10):
         centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
         seen, rows, T_gt = observed(positions, centre, rng, missing=0.0, clutter=0)
-        T_beside = T_gt @ transform_from_xyz_yaw(np.array([1.4, 1.0, 0.0]), 0.05)
+        T_beside = T_gt @ pose_at(1.4, 1.0, yaw=0.05)
         monkeypatch.setattr("slam.place_recognition.place_search.vote_for_poses", lambda *_, T=T_beside, **__: T[None])
         (fitted,) = search.find_poses(query(seen, labels[rows]), map_sigma_m=SIGMA_M, count=1)
         errors_m.append(float(np.linalg.norm((fitted - T_gt)[:2, 3])))

@@ -10,7 +10,7 @@ import pytest
 from descriptors.constellation import Constellations
 from descriptors.index import VectorIndex
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
 from slam.odometry.pose import OdometryPose
@@ -18,6 +18,8 @@ from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
+from tests.helpers.landmarks import add_landmarks
+from tests.helpers.poses import pose_at
 
 CONFIG = Config()
 COUNT = 25
@@ -37,30 +39,20 @@ class Places:
     def __init__(self, config: Config = CONFIG) -> None:
         self.map = ObjectMap(config.calibration.objects)
         self.retriever = PlaceRetriever(config, self.map)
-        self.labels = self.map.labels.indices(("tree", "lamp", "bench", "bin"))
+        self.map.labels.indices(("tree", "lamp", "bench", "bin"))
 
     def add(self, x_m: float, travel_m: float, *, segment: int = 0, seed: int = 1) -> np.ndarray:
         """The objects of ``seed`` around a place."""
         rng = np.random.default_rng(seed)
         positions = rng.uniform([-20.0, -15.0, 0.0], [20.0, 15.0, 0.5], (COUNT, 3)) + np.array([x_m, 0.0, 0.0])
-        rows = self.map.add(
-            positions,
-            np.tile(0.01 * np.eye(3), (COUNT, 1, 1)),
-            rng.choice(self.labels, COUNT),
-            stamp_ns=1,
-            scan=1,
-            travel_m=travel_m,
-            segment=segment,
-        )
-        self.map.confirm(rows)
-        return rows
+        labels = rng.choice(("tree", "lamp", "bench", "bin"), COUNT).tolist()
+        return add_landmarks(self.map, positions, labels, travel_m=travel_m, segment=segment)
 
     def query(self, x_m: float, seed: int = 1) -> Submap:
         """The same objects as seen from the place, under rows that the map does not have."""
         here = Places()
         rows = here.add(x_m, 0.0, seed=seed)
-        T_local_query = transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.4)
-        positions = apply(invert(T_local_query), here.map.rows["position_local"][rows])
+        positions = apply(invert(pose_at(x_m, yaw=0.4)), here.map.rows["position_local"][rows])
         return Submap(positions, np.full(COUNT, 0.4), here.map.labels.classes(rows), 10_000 + rows)
 
     def found_m(self, x_m: float, seed: int = 1) -> list[float]:
@@ -98,7 +90,7 @@ def test_not_among_retired_landmarks(places):
 
 def test_not_among_landmarks_that_are_still_active(places):
     rows = places.add(50.0, 100.0)
-    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 100.0, 0, "descriptor")
+    place = Place(pose_at(50.0), 100.0, 0, "descriptor")
     assert len(places.retriever.reference_submap(place, before_m=BEFORE_M)) == COUNT
     places.map.assign(rows, is_active=True)
     assert len(places.retriever.reference_submap(place, before_m=BEFORE_M)) == 0
@@ -122,7 +114,7 @@ def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(
     places.add(50.0, 500.0 + extent_m + 1.0)
     places.add(50.0, 500.0, segment=1)
     places.add(50.0 + RADIUS_M + 25.0, 500.0)
-    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 500.0, 0, "descriptor")
+    place = Place(pose_at(50.0), 500.0, 0, "descriptor")
     found = places.retriever.reference_submap(place, before_m=BEFORE_M)
     assert found.rows.tolist() == here.tolist()
     assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 from slam.registration.registration import LevelPose, Pairs, Registration, RegistrationConfig, estimate, refine
+from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)
@@ -73,7 +74,7 @@ def near_place(seed: int) -> tuple[FloatArray, IntArray, FloatArray, IntArray, F
 def nudged(T: FloatArray, query: FloatArray, offset: FloatArray, yaw_rad: float) -> FloatArray:
     """``T``, turned and moved about the centre of the query."""
     centre = query.mean(axis=0)
-    turn = transform_from_xyz_yaw(np.zeros(3), yaw_rad)
+    turn = pose_at(yaw=yaw_rad)
     turn[:3, 3] = centre - turn[:3, :3] @ centre + offset
     return np.asarray(T @ turn)
 
@@ -185,7 +186,7 @@ def test_an_object_counts_with_the_one_that_it_prefers_only(doubled: str) -> Non
     more = np.vstack([CORNERS, [20.4, 0.0, 0.0]])
     query, reference = (more, CORNERS) if doubled == "query" else (CORNERS, more)
     labels = [np.append(np.arange(6), 1)[: len(each)] for each in (query, reference)]
-    T_near = transform_from_xyz_yaw(np.array([0.05, 0.0, 0.0]), 0.0)
+    T_near = pose_at(0.05)
     found = from_near(query, labels[0], reference, labels[1], T_near)
     np.testing.assert_allclose(found.T_reference_query, np.eye(4), atol=1e-4)
 
@@ -194,7 +195,7 @@ def test_objects_in_a_row_determine_yaw_the_better_the_longer_it_is() -> None:
     sigmas = []
     for length in (5.0, 50.0):
         points = np.column_stack([np.linspace(0.0, length, 8), np.zeros(8), np.zeros(8)])
-        T_gt = transform_from_xyz_yaw(np.array([3.0, -8.0, 0.5]), 2.5)
+        T_gt = pose_at(3.0, -8.0, z=0.5, yaw=2.5)
         found = one_to_one(points, apply(T_gt, points), T_gt)
         np.testing.assert_allclose(found.T_reference_query, T_gt, atol=1e-6)
         assert np.sqrt(found.covariance[0, 0]) == pytest.approx(CONFIG.tilt_sigma_rad)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.self_calibration import object_tracks
 from slam.self_calibration.object_tracks import (
     MISSED_SCANS,
@@ -17,6 +16,7 @@ from slam.self_calibration.object_tracks import (
     detectability_of,
     follow_objects,
 )
+from tests.helpers.poses import pose_at
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 OBJECTS = np.array([[10.0, 5.0, 0.0], [15.0, -5.0, 0.5], [25.0, 6.0, 0.0]])
@@ -26,7 +26,7 @@ def scan_of(
     objects: FloatArray, *, number: int = 0, x: float = 0.0, yaw: float = 0.0, labels: list[int] | None = None
 ) -> SurveyScan:
     """``objects`` (N, 3) m of the odometry frame, seen from (x, 0)."""
-    T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+    T = pose_at(x, yaw=yaw)
     c, s = np.cos(yaw), np.sin(yaw)
     objects = np.array(objects, dtype=np.float64).reshape(-1, 3)
     in_body = (objects - [x, 0.0, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

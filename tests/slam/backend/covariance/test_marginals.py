@@ -20,7 +20,8 @@ from slam.backend.factors import (
 )
 from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import invert, make_transform
+from tests.helpers.poses import pose_at
 from tests.slam.backend.graphs import PLAIN, edge, noisy_edges, sightings, true_landmarks, true_poses
 
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
@@ -33,7 +34,7 @@ def drive(*, is_straight: bool) -> tuple[FloatArray, list[Edge]]:
     tilt = make_transform(Rotation.from_euler("y", 0.0 if is_straight else 0.1).as_matrix(), np.zeros(3))
     T = [np.eye(4)]
     for _ in range(9):
-        T.append(T[-1] @ transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), turn) @ tilt)
+        T.append(T[-1] @ pose_at(2.0, yaw=turn) @ tilt)
     edges = [Edge(k, k + 1, invert(T[k]) @ T[k + 1], EDGE_COVARIANCE, "odometry") for k in range(9)]
     return np.array(T), edges
 
@@ -125,7 +126,7 @@ def test_outliers_say_next_to_nothing() -> None:
 def test_noise_of_odometry_is_matched_to_residuals_axis_by_axis() -> None:
     rng, count = np.random.default_rng(1), 600
     true_sigmas = np.sqrt(np.diagonal(EDGE_COVARIANCE)) * [1.0, 1.0, 5.0, 1.0, 1.0, 1.0]
-    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.02)
+    step = pose_at(2.0, yaw=0.02)
     T = [np.eye(4)]
     for _ in range(count - 1):
         T.append(T[-1] @ step)
