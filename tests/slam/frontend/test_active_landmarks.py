@@ -87,13 +87,6 @@ class Bench:
 # How certain they are
 
 
-def test_variance_grows_by_the_inflated_noise_of_the_odometry() -> None:
-    bench = Bench(odometry={"translation_sigma": 0.04}, detection={"common_sigma_m": 0.0})
-    bench.add([[5.0, 2.0, 0.0]])
-    bench.advance(40.0, step_m=1.0)
-    assert bench.sigma_m(0) == pytest.approx(np.hypot(SLIP_INFLATION * 0.04 * np.sqrt(40.0), SIGMA_M), rel=1e-6)
-
-
 def test_error_of_a_landmark_changes_with_the_view_of_it() -> None:
     """By the squared ``common_sigma_m`` as the view changes by 1 rad, from whichever steps that is made up."""
     odometry = {"translation_sigma": 1e-9, "translation_sigma_by_time": 0.0}

@@ -24,7 +24,6 @@ from slam.frontend.data_association import (
     density,
     label_likelihood,
     other_shares,
-    squared_distances,
 )
 from tests.helpers.landmarks import spheres
 
@@ -232,17 +231,6 @@ def test_assignment_is_uncertain_where_landmarks_are_less_certain_than_detection
 
 
 # Parts
-
-
-@pytest.mark.parametrize("count", [0, 1, 50])
-def test_distances_and_determinants_are_those_of_lapack(count: int) -> None:
-    rng = np.random.default_rng(3)
-    factors = rng.normal(size=(count, 3, 3)) * [1.0, 0.3, 5.0]
-    covariances, offsets = factors @ factors.transpose(0, 2, 1) + 1e-3 * np.eye(3), rng.normal(size=(count, 3))
-    distances, determinants = squared_distances(offsets, covariances)
-    solved = np.linalg.solve(covariances, offsets[..., None])[..., 0]
-    np.testing.assert_allclose(distances, np.einsum("ni,ni->n", offsets, solved), rtol=1e-6)
-    np.testing.assert_allclose(determinants, np.linalg.det(covariances), rtol=1e-6)
 
 
 def test_density_is_that_of_objects_in_a_cylinder() -> None:

@@ -318,8 +318,4 @@ def test_new_start_forgets_landmarks_and_covariance() -> None:
     local.start(UPSIDE_DOWN)
     assert len(local.ids) == 0
     np.testing.assert_array_equal(local._P, np.zeros((POSE, POSE)))
-    none = np.zeros(0, dtype=np.int64)
-    local.update(none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    local.update_landmarks(none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    local.insert(none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
     np.testing.assert_array_equal(local.T_local_body, UPSIDE_DOWN)

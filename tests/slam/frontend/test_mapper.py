@@ -101,26 +101,13 @@ def test_graph_is_updated_at_every_few_keyframes(monkeypatch):
     assert updated == [0, UPDATE_KEYFRAMES, 2 * UPDATE_KEYFRAMES]
 
 
-def test_objects_are_the_same_landmarks_in_every_scan():
-    bench = Bench()
-    first, *rest = bench.drive(12)
-    assert first.landmark_ids == ("0", "1", "2", "3")
-    assert first.created.all()
-    for associations in rest:
-        assert associations.landmark_ids == first.landmark_ids
-        assert not associations.created.any()
-    np.testing.assert_allclose(bench.map.rows["position_local"], OBJECTS, atol=1e-9)
-    assert [bench.map.labels.vocabulary[i] for i in bench.map.labels.beliefs(np.arange(4)).argmax(axis=1)] == list(
-        LABELS
-    )
-
-
 def test_landmark_is_confirmed_by_enough_sightings_and_then_enters_the_graph_with_all_of_them(young):
     bench = Bench()
     bench.drive(3)
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
     bench.drive(1, start=3)
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
+    assert bench.map.labels.classes(np.arange(4)).tolist() == bench.map.labels.indices(LABELS).tolist()
     assert bench.observations() == []
     bench.mapper.close_keyframe()
     bench.graph.update()
@@ -136,6 +123,13 @@ def test_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
     bench.drive(1, start=10)
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
+
+
+def test_landmark_that_may_be_none_is_not_confirmed(young, monkeypatch):
+    monkeypatch.setattr("slam.frontend.mapper.which_exist", lambda rows, seen, scan: seen > 4 - scan)
+    bench = Bench()
+    bench.drive(4)
+    assert bench.states() == [LandmarkState.TENTATIVE, *[LandmarkState.CONFIRMED] * 3]
 
 
 def test_landmark_seen_too_seldom_is_not_confirmed():
@@ -166,13 +160,6 @@ def test_tentative_landmark_that_is_not_seen_again_is_retired(scans, step_m):
     bench.mapper.close_keyframe()
     assert bench.observations() == []
     assert bench.map.to_record(0).ids == ()
-
-
-def test_confirmed_landmark_that_is_not_seen_again_stays(young):
-    bench = Bench()
-    bench.drive(6)
-    bench.drive(100, start=6, objects=OBJECTS[:0], labels=())
-    assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
 @pytest.mark.parametrize(
@@ -216,17 +203,11 @@ def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> 
     return bench
 
 
-@pytest.mark.parametrize("speed_mps", [2.0, 3.0, 5.0, 12.0])
+@pytest.mark.parametrize("speed_mps", [2.0, 12.0])
 def test_moving_vehicle_is_never_in_the_map(speed_mps):
     bench = drive_past_a_vehicle(speed_mps, 40)
     assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
     assert LandmarkState.CONFIRMED not in bench.states()[4:]
-    assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
-
-
-def test_followed_vehicle_retires_because_it_moves():
-    bench = drive_past_a_vehicle(5.0, 40, sigma_m=0.6)
-    assert bench.reasons()[:5] == ["", "", "", "", "moving"]
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
@@ -260,12 +241,6 @@ def test_landmark_that_turns_out_to_move_leaves_the_graph():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
-def test_parked_vehicle_stays():
-    bench = drive_past_a_vehicle(0.0, 40)
-    assert bench.states() == [LandmarkState.CONFIRMED] * 5
-    assert bench.graph.landmarks.tolist() == [0, 1, 2, 3, 4]
-
-
 def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
     """Lengths are 3 % too long; four keyframes 2 m apart are summed up."""
     bench = Bench(odometry={"translation_sigma": 0.01}, detection={"common_sigma_m": 0.1})
@@ -280,22 +255,6 @@ def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
     x = 0.97 * bench.mapper.keyframes[12].odometry.T_odom_body[0, 3]
     off = [each.position[0] + x - OBJECTS[each.landmark, 0] for each in last]
     np.testing.assert_allclose(off, 0.0, atol=0.04)
-
-
-def test_among_false_detections_objects_alone_are_confirmed_but_for_one():
-    rng = np.random.default_rng(0)
-    bench = Bench(objects={"new_object_density": 0.01})
-    for i in range(30):
-        false = np.column_stack([rng.uniform([-20.0, -20.0], [40.0, 20.0], (25, 2)), np.zeros(25)])
-        bench.move(0.3 * i, 0.02 * i)
-        noisy = OBJECTS + rng.normal(scale=0.3, size=OBJECTS.shape)
-        labels = (*LABELS, *rng.choice(LABELS, 25).tolist())
-        bench.see(0.3 * i, np.concatenate([noisy, false]), labels, sigma_m=0.3)
-    confirmed = bench.map.in_state(LandmarkState.CONFIRMED)
-    places = bench.map.rows["position_local"][confirmed]
-    distances = np.linalg.norm(places[:, None] - OBJECTS, axis=2)
-    assert (distances.min(axis=0) < 0.3).all()
-    assert len(confirmed) <= len(OBJECTS) + 1
 
 
 def test_a_break_at_a_keyframe_begins_a_segment_without_landmarks(young):
@@ -385,11 +344,3 @@ def test_associations_have_one_entry_per_detection_of_the_message():
     associations = bench.mapper.add_scan(bench.mapper.locate(scan, pose), pose)
     assert associations.landmark_ids == ("", "0", "1", "")
     assert associations.created.tolist() == [False, True, True, False]
-
-
-def test_scans_without_detections_make_no_landmarks():
-    bench = Bench()
-    for associations in bench.drive(10, objects=OBJECTS[:0], labels=()):
-        assert associations.landmark_ids == ()
-    assert len(bench.map) == 0
-    bench.mapper.close_keyframe()

@@ -93,14 +93,6 @@ def test_stamps_stay_as_they_are_where_no_clock_was_set(
     assert errors == [stamp_error_ns(row) / S_NS for row in range(MESSAGES)]
 
 
-def test_a_clock_that_was_never_set_holds_nothing_back() -> None:
-    clocks = StampClocks()
-    for row in range(MESSAGES):
-        stamp_ns = START_NS + row * TENTH_NS
-        record = scan(stamp_ns)
-        assert list(clocks.follow(item(record, stamp_ns))) == [record]
-
-
 def test_messages_that_are_logged_in_batches_may_vary_as_much_again() -> None:
     clocks = StampClocks()
     for row in range(MESSAGES):
