@@ -137,16 +137,6 @@ def test_sparse_and_dense_solvers_agree(seed: int, monkeypatch: pytest.MonkeyPat
     assert scene.rows() == few
 
 
-def test_five_thousand_detections_are_assigned_and_no_landmark_twice() -> None:
-    rng = np.random.default_rng(0)
-    landmarks = np.concatenate([rng.uniform(-300, 300, (5000, 2)), np.zeros((5000, 1))], axis=1)
-    order = rng.permutation(5000)
-    detections = landmarks[order] + rng.normal(scale=0.05, size=(5000, 3))
-    found = plain_scene(detections, landmarks, sigma_m=0.05).assigned()
-    assert len(np.unique(found.landmark_rows[found.matched])) == found.matched.sum()
-    assert np.mean(found.landmark_rows == order) > 0.99
-
-
 # Plain cases
 
 

@@ -89,14 +89,6 @@ def test_a_kidnapping_is_noticed_within_a_sensor_range_and_dated(street):
     assert abs(noticed - STEP_M * (LEARNING - 1)) <= STEP_M
 
 
-@pytest.mark.parametrize(("failures_per_km", "is_noticed"), [(1e-1, True), (1e-300, False)])
-def test_where_kidnappings_are_rare_one_takes_more_evidence(failures_per_km, is_noticed):
-    street = Street(LocalizationConfig(failures_per_km=failures_per_km))
-    assert street.drive(LEARNING) is None
-    street.carry_off()
-    assert (street.drive(15, hidden=street.hide_known()) is not None) == is_noticed
-
-
 def test_a_drive_without_one_raises_no_alarm(street):
     assert street.drive(150) is None
 

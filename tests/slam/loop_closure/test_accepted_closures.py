@@ -88,13 +88,6 @@ def test_a_closure_that_is_inconsistent_goes_although_its_factor_stays(street):
     assert street.closed == [99]
 
 
-def test_closures_from_before_the_robot_was_lost_stay(street):
-    street.accept(95)
-    street.accept(110)
-    assert street.declare_lost(since=105) == [110]
-    assert street.closed == street.factors == [95]
-
-
 def test_who_was_relocalized_lately_was_never_there():
     street = Drive(second_segment=1)
     street.accept(91)

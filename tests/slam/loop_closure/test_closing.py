@@ -283,14 +283,6 @@ def test_a_query_with_the_landmarks_of_the_last_one_is_looked_up_where_no_closur
     assert parts.retrieved == 2
 
 
-def test_a_robot_that_is_lost_looks_up_every_query(parts):
-    drive = Drive(parts)
-    parts.is_connected = False
-    drive.close(FIRST)
-    drive.close(FIRST + 1)
-    assert parts.retrieved == 2
-
-
 def test_a_robot_that_got_lost_looks_up_what_it_had_looked_up_before(parts):
     drive = Drive(parts)
     drive.close(FIRST)
@@ -308,17 +300,6 @@ def test_few_objects_close_no_loop(parts):
     parts.objects += 1
     parts.llrs[FIRST + 1] = SURE_LLR
     assert accepted(drive.close(FIRST + 1))
-
-
-def test_lost_robot_uses_unconfirmed_landmarks_too(parts):
-    drive = Drive(parts)
-    parts.is_connected = False
-    parts.objects = MIN_INLIERS - 1
-    drive.close(FIRST, segment=3)
-    assert parts.retrieved == 0
-    parts.unconfirmed = 1
-    drive.close(FIRST + 1, segment=3)
-    assert parts.retrieved == 1
 
 
 def test_unconfirmed_landmarks_are_used_only_where_the_confirmed_ones_do_not_suffice(parts):

@@ -50,12 +50,6 @@ def test_each_variance_grows_in_proportion_to_what_it_is_caused_by(setting, sigm
     assert np.delete(variances, entry).max() < 1e-9
 
 
-def test_variances_of_two_steps_add_up_to_that_of_both():
-    a, b, c = pose(), pose(2.0, yaw=0.3, seconds=1.0), pose(7.0, yaw=0.9, seconds=3.0)
-    both = step_variances(a, b, ALL) + step_variances(b, c, ALL)
-    np.testing.assert_allclose(step_variances(a, c, ALL), both)
-
-
 def test_travel_that_came_back_counts_and_a_step_is_never_shorter_than_its_ends_are_apart():
     config = OdometryCalibration(**(SILENT | {"translation_sigma": 0.1}))
     there_and_back = step_variances(pose(), pose(0.0, travel_m=6.0), config)

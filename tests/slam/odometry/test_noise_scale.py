@@ -63,24 +63,6 @@ def test_factors_fall_back_once_the_odometry_is_as_good_as_its_model() -> None:
     assert scale.factors.max() < 3.0
 
 
-@pytest.mark.parametrize("ratio", [4.0, 25.0])
-def test_one_coordinate_of_a_scan_tells_the_noise_of_what_moves_it(ratio: float) -> None:
-    """One landmark, whose bearing alone is measured: of the axes, only the heading moves it much."""
-    found = []
-    for seed in range(5):
-        scale, rng = NoiseScale(1.0, NO_LIMIT), np.random.default_rng(seed)
-        for _ in range(600):
-            of_heading, of_place, noise = 0.1**2, 0.001**2, 0.02**2
-            S = scale.factors[HEADING] * of_heading + scale.factors[TRANSLATION] * of_place + noise
-            y = rng.normal(scale=np.sqrt(ratio * of_heading + of_place + noise))
-            effects = np.zeros((1, 6))
-            effects[0, 2] = np.sqrt(scale.factors[HEADING] * of_heading / S)
-            effects[0, 3] = np.sqrt(scale.factors[TRANSLATION] * of_place / S)
-            scale.add(np.array([y]) / np.sqrt(S), effects)
-        found.append(scale.factors[HEADING])
-    assert ratio / 1.7 < np.median(found) < 1.7 * ratio
-
-
 def test_single_outliers_among_innovations_do_not_change_the_scale() -> None:
     scale = NoiseScale(1.0, NO_LIMIT)
     for count in range(200):
