@@ -8,10 +8,9 @@ from scipy.spatial.transform import Rotation
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from tests.helpers.graphs import PLAIN, observed_from
 
-PLAIN = 1e6
-"""Width of a kernel that gives every observation its full weight."""
 EDGE_COVARIANCE = np.diag(np.repeat([0.05**2, 0.2**2], 3))
 SEEN_COVARIANCE = 0.02**2 * np.eye(3)
 KEYFRAMES, LANDMARKS = 12, 15
@@ -52,11 +51,11 @@ def noisy_edges(seed: int = 1) -> list[Edge]:
 def sightings(seed: int = 2, sigma_m: float = 0.005) -> list[Observation]:
     """Each keyframe sees the eight landmarks nearest to it."""
     rng = np.random.default_rng(seed)
-    found = []
+    found = list[Observation]()
     for k, T in enumerate(true_poses()):
-        seen = apply(invert(T), true_landmarks())
-        for row in np.argsort(np.linalg.norm(seen, axis=1))[:8].tolist():
-            found.append(Observation(k, row, seen[row] + rng.normal(scale=sigma_m, size=3), SEEN_COVARIANCE))
+        nearest = np.argsort(np.linalg.norm(true_landmarks() - T[:3, 3], axis=1))[:8]
+        errors = rng.normal(scale=sigma_m, size=(8, 3))
+        found += observed_from(k, T, true_landmarks(), nearest, SEEN_COVARIANCE, errors)
     return found
 
 

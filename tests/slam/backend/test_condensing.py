@@ -11,10 +11,11 @@ from slam.backend.attached_keyframes import AttachedKeyframes
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, relative, transform_from_xyz_yaw
+from slam.common.geometry import invert, relative, transform_from_xyz_yaw
 from slam.graph_condenser import find_anchors
+from tests.helpers.graphs import PLAIN, chained, observed_from
 from tests.helpers.poses import pose_at
-from tests.slam.backend.graphs import PLAIN
+from tests.logs.examples import random_covariance
 
 ROUND, LANDMARKS = 12, 15
 STEP_COVARIANCE = np.diag(np.repeat([0.02**2, 0.05**2], 3))
@@ -44,11 +45,9 @@ def driven(rounds: int, kernel_width: float = PLAIN, *, seed: int = 1) -> Factor
         if k > 0:
             error = gtsam.Pose3.Expmap(rng.multivariate_normal(np.zeros(6), STEP_COVARIANCE)).matrix()
             graph.add_next_keyframe(Edge(k - 1, k, relative(T[k - 1], T[k]) @ error, STEP_COVARIANCE, "odometry"))
-        seen = apply(invert(T[k]), landmarks)
-        nearest = np.argsort(np.linalg.norm(seen, axis=1))[:8].tolist()
-        graph.add_observations(
-            [Observation(k, row, seen[row] + rng.normal(scale=0.02, size=3), SEEN_COVARIANCE) for row in nearest]
-        )
+        nearest = np.argsort(np.linalg.norm(landmarks - T[k][:3, 3], axis=1))[:8]
+        errors = rng.normal(scale=0.02, size=(8, 3))
+        graph.add_observations(observed_from(k, T[k], landmarks, nearest, SEEN_COVARIANCE, errors))
         graph.update()
     return graph
 
@@ -96,8 +95,7 @@ def test_the_drive_goes_on_from_a_condensed_graph():
     T, landmarks = true_poses(5), true_landmarks()
     for k in range(4 * ROUND, 5 * ROUND):
         graph.add_next_keyframe(Edge(k - 1, k, relative(T[k - 1], T[k]), STEP_COVARIANCE, "odometry"))
-        seen = apply(invert(T[k]), landmarks)
-        graph.add_observations([Observation(k, row, seen[row], SEEN_COVARIANCE) for row in range(LANDMARKS)])
+        graph.add_observations(observed_from(k, T[k], landmarks, range(LANDMARKS), SEEN_COVARIANCE))
         graph.update()
     graph.optimize()
     assert np.linalg.norm(graph.poses()[:, :3, 3] - T[:, :3, 3], axis=1).max() < 0.1
@@ -130,10 +128,7 @@ def test_merged_landmarks_can_be_condensed_and_removed():
 
 def test_edges_to_keyframes_that_stay_remain():
     step = pose_at(1.0)
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, np.eye(4))
-    for k in range(5):
-        graph.add_next_keyframe(Edge(k, k + 1, step, STEP_COVARIANCE, "odometry"))
+    graph = chained(np.eye(4), [Edge(k, k + 1, step, STEP_COVARIANCE, "odometry") for k in range(5)])
     graph.add_edge(Edge(1, 3, step @ step, STEP_COVARIANCE, "closure"))
     graph.add_edge(Edge(4, 5, step, STEP_COVARIANCE, "closure"))
     graph.condense({3: 1, 4: 2})
@@ -170,19 +165,14 @@ def attached_at(T_anchor_keyframe: FloatArray) -> AttachedKeyframes:
 @pytest.mark.parametrize("ends", [(2, 3), (3, 2)])
 def test_an_edge_of_an_attached_keyframe_has_the_error_that_it_had(ends):
     rng = np.random.default_rng(3)
-    T_1_2 = gtsam.Pose3.Expmap(rng.normal(size=6)).matrix()
-    A = rng.normal(size=(6, 6))
-    edge = Edge(ends[0], ends[1], gtsam.Pose3.Expmap(rng.normal(size=6)).matrix(), A @ A.T + np.eye(6), "odometry")
-    T = {1: gtsam.Pose3.Expmap(rng.normal(size=6)), 3: gtsam.Pose3.Expmap(rng.normal(size=6))}
-    T[2] = T[1].compose(gtsam.Pose3(T_1_2))
+    T_1, T_1_2, T_from_to = (gtsam.Pose3.Expmap(rng.normal(size=6)).matrix() for _ in range(3))
+    edge = Edge(*ends, T_from_to, random_covariance(rng, 6), "odometry")
     # Near what it says, where errors are linear.
-    other = T[2].compose(gtsam.Pose3(edge.T_from_to)) if ends == (2, 3) else T[2].compose(
-        gtsam.Pose3(edge.T_from_to).inverse()
-    )  # fmt: skip
-    T[3] = other.compose(gtsam.Pose3.Expmap(1e-4 * rng.normal(size=6)))
+    T_2_3 = T_from_to if ends == (2, 3) else invert(T_from_to)
+    T_2_3 = T_2_3 @ gtsam.Pose3.Expmap(1e-4 * rng.normal(size=6)).matrix()
     values = gtsam.Values()
-    for keyframe, pose in T.items():
-        values.insert(X(keyframe), pose)
+    for keyframe, T in enumerate((T_1, T_1 @ T_1_2, T_1 @ T_1_2 @ T_2_3), start=1):
+        values.insert(X(keyframe), gtsam.Pose3(T))
     moved = attached_at(T_1_2).edge(edge)
     assert {moved.from_keyframe, moved.to_keyframe} == {1, 3}
     assert between_factor(moved).error(values) == pytest.approx(between_factor(edge).error(values), rel=1e-3)

@@ -11,11 +11,11 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.graph_record import observations_of
 from slam.common.geometry import apply, invert, relative
+from tests.helpers.graphs import PLAIN, chained
 from tests.helpers.poses import pose_at
 from tests.slam.backend.graphs import (
     KEYFRAMES,
     OFTEN_SEEN,
-    PLAIN,
     SEEN_COVARIANCE,
     assert_is_true,
     assert_same_estimate,
@@ -112,8 +112,7 @@ def test_the_record_holds_the_graph():
 
 
 def test_the_record_of_a_graph_without_edges_and_observations():
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, np.eye(4))
+    graph = chained(np.eye(4), [])
     graph.optimize()
     record = graph.to_record(0, np.array([1]))
     assert record.edge_transforms.shape == (0, 4, 4)
@@ -126,15 +125,16 @@ def test_the_record_of_a_graph_without_edges_and_observations():
 @pytest.mark.parametrize("ends", [(0, 3), (3, 0)])
 def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     """Neither segment is bent, though the edge is far from the first estimate; the break is what it is now."""
-    graph = FactorGraph(kernel_width=PLAIN)
     soft, loose = np.diag(np.repeat([1e-2, 1.0], 3)), np.diag(np.repeat([1.0, 1e4], 3))
     step = pose_at(2.0)
-    graph.add_keyframe(0, np.eye(4))
-    graph.add_next_keyframe(Edge(0, 1, step, soft, EdgeKind.ODOMETRY))
-    graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
-    graph.add_next_keyframe(Edge(2, 3, step, soft, EdgeKind.ODOMETRY))
+    edges = [
+        Edge(0, 1, step, soft, EdgeKind.ODOMETRY),
+        Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY),
+        Edge(2, 3, step, soft, EdgeKind.ODOMETRY),
+    ]
     seen = [(0, 5, [4.0, 3.0, 0.0]), (1, 5, [2.0, 3.0, 0.0]), (2, 6, [4.0, 3.0, 0.0]), (3, 6, [2.0, 3.0, 0.0])]
-    graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
+    observations = [Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen]
+    graph = chained(np.eye(4), edges, observations)
     T_far = pose_at(-60.0, 45.0, yaw=2.5)
     T_from_to = T_far if ends == (0, 3) else invert(T_far)
     number = graph.add_joining_edge(Edge(ends[0], ends[1], T_from_to, soft, EdgeKind.LOOP_CLOSURE), {2, 3})
@@ -160,19 +160,16 @@ def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it():
 
 
 def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
-    T_0_1 = pose_at(1.0)
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, np.eye(4))
-    graph.add_next_keyframe(Edge(0, 1, T_0_1, 0.01 * np.eye(6), "odometry"))
-    other = pose_at(2.0)
-    graph.add_edge(Edge(0, 1, other, 0.01 * np.eye(6), "odometry"))
+    first, second = (Edge(0, 1, pose_at(x_m), 0.01 * np.eye(6), "odometry") for x_m in (1.0, 2.0))
+    graph = chained(np.eye(4), [first])
+    graph.add_edge(second)
     graph.optimize()
     assert graph.pose(1)[0, 3] == pytest.approx(1.5, abs=1e-3)
-    first = min(number for number, each in graph.factors.items() if isinstance(each, Edge))
-    graph.replace_covariances({first: 0.03 * np.eye(6)})
+    number = min(number for number, each in graph.factors.items() if isinstance(each, Edge))
+    graph.replace_covariances({number: 0.03 * np.eye(6)})
     graph.optimize()
     assert graph.pose(1)[0, 3] == pytest.approx(1.75, abs=1e-3)
-    assert graph.factors[first].covariance[0, 0] == 0.03
+    assert graph.factors[number].covariance[0, 0] == 0.03
 
 
 def test_landmarks_may_stand_for_others_and_for_themselves_again():
@@ -195,8 +192,7 @@ def test_landmarks_may_stand_for_others_and_for_themselves_again():
 
 def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> None:
     T = true_poses()
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, T[0])
+    graph = chained(T[0], [])
     graph.add_next_keyframe(noisy_edges()[0], invert(T[0]) @ T[1])
     np.testing.assert_allclose([graph.pose(1), graph.poses()[1]], [T[1], T[1]], atol=1e-9)
     graph.update()

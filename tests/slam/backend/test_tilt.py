@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.factors import Edge, EdgeKind
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
-from tests.slam.backend.graphs import PLAIN
+from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from tests.helpers.graphs import PLAIN, chained, observed_from
 
 KEYFRAMES, STEP_M = 120, 1.0
 SIGMA_M = 0.1
@@ -42,12 +42,9 @@ def drive(drift_rad: float, seed: int) -> FactorGraph:
             covariance[:3, :3] = R[k].T @ upright @ R[k]
             step = invert(T[k - 1]) @ T[k] @ make_transform(error, np.zeros(3))
             graph.add_next_keyframe(Edge(k - 1, k, step, covariance, EdgeKind.ODOMETRY))
-        seen = apply(invert(T[k]), landmarks)
-        near = np.flatnonzero(np.linalg.norm(seen, axis=1) < 6.0)
-        noisy = seen[near] + rng.normal(scale=SIGMA_M, size=(len(near), 3))
-        graph.add_observations(
-            [Observation(k, row, z, SIGMA_M**2 * np.eye(3)) for row, z in zip(near.tolist(), noisy, strict=True)]
-        )
+        near = np.flatnonzero(np.linalg.norm(landmarks - T[k][:3, 3], axis=1) < 6.0)
+        errors = rng.normal(scale=SIGMA_M, size=(len(near), 3))
+        graph.add_observations(observed_from(k, T[k], landmarks, near, SIGMA_M**2 * np.eye(3), errors))
     return graph
 
 
@@ -85,7 +82,6 @@ def test_drifting_tilt_is_estimated(seed):
 
 
 def test_graph_without_odometry_is_optimised():
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, np.eye(4))
+    graph = chained(np.eye(4), [])
     hold_tilt(graph)
     assert graph.match_noise().converged

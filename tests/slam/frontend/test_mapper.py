@@ -192,12 +192,13 @@ def test_two_objects_half_a_metre_apart_that_are_seen_together_stay_two(young, d
     assert bench.map.aliases == {}
 
 
-def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> Bench:
+def drive_past_a_vehicle(vehicle_m: FloatArray, step_m: float = 0.3, sigma_m: float = 0.2) -> Bench:
+    """It is at each ``vehicle_m`` (S,) along x in turn, one a scan."""
     bench = Bench()
-    for i in range(scans):
-        bench.move(0.1 * i, 0.3 * i)
-        vehicle = np.array([[3.0 + speed_mps * 0.1 * i, 8.0, 0.0]])
-        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=sigma_m)
+    for i, x_m in enumerate(vehicle_m.tolist()):
+        bench.move(0.1 * i, step_m * i)
+        objects = np.concatenate([OBJECTS, [[3.0 + x_m, 8.0, 0.0]]])
+        bench.see(0.1 * i, objects, (*LABELS, "vehicle"), sigma_m=sigma_m)
     bench.mapper.close_keyframe()
     bench.graph.update()
     return bench
@@ -205,18 +206,14 @@ def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> 
 
 @pytest.mark.parametrize("speed_mps", [2.0, 12.0])
 def test_moving_vehicle_is_never_in_the_map(speed_mps):
-    bench = drive_past_a_vehicle(speed_mps, 40)
+    bench = drive_past_a_vehicle(0.1 * speed_mps * np.arange(40))
     assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
     assert LandmarkState.CONFIRMED not in bench.states()[4:]
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
 def test_vehicle_that_stops_becomes_a_landmark_where_it_stands():
-    bench = Bench()
-    for i in range(160):
-        bench.move(0.1 * i, 0.02 * i)
-        vehicle = np.array([[3.0 + 0.5 * min(i, 30), 8.0, 0.0]])
-        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=0.6)
+    bench = drive_past_a_vehicle(0.5 * np.minimum(np.arange(160), 30), step_m=0.02, sigma_m=0.6)
     assert bench.reasons()[4] == "moving"
     confirmed = bench.map.in_state(LandmarkState.CONFIRMED)
     assert len(confirmed) == 5
@@ -224,19 +221,15 @@ def test_vehicle_that_stops_becomes_a_landmark_where_it_stands():
 
 
 def test_followed_vehicle_stays_one_landmark():
-    assert len(drive_past_a_vehicle(8.0, 40, sigma_m=0.3).map) == 5
+    assert len(drive_past_a_vehicle(0.8 * np.arange(40), sigma_m=0.3).map) == 5
 
 
 def test_landmark_that_turns_out_to_move_leaves_the_graph():
     """It creeps at 0.9 m/s, below the limit, and then goes at 1.6 m/s."""
-    bench = Bench()
-    was_in_the_graph = False
-    for i in range(120):
-        bench.move(0.1 * i, 0.1 * i)
-        vehicle = np.array([[12.0 + 0.09 * i + 0.07 * max(i - 15, 0), 8.0, 0.0]])
-        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=1.0)
-        was_in_the_graph |= 4 in bench.graph.landmarks
-    assert was_in_the_graph
+    scans = np.arange(120)
+    vehicle_m = 9.0 + 0.09 * scans + 0.07 * np.maximum(scans - 15, 0)
+    assert drive_past_a_vehicle(vehicle_m[:15], step_m=0.1, sigma_m=1.0).graph.landmarks.tolist() == [0, 1, 2, 3, 4]
+    bench = drive_past_a_vehicle(vehicle_m, step_m=0.1, sigma_m=1.0)
     assert bench.reasons() == ["", "", "", "", "moving"]
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 

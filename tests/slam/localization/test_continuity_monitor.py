@@ -32,12 +32,16 @@ class Street:
         self.monitor = ContinuityMonitor(config or LocalizationConfig(), RANGE_M)
         self.segment = 0
         self.x_m = np.arange(-30.0, 600.0, 5.0)
-        self.positions = np.concatenate(
-            [np.column_stack([self.x_m, np.full(len(self.x_m), side), np.zeros(len(self.x_m))]) for side in (6.0, -7.0)]
-        )
-        self.first_m = np.full(len(self.positions), np.inf)
-        self.last_m = np.full(len(self.positions), -np.inf)
+        self.positions, self.first_m, self.last_m = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        for side_m in (6.0, -7.0):
+            self.place(np.column_stack([self.x_m, np.full_like(self.x_m, side_m), np.zeros_like(self.x_m)]))
         self.keyframe = -1
+
+    def place(self, positions: FloatArray) -> None:
+        """Add objects (N, 3) m that were not seen yet."""
+        self.positions = np.concatenate([self.positions, positions])
+        self.first_m = np.append(self.first_m, np.full(len(positions), np.inf))
+        self.last_m = np.append(self.last_m, np.full(len(positions), -np.inf))
 
     def drive(self, count: int, *, blind: bool = False, hidden: FloatArray | None = None) -> float | None:
         """Drive on; ``hidden`` (N,): landmarks that are not seen. Stops where a kidnapping is noticed, and dates it."""
@@ -57,9 +61,8 @@ class Street:
         """Other objects stand around the robot from now on; those from before stay in the map where they were."""
         seen = self.first_m < np.inf
         elsewhere = self.positions + np.array([2.3, 1.9, 0.0])
-        self.positions = np.concatenate([self.positions[seen], elsewhere])
-        self.first_m = np.concatenate([self.first_m[seen], np.full(len(elsewhere), np.inf)])
-        self.last_m = np.concatenate([self.last_m[seen], np.full(len(elsewhere), -np.inf)])
+        self.positions, self.first_m, self.last_m = self.positions[seen], self.first_m[seen], self.last_m[seen]
+        self.place(elsewhere)
         self.gone = int(seen.sum())
 
     def hide_known(self) -> BoolArray:
@@ -98,10 +101,7 @@ def test_a_blind_sensor_is_no_kidnapping(street):
 
 
 def test_many_new_objects_are_none(street):
-    more = street.positions + np.array([1.7, 2.4, 0.0])
-    street.positions = np.concatenate([street.positions, more])
-    street.first_m = np.concatenate([street.first_m, np.full(len(more), np.inf)])
-    street.last_m = np.concatenate([street.last_m, np.full(len(more), -np.inf)])
+    street.place(street.positions + np.array([1.7, 2.4, 0.0]))
     assert street.drive(30) is None
 
 

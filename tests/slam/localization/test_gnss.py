@@ -48,6 +48,9 @@ def path(count: int = 200, step_m: float = 3.0) -> TrajectoryRecord:
     return TrajectoryRecord(0, "map", stamps_ns, transform_from_xyz_yaw(xyz, yaw))
 
 
+POSITIONS = path().T_map_body[:, :3, 3]
+
+
 def far_off(fixes: list[GeodeticFix], share: float) -> list[GeodeticFix]:
     """A ``share`` of the fixes reflected by the same wall: 300 m off, though they say 2 m."""
     chosen = np.random.default_rng(2).random(len(fixes)) < share
@@ -57,52 +60,49 @@ def far_off(fixes: list[GeodeticFix], share: float) -> list[GeodeticFix]:
     ]
 
 
+def off_m(found: Georeference | None) -> FloatArray:
+    """How far (N, 3) m positions of the path are from where they are on earth."""
+    assert found is not None
+    return np.abs(TRUE.to_map(found.to_geodetic(POSITIONS)) - POSITIONS)
+
+
 class TestGeoreference:
     @pytest.mark.parametrize("share", [0.0, 0.3])
     def test_the_place_of_a_map_is_found_with_outliers(self, share: float) -> None:
-        trajectory = path()
-        found = find_georeference(trajectory, far_off(fixes_of(trajectory.T_map_body[:, :3, 3]), share))
+        found = find_georeference(path(), far_off(fixes_of(POSITIONS), share))
+        assert off_m(found).max() < 1.0
         assert found is not None
-        positions = trajectory.T_map_body[:, :3, 3]
-        off = TRUE.to_map(found.to_geodetic(positions)) - positions
-        assert np.abs(off).max() < 1.0
         assert abs(found.yaw_rad - TRUE.yaw_rad) < 0.01
 
     def test_few_good_fixes_weigh_more_than_many_bad_ones(self) -> None:
-        positions = path().T_map_body[:, :3, 3]
-        good, bad = fixes_of(positions, 0.1), fixes_of(positions, 20.0, seed=3)
+        good, bad = fixes_of(POSITIONS, 0.1), fixes_of(POSITIONS, 20.0, seed=3)
         found = find_georeference(path(), [bad[i] if i % 40 else good[i] for i in range(len(good))])
-        assert found is not None
-        assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions)[:, :2].max() < 0.3
+        assert off_m(found)[:, :2].max() < 0.3
 
     def test_fixes_before_the_drive_say_nothing(self) -> None:
-        positions = path().T_map_body[:, :3, 3]
-        elsewhere = fixes_of(np.tile(positions[0] + np.array([500.0, 0.0, 0.0]), (300, 1)))
+        elsewhere = fixes_of(np.tile(POSITIONS[0] + np.array([500.0, 0.0, 0.0]), (300, 1)))
         early = [replace(fix, stamp_ns=fix.stamp_ns - 10**12) for fix in elsewhere]
-        found = find_georeference(path(), early + fixes_of(positions))
-        assert found is not None
-        assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions).max() < 1.0
+        assert off_m(find_georeference(path(), early + fixes_of(POSITIONS))).max() < 1.0
 
     def test_a_path_too_short_or_few_fixes_tell_nothing(self) -> None:
         short = path(step_m=0.01)
         assert find_georeference(short, fixes_of(short.T_map_body[:, :3, 3])) is None
-        assert find_georeference(path(), fixes_of(path().T_map_body[:, :3, 3])[:4]) is None
-        late = [replace(fix, stamp_ns=fix.stamp_ns + 10**15) for fix in fixes_of(path().T_map_body[:, :3, 3])]
+        assert find_georeference(path(), fixes_of(POSITIONS)[:4]) is None
+        late = [replace(fix, stamp_ns=fix.stamp_ns + 10**15) for fix in fixes_of(POSITIONS)]
         assert find_georeference(path(), late) is None
 
 
 class TestPrior:
     def test_the_latest_fix_that_most_agree_with_holds(self) -> None:
-        positions = path(20).T_map_body[:, :3, 3]
         prior, found = GnssPrior(TRUE), None
-        for i, fix in enumerate(far_off(fixes_of(positions), 0.3)):
+        for i, fix in enumerate(far_off(fixes_of(POSITIONS[:20]), 0.3)):
             found = prior.add(fix, 3.0 * i)
         assert found is not None
-        assert np.linalg.norm(found.position - positions[-1, :2]) < found.radius_m(3.0 * 19)
+        assert np.linalg.norm(found.position - POSITIONS[19, :2]) < found.radius_m(3.0 * 19)
         assert found.radius_m(3.0 * 19) < 30.0
 
     def test_fixes_without_covariance_are_no_prior(self) -> None:
-        (fix, *_) = fixes_of(path(2).T_map_body[:, :3, 3])
+        (fix,) = fixes_of(POSITIONS[:1])
         assert GnssPrior(TRUE).add(replace(fix, covariance=None), 0.0) is None
 
 

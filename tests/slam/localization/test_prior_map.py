@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Factor, Observation
-from slam.common.arrays import FloatArray
+from slam.backend.factors import Edge, Factor
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.common.geometry import apply, invert
+from slam.common.geometry import invert
 from slam.localization.prior_map import restore, with_heights_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
+from tests.helpers.graphs import PLAIN, chained, observed_from, odometry_edges
 from tests.helpers.landmarks import add_landmarks
 from tests.helpers.poses import pose_at
 
-WIDTH = 1e6
 SURE = np.diag(np.repeat([1e-4, 1e-4], 3))
 LOOSE = np.diag(np.repeat([0.1, 4.0], 3))
 SEEN = 0.05**2 * np.eye(3)
@@ -29,27 +30,19 @@ OFFSET = np.array([0.2, -0.1, 0.1])
 """By how much the drive sees everything beside where the map has it."""
 
 
-def seen_from(T: FloatArray, keyframe: int, rows: dict[int, FloatArray]) -> list[Observation]:
-    return [Observation(keyframe, row, apply(invert(T), at[None])[0], SEEN) for row, at in rows.items()]
-
-
 @pytest.fixture
 def saved() -> SavedMap:
     object_map = ObjectMap(ObjectCalibration())
     rows = add_landmarks(object_map, OBJECTS, ("tree", "lamp", "tree", "bench"))
-    graph = FactorGraph(kernel_width=WIDTH)
-    graph.add_keyframe(0, POSES[0])
-    for k in (1, 2):
-        graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
-    for k, T in enumerate(POSES):
-        graph.add_observations(seen_from(T, k, dict(enumerate(OBJECTS))))
+    seen = [each for k, T in enumerate(POSES) for each in observed_from(k, T, OBJECTS, range(4), SEEN)]
+    graph = chained(POSES[0], odometry_edges(POSES, SURE), seen)
     graph.optimize()
     object_map.assign(rows, position_map=graph.landmark_positions(rows), covariance_map=graph.covariances()[1])
     return SavedMap(confirmed(object_map.to_record(9)), graph.to_record(9, np.arange(3)))
 
 
 def loaded(saved: SavedMap, *, fixed: bool) -> tuple[ObjectMap, FactorGraph]:
-    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(kernel_width=WIDTH)
+    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(kernel_width=PLAIN)
     assert [keyframe.id for keyframe in restore(saved, object_map, graph, fixed=fixed)] == [0, 1, 2]
     return object_map, graph
 
@@ -58,7 +51,8 @@ def see_again(graph: FactorGraph) -> None:
     """A fourth keyframe, placed wrongly by a metre, that sees objects 4 to 7, which are landmarks 0 to 3 of the map."""
     wrong = pose_at(6.0, 0.5, yaw=0.2)
     graph.add_next_keyframe(Edge(2, 3, invert(POSES[2]) @ wrong, LOOSE, "odometry"))
-    graph.add_observations(seen_from(NEW_POSE, 3, {4 + row: at + OFFSET for row, at in enumerate(OBJECTS)}))
+    seen = observed_from(3, NEW_POSE, OBJECTS + OFFSET, range(4), SEEN)
+    graph.add_observations([replace(each, landmark=4 + each.landmark) for each in seen])
     graph.update()
     graph.alias_landmarks({4 + row: row for row in range(4)})
     graph.optimize()
@@ -91,7 +85,7 @@ def test_twin_landmarks_of_a_map_that_is_extended_move(saved: SavedMap) -> None:
     _, graph = loaded(saved, fixed=False)
     before = graph.landmark_positions(np.arange(4))
     graph.add_next_keyframe(Edge(2, 3, invert(POSES[2]) @ NEW_POSE, SURE, "odometry"))
-    graph.add_observations(seen_from(NEW_POSE, 3, {row: at + OFFSET for row, at in enumerate(OBJECTS)}))
+    graph.add_observations(observed_from(3, NEW_POSE, OBJECTS + OFFSET, range(4), SEEN))
     graph.optimize()
     assert np.linalg.norm(graph.landmark_positions(np.arange(4)) - before, axis=1).min() > 0.01
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import ObjectMap
-from slam.odometry.keyframe import Keyframe
 from tests.helpers.candidates import make_candidate
+from tests.helpers.graphs import chained, odometry_edges
 from tests.helpers.poses import pose_at
 from tests.slam.loop_closure.doubles import make_keyframe
 
@@ -26,19 +25,14 @@ class Drive:
     """A street driven twice, without objects; the second round may be another segment of the odometry."""
 
     def __init__(self, *, second_segment: int = 0) -> None:
-        graph = FactorGraph(kernel_width=1e6)
-        self.keyframes: list[Keyframe] = []
-        self.closures = AcceptedClosures(Config(), ObjectMap(ObjectCalibration()), graph, self.keyframes)
-        self.graph = graph
-        for number in range(ROUND + 30):
-            segment = second_segment if number >= ROUND else 0
-            self.keyframes.append(make_keyframe(number, STEP_M * number, segment=segment))
-            if number == 0:
-                graph.add_keyframe(0, pose_at(0.0))
-            else:
-                covariance = np.diag(np.repeat([1e-6, 1e-2], 3))
-                graph.add_next_keyframe(Edge(number - 1, number, pose_at(STEP_M), covariance, "odometry"))
-        graph.update()
+        self.keyframes = [
+            make_keyframe(number, STEP_M * number, segment=second_segment if number >= ROUND else 0)
+            for number in range(ROUND + 30)
+        ]
+        T = np.array([each.T_local_body for each in self.keyframes])
+        self.graph = chained(T[0], odometry_edges(T, np.diag(np.repeat([1e-6, 1e-2], 3))))
+        self.closures = AcceptedClosures(Config(), ObjectMap(ObjectCalibration()), self.graph, self.keyframes)
+        self.graph.update()
 
     def accept(self, query: int, *, reference: int | None = None) -> None:
         self.closures.add(self.candidate(query, reference=reference))

@@ -8,10 +8,11 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.calibration import ObjectCalibration
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
+from tests.helpers.graphs import chained, observed_from, odometry_edges
 from tests.helpers.landmarks import add_landmarks
+from tests.helpers.poses import pose_at
 
 KEYFRAMES = 6
 SURE = 1e-6 * np.eye(6)
@@ -22,17 +23,14 @@ Seen = tuple[str, tuple[float, float, float], tuple[int, ...]]
 
 def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[ObjectMap, FactorGraph]:
     """A map of those landmarks, seen without noise along a straight street."""
-    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(kernel_width=1e6)
-    T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
-    graph.add_keyframe(0, T[0])
-    for k in range(1, KEYFRAMES):
-        graph.add_next_keyframe(Edge(k - 1, k, invert(T[k - 1]) @ T[k], SURE, "odometry"))
+    object_map, T = ObjectMap(ObjectCalibration()), np.array([pose_at(2.0 * k) for k in range(KEYFRAMES)])
+    graph = chained(T[0], odometry_edges(T, SURE))
     places = np.array([place for _, place, _ in landmarks])
     rows = add_landmarks(object_map, places, [label for label, _, _ in landmarks], confirmed=False)
     object_map.confirm(np.setdiff1d(rows, tentative))
-    for row, (_, place, keyframes) in enumerate(landmarks):
-        seen = [Observation(k, row, apply(invert(T[k]), np.array([place]))[0], SEEN) for k in keyframes]
-        graph.add_observations(seen)
+    for row, (_, _, keyframes) in enumerate(landmarks):
+        for k in keyframes:
+            graph.add_observations(observed_from(k, T[k], places, [row], SEEN))
     graph.optimize()
     return object_map, graph
 

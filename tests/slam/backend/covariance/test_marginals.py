@@ -21,37 +21,33 @@ from slam.backend.factors import (
 from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, make_transform
+from tests.helpers.graphs import PLAIN, chained, odometry_edges
 from tests.helpers.poses import pose_at
-from tests.slam.backend.graphs import PLAIN, edge, noisy_edges, sightings, true_landmarks, true_poses
+from tests.slam.backend.graphs import edge, noisy_edges, sightings, true_landmarks, true_poses
 
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
 SEEN_COVARIANCE = 0.01 * np.eye(3)
 
 
-def drive(*, is_straight: bool) -> tuple[FloatArray, list[Edge]]:
-    """True poses (10, 4, 4) and the odometry between them."""
-    turn = 0.0 if is_straight else 0.4
-    tilt = make_transform(Rotation.from_euler("y", 0.0 if is_straight else 0.1).as_matrix(), np.zeros(3))
+def drive() -> tuple[FloatArray, list[Edge]]:
+    """True poses (10, 4, 4) of a body that turns and leans more and more, and the odometry between them."""
+    tilt = make_transform(Rotation.from_euler("y", 0.1).as_matrix(), np.zeros(3))
     T = [np.eye(4)]
     for _ in range(9):
-        T.append(T[-1] @ pose_at(2.0, yaw=turn) @ tilt)
-    edges = [Edge(k, k + 1, invert(T[k]) @ T[k + 1], EDGE_COVARIANCE, "odometry") for k in range(9)]
-    return np.array(T), edges
+        T.append(T[-1] @ pose_at(2.0, yaw=0.4) @ tilt)
+    return np.array(T), odometry_edges(np.array(T), EDGE_COVARIANCE)
 
 
-def built(T: FloatArray, edges: list[Edge], observations: list[Observation], kernel_width: float) -> FactorGraph:
-    graph = FactorGraph(kernel_width=kernel_width)
-    graph.add_keyframe(0, T[0])
-    for each in edges:
-        graph.add_next_keyframe(each)
-    graph.add_observations(observations)
+def optimized(
+    edges: list[Edge], observations: list[Observation] | None = None, kernel_width: float = PLAIN
+) -> FactorGraph:
+    graph = chained(np.eye(4), edges, observations or [], kernel_width)
     graph.optimize()
     return graph
 
 
 def test_a_keyframe_and_a_landmark_are_as_sure_as_the_one_measurement_of_each() -> None:
-    T, edges = drive(is_straight=False)
-    graph = built(T[:2], edges[:1], [Observation(0, 7, np.array([3.0, 1.0, 0.5]), SEEN_COVARIANCE)], PLAIN)
+    graph = optimized(drive()[1][:1], [Observation(0, 7, np.array([3.0, 1.0, 0.5]), SEEN_COVARIANCE)])
     np.testing.assert_allclose(graph.covariances()[0][1], EDGE_COVARIANCE, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(graph.covariances()[1][0], SEEN_COVARIANCE, rtol=1e-3, atol=1e-6)
 
@@ -84,8 +80,8 @@ def test_a_variable_that_nothing_determines_is_refused() -> None:
 
 
 def test_the_record_holds_them_and_they_follow_the_graph() -> None:
-    T, edges = drive(is_straight=False)
-    graph = built(T, edges, [], PLAIN)
+    T, edges = drive()
+    graph = optimized(edges)
     before, _ = graph.covariances()
     np.testing.assert_array_equal(graph.to_record(0, np.arange(len(T)), before).pose_covariances, before)
     graph.add_edge(Edge(0, 9, T[9], 1e-4 * EDGE_COVARIANCE, "odometry"))
@@ -102,11 +98,9 @@ def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(
     rng = np.random.default_rng(5)
     place, squares = np.array([8.0, 3.0, 1.0]), list[float]()
     for _ in range(80):
-        graph = FactorGraph(kernel_width=width)
-        graph.add_keyframe(0, np.eye(4))
         seen = place + rng.normal(scale=0.1, size=(30, 3))
-        graph.add_observations([Observation(0, 0, each, SEEN_COVARIANCE, covariance_inflation) for each in seen])
-        graph.optimize()
+        observations = [Observation(0, 0, each, SEEN_COVARIANCE, covariance_inflation) for each in seen]
+        graph = optimized([], observations, width)
         row = np.array([0])
         error, covariance = graph.landmark_positions(row)[0] - place, graph.covariances()[1][0]
         squares.append(float(error @ np.linalg.solve(covariance, error)) * covariance_inflation / 3.0)
@@ -118,7 +112,7 @@ def test_outliers_say_next_to_nothing() -> None:
     place = np.array([8.0, 3.0, 1.0])
     good = [Observation(0, 0, place + rng.normal(scale=0.1, size=3), SEEN_COVARIANCE) for _ in range(30)]
     bad = [Observation(0, 0, place + rng.normal(scale=2.0, size=3), SEEN_COVARIANCE) for _ in range(10)]
-    one, other = (built(np.eye(4)[None], [], seen, OBSERVATION_KERNEL_WIDTH) for seen in (good, good + bad))
+    one, other = (optimized([], seen, OBSERVATION_KERNEL_WIDTH) for seen in (good, good + bad))
     ratio = np.trace(other.covariances()[1][0]) / np.trace(one.covariances()[1][0])
     assert 0.9 < ratio < 1.1
 
@@ -127,15 +121,14 @@ def test_noise_of_odometry_is_matched_to_residuals_axis_by_axis() -> None:
     rng, count = np.random.default_rng(1), 600
     true_sigmas = np.sqrt(np.diagonal(EDGE_COVARIANCE)) * [1.0, 1.0, 5.0, 1.0, 1.0, 1.0]
     step = pose_at(2.0, yaw=0.02)
-    T = [np.eye(4)]
+    T, edges = [np.eye(4)], []
     for _ in range(count - 1):
         T.append(T[-1] @ step)
-    edges = []
     for k in range(count - 1):
         error = rng.normal(scale=true_sigmas)
         measured = step @ make_transform(Rotation.from_rotvec(error[:3]).as_matrix(), error[3:])
         edges.append(Edge(k, k + 1, measured, EDGE_COVARIANCE, "odometry"))
-    graph = built(np.array(T), edges, [], PLAIN)
+    graph = optimized(edges)
     for k in range(4, count, 4):
         graph.add_edge(Edge(0, k, T[k], np.diag(np.repeat([1e-3, 1e-2], 3)) ** 2, "closure"))
     graph.optimize()
