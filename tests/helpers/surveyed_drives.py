@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -124,11 +125,9 @@ class SurveyedDrive:
         x, y = self.in_body[order].T
         offsets = self.scale * np.stack([c * x - s * y, s * x + c * y], axis=1)
         points = offsets + self.scale * self.positions[scan]
-        labels: IntArray = np.zeros(len(scan), dtype=np.int64)
-        claimed, none, rooms = np.full(len(scan), np.nan), np.zeros(len(scan)), np.full(len(scan), np.inf)
-        return ObjectTracks(np.cumsum(begins) - 1, scan, offsets, points, labels, claimed, none, rooms, none)
+        return tracks_of(np.cumsum(begins) - 1, scan, offsets, points)
 
-    @property
+    @cached_property
     def scans(self) -> list[SurveyScan]:
         """The scans, without labels or association, at height zero."""
         found = []
@@ -140,6 +139,15 @@ class SurveyedDrive:
             if len(xy):
                 found.append(SurveyScan(round(self.times_s[k] * 1e9), T, xyz, labels, np.full(len(xy), np.nan)))
         return found
+
+
+def tracks_of(
+    track: IntArray, scan: IntArray, offsets: FloatArray, points: FloatArray, labels: IntArray | None = None
+) -> ObjectTracks:
+    """Tracks at height zero, of one class unless ``labels`` are given, whose messages claim no noise."""
+    none = np.zeros(len(track))
+    classes = np.zeros(len(track), dtype=np.int64) if labels is None else labels
+    return ObjectTracks(track, scan, offsets, points, classes, none * np.nan, none, none + np.inf, none)
 
 
 def records_of(scans: Iterable[SurveyScan], frame_id: str = "base_link") -> list[Record]:

@@ -68,15 +68,14 @@ class Drive:
             else:
                 self.associations.append(each)
 
-    def finish(self) -> None:
-        self.take(self.frontend.finish())
-
     def errors_m(self) -> FloatArray:
         """How far each pose handed out is from the truth."""
         true = [T_true((pose.stamp_ns - START_NS) // STEP_NS)[:3, 3] for pose in self.poses]
         return np.linalg.norm(np.array([pose.T_odom_body[:3, 3] for pose in self.poses]) - true, axis=1)
 
     def assert_each_once(self) -> None:
+        """At the end."""
+        self.take(self.frontend.finish())
         stamps_ns = [pose.stamp_ns for pose in self.poses]
         assert stamps_ns == [START_NS + step * STEP_NS for step in range(self.step)]
 
@@ -89,7 +88,6 @@ def restart(drive: Drive) -> None:
 def test_each_pose_is_handed_out_once_as_reported() -> None:
     drive = Drive()
     drive.drive(30)
-    drive.finish()
     drive.assert_each_once()
     assert drive.errors_m().max() == 0.0
     assert len(drive.associations) == 30
@@ -104,7 +102,6 @@ def test_poses_wait_for_a_scan_but_not_forever() -> None:
     assert len(drive.poses) <= handed_out + 1
     drive.drive(20, sees=False)
     assert len(drive.poses) >= handed_out + 20
-    drive.finish()
     drive.assert_each_once()
 
 
@@ -115,7 +112,6 @@ def test_poses_are_handed_out_as_corrected(yaw: float) -> None:
     body = T_true(drive.step)
     drive.T_fault = body @ pose_at(0.5, 0.3, yaw=yaw) @ invert(body)
     drive.drive(10)
-    drive.finish()
     drive.assert_each_once()
     assert drive.errors_m().max() < 0.2
     assert drive.counters["odometry_corrected"] == 1
@@ -127,7 +123,6 @@ def test_restart_of_the_odometry_among_known_landmarks_begins_no_segment() -> No
     drive.drive(30)
     restart(drive)
     drive.drive(20)
-    drive.finish()
     drive.assert_each_once()
     assert drive.errors_m().max() < 0.2
     assert {pose.segment for pose in drive.poses} == {0}
@@ -140,7 +135,6 @@ def test_restart_of_the_odometry_in_an_unknown_place_begins_a_segment() -> None:
     drive.objects = forest(60, seed=5) + np.array([3.0, 2.0, 200.0])
     drive.objects[:, 2] = 0.0
     drive.drive(REJOINING_SCANS + 10)
-    drive.finish()
     drive.assert_each_once()
     assert [pose.segment for pose in drive.poses] == [0] * 30 + [1] * (REJOINING_SCANS + 10)
     assert drive.counters["odometry_corrected"] == 0
@@ -153,7 +147,6 @@ def test_break_at_an_earlier_keyframe_is_not_rejoined() -> None:
     first = keyframes[-2]
     drive.frontend.break_after(keyframes[-3].odometry.travel_m, first)
     drive.drive(10)
-    drive.finish()
     drive.assert_each_once()
     assert {pose.segment for pose in drive.poses[30:]} == {1}
     assert [each.odometry.segment for each in keyframes] == [0] * first.id + [1] * (len(keyframes) - first.id)
@@ -163,7 +156,7 @@ def test_missing_transform_is_an_error_at_the_end() -> None:
     drive = Drive(frame_id="lidar")
     drive.drive(5)
     with pytest.raises(InputDataError, match="lidar"):
-        drive.finish()
+        drive.take(drive.frontend.finish())
     assert drive.counters["detections_without_transform"] == 5
 
 

@@ -78,6 +78,10 @@ class Drive:
         """The objects in range."""
         return np.flatnonzero(np.linalg.norm(self.objects - self.T_body()[:3, 3], axis=1) < self.range_m)
 
+    def nearest(self) -> IntArray:
+        """All objects, by their distance at the next step."""
+        return np.argsort(np.linalg.norm(self.objects - self.T_body(1)[:3, 3], axis=1))
+
     def scan(self, which: IntArray) -> Scan:
         positions = apply(invert(self.T_body()), self.objects[which])
         positions += self.rng.normal(scale=SIGMA_M, size=positions.shape)
@@ -183,7 +187,7 @@ def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
     drive = Drive(forest(), bursts=True)
     drive.drive(15)
     drive.err(pose_at(yaw=1.5))
-    near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))[:4]
+    near = drive.nearest()[:4]
     tracked = drive.located(near)
     assert drive.corrections == 1
     assert known(tracked) == 1.0
@@ -204,10 +208,10 @@ def test_scans_that_do_not_fit_are_decided_together() -> None:
     drive = Drive(forest(), spacing_m=1e6)
     drive.drive(15)
     drive.err(pose_at(yaw=1.5))
-    near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))
+    near = drive.nearest()
     before = len(drive.object_of)
-    for each in near[:3].tolist():
-        drive.located(np.array([each]))
+    for row in range(3):
+        drive.located(near[row : row + 1])
     assert drive.corrections == 1
     assert len(drive.object_of) == before
     assert drive.error()[1] < 0.1
@@ -218,9 +222,9 @@ def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
     drive.drive(15)
     drive.err(pose_at(yaw=1.5))
     counts = gathered_counts(monkeypatch)
-    near = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))
-    for each in near[:3].tolist():
-        drive.located(np.array([each]))
+    near = drive.nearest()
+    for row in range(3):
+        drive.located(near[row : row + 1])
     drive.err(pose_at(yaw=-1.5))
     drive.located(near[3:4])
     assert counts == [0, 1, 0]
@@ -231,8 +235,7 @@ def test_scans_before_a_discontinuity_are_not_gathered(monkeypatch, rejoins: boo
     drive = Drive(forest(), spacing_m=1e6)
     drive.drive(15)
     drive.err(pose_at(yaw=1.5))
-    (nearest,) = np.argsort(np.linalg.norm(drive.objects - drive.T_body(1)[:3, 3], axis=1))[:1]
-    assert drive.located(np.array([nearest])).is_lost
+    assert drive.located(drive.nearest()[:1]).is_lost
     if rejoins:
         assert not drive.rejoined().is_lost
     else:

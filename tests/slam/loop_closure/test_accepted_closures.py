@@ -50,13 +50,20 @@ class Drive:
         assert not any(record.accepted for record in records)
         return sorted(record.query_keyframe_id for record in records)
 
+    def condense(self, query: int) -> None:
+        """Let the factor of a closure be condensed."""
+        self.graph.remove_factors([self.factors[query]])
+        self.closures.forget_condensed()
+
     @property
     def closed(self) -> list[int]:
         return list(self.closures.closed)
 
     @property
-    def factors(self) -> list[int]:
-        return [f.to_keyframe for f in self.graph.factors.values() if isinstance(f, Edge) and f.kind == "closure"]
+    def factors(self) -> dict[int, int]:
+        """The factor of each closure that has one, by its query."""
+        factors = self.graph.factors.items()
+        return {f.to_keyframe: n for n, f in factors if isinstance(f, Edge) and f.kind == "closure"}
 
 
 @pytest.fixture
@@ -67,18 +74,18 @@ def street() -> Drive:
 def test_a_closure_leaves_the_map_with_the_factor_that_represents_it(street):
     street.accept(100)
     street.accept(99)
-    assert street.factors == [100]
+    assert list(street.factors) == [100]
     assert street.declare_lost(since=100) == [99, 100]
-    assert street.factors == []
+    assert street.factors == {}
     assert street.closed == []
 
 
 def test_a_closure_that_is_inconsistent_goes_although_its_factor_stays(street):
     street.accept(99)
     street.accept(100)
-    assert street.factors == [99]
+    assert list(street.factors) == [99]
     assert street.declare_lost(since=100) == [100]
-    assert street.factors == [99]
+    assert list(street.factors) == [99]
     assert street.closed == [99]
 
 
@@ -112,10 +119,7 @@ def test_a_condensed_closure_is_part_of_the_map_for_good(street):
     street.accept(95)
     street.accept(94)
     street.accept(110)
-    (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure"
-                 and each.to_keyframe == 95)  # fmt: skip
-    street.graph.remove_factors([factor])
-    street.closures.forget_condensed()
+    street.condense(95)
     assert street.closed == [95, 94, 110]
     assert street.declare_lost(since=0) == [110]
     assert street.closed == [95, 94]
@@ -125,9 +129,7 @@ def test_segments_stay_connected_by_a_condensed_closure():
     street = Drive(second_segment=1)
     street.accept(95)
     assert street.closures.is_localized(street.keyframes[95])
-    (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure")
-    street.graph.remove_factors([factor])
-    street.closures.forget_condensed()
+    street.condense(95)
     street.accept(110)
     street.closures.revoke_since(make_keyframe(street.keyframes[-1].id, STEP_M * 95 + 61.0, segment=1), 110)
     assert street.closures.is_localized(street.keyframes[95])

@@ -36,6 +36,11 @@ def submap(positions: FloatArray, labels: IntArray | int = 0) -> Submap:
     return Submap(positions, np.full(count, SIGMA_M), np.broadcast_to(labels, count), np.arange(count))
 
 
+def seen(positions: FloatArray, labels: IntArray) -> Submap:
+    """Objects in the frame of the query."""
+    return submap(apply(invert(T_REFERENCE_QUERY), positions), labels)
+
+
 def scattered(count: int, *, seed: int) -> tuple[FloatArray, IntArray]:
     """Objects of four classes in a square of 50 m around the origin."""
     rng = np.random.default_rng(seed)
@@ -54,7 +59,7 @@ def ratios_of(
 
 def test_the_llr_of_an_object_without_a_match_is_that_of_a_missed_detection():
     positions, labels = scattered(6, seed=0)
-    query = submap(apply(invert(T_REFERENCE_QUERY), positions), labels)
+    query = seen(positions, labels)
     ratios = ratios_of(query, submap(positions, labels), each_with_its_own(6)[1:], T_REFERENCE_QUERY)
     assert ratios[0] == pytest.approx(np.log(1.0 - DETECTION_PROBABILITY))
     assert np.all(ratios[1:] > 0.0)
@@ -75,7 +80,7 @@ def row_llr(count: int, spacing_m: float, *, row_heading_rad: float, heading_rad
 @pytest.mark.parametrize("heading_rad", [0.0, 0.9, np.pi])
 def test_a_row_of_parked_cars_shifted_by_one_car_says_far_less_than_scattered_objects(heading_rad):
     positions, labels = scattered(10, seed=1)
-    query = submap(apply(invert(T_REFERENCE_QUERY), positions), labels)
+    query = seen(positions, labels)
     apart = ratios_of(query, submap(positions, labels), each_with_its_own(10)[1:], T_REFERENCE_QUERY).sum()
     row = row_llr(10, 6.0, row_heading_rad=heading_rad, heading_rad=heading_rad)
     assert row < 0.6 * apart
@@ -136,7 +141,7 @@ def test_where_none_stands_around_a_rare_class_says_more_than_a_common_one():
     positions, _ = scattered(20, seed=3)
     labels = np.zeros(20, dtype=np.int64)
     labels[0] = 1
-    query = submap(apply(invert(T_REFERENCE_QUERY), positions[:1]), labels[:1])
+    query = seen(positions[:1], labels[:1])
     reference = submap(positions, labels)
     pairs = each_with_its_own(1)
 

@@ -148,8 +148,6 @@ def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
     assert track.nearest(place, segment=1, **everywhere) == (14, 0.0)
     assert track.nearest(place - [0.0, 0.5, 0.0], segment=1, **everywhere) == (14, 0.5)
     assert track.nearest(place, segment=2, **everywhere) is None
-    assert track.nearest(place, segment=0, from_m=9.0, to_m=np.inf)[0] == 5
-    assert track.nearest(place, segment=1, from_m=-np.inf, to_m=24.0)[0] == 11
 
 
 def test_replaced_keyframes_are_a_segment_of_their_own():

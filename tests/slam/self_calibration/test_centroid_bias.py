@@ -8,6 +8,7 @@ import pytest
 from slam.common.arrays import FloatArray
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.object_tracks import ObjectTracks
+from tests.helpers.surveyed_drives import tracks_of
 
 NOISE_M = 0.05
 VIEW_M = 20.0
@@ -28,8 +29,7 @@ def passed(bias_m: FloatArray, *, seed: int = 0) -> tuple[ObjectTracks, FloatArr
         same = np.ones(len(scans), dtype=np.int64)
         parts.append((number * same, scans, offsets, points, label * same, np.tile(place, (len(scans), 1))))
     track, scan, offsets, points, labels, true = (np.concatenate(column) for column in zip(*parts, strict=True))
-    none = np.zeros(len(track))
-    return ObjectTracks(track, scan, offsets, points, labels, none, none, none, none), true
+    return tracks_of(track, scan, offsets, points, labels), true
 
 
 @pytest.mark.parametrize("seed", range(3))

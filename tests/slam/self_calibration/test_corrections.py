@@ -11,6 +11,7 @@ from slam.common.arrays import FloatArray
 from slam.self_calibration import corrections
 from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, estimate_corrections, find_change
 from slam.self_calibration.object_tracks import ObjectTracks
+from tests.helpers.surveyed_drives import tracks_of
 
 SCANS, PERIOD_S, SPEED_MPS = 600, 0.1, 4.0
 SEEN = 40
@@ -37,9 +38,7 @@ def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02) -
     offsets = middles[track] - motion.positions[scans, :2] + rng.normal(0.0, noise_m, (len(scans), 2))
     moved = motion.velocities[scans] + motion.turn_rates[scans][:, None] * (offsets @ J.T)
     offsets = offsets - delay_s * moved
-    zeros = np.zeros(len(scans))
-    points = motion.positions[scans, :2] + offsets
-    return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros, zeros, zeros)
+    return tracks_of(track, scans, offsets, motion.positions[scans, :2] + offsets)
 
 
 def earned(tracks: ObjectTracks, motion: BodyMotion) -> dict[str, float]:
@@ -159,11 +158,11 @@ def test_a_term_whose_value_alone_predicts_worse_is_not_earned():
     offsets = positions[5 * track + 50, :2] + rng.uniform(-6.0, 6.0, (288, 2))[track] - positions[scan, :2]
     ahead_m = np.sum(offsets * velocities[scan], axis=1) / speed_mps
     ranges_m = np.linalg.norm(offsets, axis=1)
-    zeros = np.zeros(len(scan))
     points = positions[scan, :2] + offsets + rng.normal(0.0, 0.03, offsets.shape)
     heights = rng.uniform(-1.0, 2.0, 288)[track] + (ranges_m / 40.0) ** 2 + rng.normal(0.0, 0.05, len(scan))
-    made = ObjectTracks(track, scan, offsets, points, np.zeros(len(scan), dtype=np.int64), zeros, zeros, zeros, zeros)
-    seen = replace(made, heights=heights).of((ahead_m > 2.0) & (ahead_m > 0.7 * ranges_m) & (ranges_m < 40.0))
+    seen = replace(tracks_of(track, scan, offsets, points), heights=heights).of(
+        (ahead_m > 2.0) & (ahead_m > 0.7 * ranges_m) & (ranges_m < 40.0)
+    )
     assert earned(seen, motion) == {}
 
 
@@ -176,7 +175,7 @@ def test_an_error_of_one_part_of_the_log_does_not_predict_the_others():
 
 def test_few_tracks_tell_nothing():
     motion, made = weaving(), changed("yaw_rad", weaving(), before=0.1, after=0.3)
-    few = made.of(made.track < 2)
+    few = made.of(made.track < 1)
     assert estimate_corrections(few, motion) == ()
     assert find_change(few, motion) is None
 

@@ -53,17 +53,6 @@ def test_a_frame_that_was_set_by_hand_is_kept(drive):
     assert found.max_range_m > 1.1 * drive.range_m  # in the right frame it is less
 
 
-def test_odometry_that_trembles_while_the_robot_stands_tells_no_frame(drive):
-    rng = np.random.default_rng(0)
-    scan, standing = drive.scans[0], list[SurveyScan]()
-    for number in range(3000):
-        T = np.eye(4)
-        T[:2, 3] = rng.normal(scale=0.05, size=2)
-        standing.append(replace(scan, stamp_ns=number * 10**8, T_odom_body=T))
-    assert better_frame(standing, {"fixed": [replace(e, positions=apply(invert(e.T_odom_body), e.positions))
-                                             for e in standing]}) is None  # fmt: skip
-
-
 def test_objects_that_go_along_with_the_body_roughly_are_in_no_other_frame(drive):
     """As objects of a narrow view, of which another one is always ahead."""
     rng, spacing_m = np.random.default_rng(0), spacing_of(drive.scans)

@@ -19,7 +19,7 @@ from slam.self_calibration.variance_components import (
     _own_parts,
     estimate_components,
 )
-from tests.helpers.surveyed_drives import SurveyedDrive
+from tests.helpers.surveyed_drives import SurveyedDrive, tracks_of
 
 DETECTOR = {"radial": 0.05, "tangential": 0.05}
 """Standard deviations [m] that are there in every drive."""
@@ -133,17 +133,7 @@ def test_a_robot_that_neither_moves_nor_turns_tells_the_noise_of_its_detector():
 
 @pytest.mark.parametrize("count", [0, 1, 60])
 def test_too_few_detections_tell_nothing(count):
-    tracks = ObjectTracks(
-        np.zeros(count, dtype=np.int64),
-        np.arange(count),
-        np.ones((count, 2)),
-        np.ones((count, 2)),
-        np.zeros(count, dtype=np.int64),
-        np.full(count, np.nan),
-        np.zeros(count),
-        np.full(count, np.inf),
-        np.zeros(count),
-    )
+    tracks = tracks_of(np.zeros(count, dtype=np.int64), np.arange(count), np.ones((count, 2)), np.ones((count, 2)))
     times = np.arange(float(count))
     assert estimate_components(tracks, Motion(times, times, times, times)) is None
 
