@@ -111,25 +111,6 @@ def test_drift_across_a_break_is_infinite_and_beside_it_is_not():
     assert broken.drift_sigmas(60, 100) == pytest.approx(whole.drift_sigmas(60, 100))
 
 
-def test_the_nearest_keyframe_is_the_one_that_brute_force_finds():
-    track = track_of(OdometryCalibration())
-    positions, _ = winding_path()
-    travel_m = STEP_M * np.arange(KEYFRAMES)
-    rng = np.random.default_rng(1)
-    for _ in range(50):
-        place = rng.uniform([-20.0, -20.0, -50.0], [150.0, 150.0, 50.0])
-        from_m, to_m = np.sort(rng.uniform(-20.0, 260.0, 2))
-        inside = np.flatnonzero((travel_m >= from_m) & (travel_m < to_m))
-        found = track.nearest(place, segment=0, from_m=from_m, to_m=to_m)
-        if not len(inside):
-            assert found is None
-            continue
-        distances = np.linalg.norm(positions[inside] - place[:2], axis=1)
-        assert found is not None
-        assert found[0] == inside[np.argmin(distances)]
-        assert found[1] == pytest.approx(distances.min())
-
-
 @pytest.mark.parametrize(("from_m", "to_m"), [(300.0, 400.0), (-50.0, -1.0), (50.0, 40.0)])
 def test_no_keyframe_is_nearest_where_there_is_none(from_m, to_m):
     assert track_of(OdometryCalibration()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
@@ -148,6 +129,8 @@ def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
     assert track.nearest(place, segment=1, **everywhere) == (14, 0.0)
     assert track.nearest(place - [0.0, 0.5, 0.0], segment=1, **everywhere) == (14, 0.5)
     assert track.nearest(place, segment=2, **everywhere) is None
+    assert track.nearest(place, segment=0, from_m=9.0, to_m=np.inf)[0] == 5
+    assert track.nearest(place, segment=1, from_m=-np.inf, to_m=24.0)[0] == 11
 
 
 def test_replaced_keyframes_are_a_segment_of_their_own():

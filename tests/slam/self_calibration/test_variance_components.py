@@ -152,27 +152,6 @@ def test_noise_of_half_the_spacing_is_no_bias_of_the_view() -> None:
     assert np.sqrt(found.variances.view) < 0.25
 
 
-@pytest.mark.usefixtures("few_pairs")
-@pytest.mark.parametrize(
-    ("noise", "along_m", "across_m"),
-    [
-        ({"radial_by_range": 0.2, "tangential_by_range": 0.005}, 2.0, 0.05),
-        ({"radial": 0.05, "tangential_by_range": 0.05}, 0.05, 0.5),
-    ],
-    ids=["camera", "radar"],
-)
-def test_noise_along_the_ray_is_told_from_that_across_it(noise: dict[str, float], along_m: float, across_m: float):
-    """At 10 m, where objects are followed by the survey, and rays to an object turn while it is followed."""
-    drive = SurveyedDrive(0, noise, objects=60)
-    estimate = estimate_components(follow_objects(drive.scans, drive.headings), drive.motion)
-    assert estimate is not None
-    found = estimate.variances
-    along = np.sqrt(found.radial + 10.0**2 * found.radial_by_range)
-    across = np.sqrt(found.tangential + 10.0**2 * found.tangential_by_range)
-    np.testing.assert_allclose([along, across], [along_m, across_m], rtol=0.3)
-    assert np.sqrt(found.view) < 0.5 * max(along_m, across_m)
-
-
 @pytest.mark.parametrize("scale", [1e154, 1e200, 1e300])
 def test_absurd_distances_tell_nothing(scale):
     drive = SurveyedDrive(0, {"radial": 0.1}, scans=60, objects=40)
@@ -243,12 +222,6 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
         after, before = (np.sum((axes @ each.transpose(0, 2, 1)) ** 2, axis=2) for each in noise)
         np.testing.assert_allclose(next(parts), after + before, atol=1e-9)
         np.testing.assert_allclose(next(parts), after * squares[0] + before * squares[1], atol=1e-9)
-
-
-def test_body_that_turns_on_the_spot_has_the_same_view() -> None:
-    x = np.array([[5.0, 2.0, 0.0], [-3.0, 1.0, 0.0]])
-    turned = _Displacements(x, x, x, np.zeros(2, np.int64), np.array([[0.0, 2.0, 1.0]]), np.zeros(1), 1.0)
-    np.testing.assert_allclose(_own_parts(turned)[5], 0.0, atol=1e-9)
 
 
 @pytest.mark.usefixtures("few_pairs")
