@@ -156,14 +156,6 @@ def gathered_counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return counts
 
 
-def test_exact_odometry_is_left_alone() -> None:
-    drive = Drive(forest())
-    _, *found = drive.drive(40)
-    assert drive.corrections == 0
-    assert np.mean([known(tracked) for tracked in found]) > 0.97
-    assert len(drive.object_of) == len(set(drive.object_of.values()))
-
-
 @pytest.mark.parametrize(
     ("x", "y", "yaw"), [(0.0, 0.0, 0.7), (0.0, 0.0, -2.1), (0.6, -0.5, 0.0), (8.0, 5.0, 1.5)], ids=str
 )
@@ -322,16 +314,6 @@ def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odo
 
 
 # After a step that no body can have made
-
-
-def test_gap_over_which_the_odometry_was_right_is_rejoined() -> None:
-    drive = Drive(forest())
-    drive.drive(12)
-    drive.step += 15
-    tracked = drive.rejoined()
-    assert not tracked.is_lost
-    assert known(tracked) > 0.7
-    assert drive.error()[0] < 0.2
 
 
 def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:

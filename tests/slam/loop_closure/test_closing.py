@@ -182,15 +182,6 @@ def accepted(records: list[LoopClosureRecord]) -> dict[int, int | None]:
     return {record.query_keyframe_id: record.seed_query_keyframe_id for record in records if record.accepted}
 
 
-def test_a_retrieved_closure_predicts_those_after_it(parts):
-    drive = Drive(parts)
-    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
-    assert accepted(drive.close(FIRST)) == {FIRST: None}
-    parts.places = []
-    assert accepted(drive.close(FIRST + 1)) == {FIRST + 1: FIRST}
-    assert accepted(drive.close(FIRST + 2)) == {}
-
-
 def test_landmarks_of_an_earlier_traversal_are_no_part_of_a_query(parts):
     drive = Drive(parts)
     drive.map.rows["first_seen_travel_m"][[0, 3, 4]] = 10.0

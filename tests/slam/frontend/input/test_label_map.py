@@ -66,9 +66,3 @@ def test_the_settings_come_from_a_file_and_go_into_one(tmp_path: Path) -> None:
     again = tmp_path / "again.toml"
     again.write_text(to_toml(config))
     assert load_config(again) == config
-    with pytest.raises(ConfigurationError, match=r"labels\.drop=3 is not allowed; Input should be a valid array"):
-        load_config(None, ["labels.drop=3"])
-    with pytest.raises(ConfigurationError, match=r"labels\.rename.* is not allowed; Input should be an object"):
-        load_config(None, ['labels.rename="car"'])
-    with pytest.raises(ConfigurationError, match=r"there is no 'labels\.ignore'"):
-        load_config(None, ['labels.ignore=["car"]'])
