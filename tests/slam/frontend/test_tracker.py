@@ -139,6 +139,13 @@ class Drive:
         return float(np.linalg.norm(left[:3, 3])), float(rotation_angle_rad(left))
 
 
+def driven(steps: int, **given: Any) -> Drive:
+    """A drive through the forest after so many steps."""
+    drive = Drive(forest(), **given)
+    drive.drive(steps)
+    return drive
+
+
 def known(tracked: Tracked) -> float:
     """Share of the detections of a scan that have a landmark."""
     return float(tracked.assignment.matched.mean())
@@ -160,8 +167,7 @@ def gathered_counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     ("x", "y", "yaw"), [(0.0, 0.0, 0.7), (0.0, 0.0, -2.1), (0.6, -0.5, 0.0), (8.0, 5.0, 1.5)], ids=str
 )
 def test_jump_of_the_odometry_is_corrected(x: float, y: float, yaw: float) -> None:
-    drive = Drive(forest())
-    drive.drive(15)
+    drive = driven(15)
     jump = pose_at(x, y, yaw=yaw)
     found = drive.drive(6, lambda step: jump if step == 0 else np.eye(4))
     assert drive.corrections == 1
@@ -176,8 +182,7 @@ def test_jump_of_the_odometry_is_corrected(x: float, y: float, yaw: float) -> No
 
 def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
     """The speed within a burst is that of the noise of its scans."""
-    drive = Drive(forest(), bursts=True)
-    drive.drive(15)
+    drive = driven(15, bursts=True)
     drive.err(pose_at(yaw=1.5))
     near = drive.nearest()[:4]
     tracked = drive.located(near)
@@ -188,8 +193,7 @@ def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
 
 @pytest.mark.parametrize("bursts", [False, True])
 def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
-    drive = Drive(forest(), bursts=bursts)
-    drive.drive(15)
+    drive = driven(15, bursts=bursts)
     turn, shift = np.sqrt(np.diagonal(drive.mapper.tracker._slip(drive.stamp_ns() + STEP_NS))[[2, 3]])
     assert 0.005 < turn < 0.03
     assert shift == pytest.approx(STEP_M, rel=0.2)
@@ -197,8 +201,7 @@ def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
 
 def test_scans_that_do_not_fit_are_decided_together() -> None:
     """Each has one object, which tells too little by itself."""
-    drive = Drive(forest(), spacing_m=1e6)
-    drive.drive(15)
+    drive = driven(15, spacing_m=1e6)
     drive.err(pose_at(yaw=1.5))
     near = drive.nearest()
     before = len(drive.object_of)
@@ -210,8 +213,7 @@ def test_scans_that_do_not_fit_are_decided_together() -> None:
 
 
 def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
-    drive = Drive(forest(), spacing_m=1e6)
-    drive.drive(15)
+    drive = driven(15, spacing_m=1e6)
     drive.err(pose_at(yaw=1.5))
     counts = gathered_counts(monkeypatch)
     near = drive.nearest()
@@ -224,8 +226,7 @@ def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
 
 @pytest.mark.parametrize("rejoins", [False, True])
 def test_scans_before_a_discontinuity_are_not_gathered(monkeypatch, rejoins: bool) -> None:
-    drive = Drive(forest(), spacing_m=1e6)
-    drive.drive(15)
+    drive = driven(15, spacing_m=1e6)
     drive.err(pose_at(yaw=1.5))
     assert drive.located(drive.nearest()[:1]).is_lost
     if rejoins:
@@ -240,8 +241,7 @@ def test_scans_before_a_discontinuity_are_not_gathered(monkeypatch, rejoins: boo
 
 def test_pairs_at_a_pose_that_is_not_sure_are_not_used(monkeypatch) -> None:
     """At the pose of the odometry they would drag the landmarks."""
-    drive = Drive(forest())
-    drive.drive(15)
+    drive = driven(15)
     drive.err(pose_at(yaw=1.5))
     monkeypatch.setattr(Tracker, "_sure_mode", lambda *_: None)
     tracked = drive.located()
@@ -250,8 +250,7 @@ def test_pairs_at_a_pose_that_is_not_sure_are_not_used(monkeypatch) -> None:
 
 
 def test_frozen_odometry_is_corrected_scan_by_scan() -> None:
-    drive = Drive(forest())
-    drive.drive(15)
+    drive = driven(15)
     found = drive.drive(15, lambda _: relative(T_true(drive.step + 1), T_true(drive.step)))
     assert np.mean([known(tracked) for tracked in found]) > 0.9
     assert drive.corrections > 10
@@ -268,8 +267,7 @@ def test_locate_passes_on_the_slip_that_landmarks_show(monkeypatch) -> None:
 
 def test_error_while_nothing_was_in_view_is_corrected() -> None:
     """The scan after it matches next to nothing; only a search for any place around finds the pose."""
-    drive = Drive(forest())
-    drive.drive(12)
+    drive = driven(12)
     turn = pose_at(0.3, 0.3, yaw=0.2)
     drive.err(turn)
     drive.located(np.zeros(0, dtype=np.int64))
@@ -292,8 +290,7 @@ def test_no_wrong_pair_is_used_where_two_poses_explain_the_scan_as_well() -> Non
 
 def test_scan_without_landmarks_teaches_nothing() -> None:
     """All objects are new: none is taken for a landmark, and the landmarks stay where they are."""
-    drive = Drive(forest())
-    drive.drive(8)
+    drive = driven(8)
     drive.objects = np.concatenate([drive.objects, forest(40, seed=7) + np.array([0.0, 0.0, 300.0])])
     new = 60 + np.flatnonzero(np.linalg.norm(drive.objects[60:, :2], axis=1) < RANGE_M)
     tracked = drive.located(new)
@@ -303,8 +300,7 @@ def test_scan_without_landmarks_teaches_nothing() -> None:
 
 
 def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odometry(monkeypatch) -> None:
-    drive = Drive(forest())
-    drive.drive(12)
+    drive = driven(12)
     first, judge = iter([True]), Tracker._is_failing
     monkeypatch.setattr(Tracker, "_is_failing", lambda self, *scan: next(first, False) or judge(self, *scan))
     tracked = drive.located()
@@ -317,8 +313,7 @@ def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odo
 
 
 def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
-    drive = Drive(forest())
-    drive.drive(12)
+    drive = driven(12)
     drive.err(pose_at(yaw=2.5))
     assert not drive.rejoined().is_lost
     assert drive.error()[0] < 0.2
@@ -327,8 +322,7 @@ def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_unknown_place_is_not_rejoined(seed: int) -> None:
-    drive = Drive(forest())
-    drive.drive(20)
+    drive = driven(20)
     drive.T_fault = invert(T_true(drive.step + 1))
     drive.objects = forest(60, seed=9 + seed)[:, [1, 0, 2]] + T_true(drive.step)[:3, 3]
     assert drive.rejoined().is_lost

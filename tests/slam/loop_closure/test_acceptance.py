@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.special import logit
 
 from logs.closures import Stage
 from slam.common.config import Config, LocalizationConfig
-from slam.loop_closure.acceptance import Acceptance
+from slam.loop_closure.acceptance import Acceptance, Decision
 from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import pose_at
@@ -42,51 +43,57 @@ def acceptance(patterns: Patterns) -> Acceptance:
     return Acceptance(Config(), patterns)  # type: ignore[arg-type]
 
 
-def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
-    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).accepted is not None
-    refused = acceptance.decide(query(), [candidate(0.0, SURE_LLR - 1.0)])
+@pytest.fixture
+def decide(acceptance: Acceptance) -> Callable[..., Decision]:
+    """What becomes of candidates of one query."""
+    return lambda *verified: acceptance.decide(query(), list(verified))
+
+
+def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(decide):
+    assert decide(candidate(0.0, SURE_LLR)).accepted is not None
+    refused = decide(candidate(0.0, SURE_LLR - 1.0))
     assert refused.accepted is None
     wrong = 1.0 / (1.0 + np.exp(SURE_LLR - 1.0 - PENALTY))
     assert refused.rejected[0].reason == f"wrong with probability {wrong:.2g}"
 
 
-def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
+def test_a_rival_that_fits_as_well_leaves_it_open(decide, patterns):
     both = [candidate(0.0, SURE_LLR + 10.0), candidate(200.0, SURE_LLR + 9.0)]
-    assert acceptance.decide(query(), both).accepted is None
+    assert decide(*both).accepted is None
     patterns.passed_twice = True
-    assert acceptance.decide(query(), both).accepted is not None
+    assert decide(*both).accepted is not None
 
 
-def test_a_place_that_the_odometry_rules_out_shows_that_places_are_alike(acceptance):
+def test_a_place_that_the_odometry_rules_out_shows_that_places_are_alike(decide):
     elsewhere = replace(candidate(200.0, SURE_LLR + 15.0), odometry_penalty=PENALTY + 40.0)
-    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), elsewhere]).accepted is None
+    assert decide(candidate(0.0, SURE_LLR + 10.0), elsewhere).accepted is None
     by_chance = replace(elsewhere, unpredicted_penalty=SURE_LLR + 15.0)
-    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), by_chance]).accepted is not None
+    assert decide(candidate(0.0, SURE_LLR + 10.0), by_chance).accepted is not None
 
 
 @pytest.mark.parametrize("are_proposed", [True, False])
 def test_a_pose_is_not_as_sure_as_one_that_may_be_true_with_it_and_with_its_rival(
-    acceptance, patterns, monkeypatch, are_proposed
+    decide, patterns, monkeypatch, are_proposed
 ):
     monkeypatch.setattr(
         patterns, "are_consistent", lambda a, b: 100.0 in (a.T_local_query[0, 3], b.T_local_query[0, 3])
     )
     others = [candidate(200.0, SURE_LLR + 9.9), candidate(100.0, SURE_LLR + 9.0)]
     patterns.alike = [] if are_proposed else others
-    decision = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), *(others if are_proposed else [])])
+    decision = decide(candidate(0.0, SURE_LLR + 10.0), *(others if are_proposed else []))
     assert decision.accepted is None
 
 
-def test_a_pattern_that_fits_better_leaves_it_open_although_both_may_be_true(acceptance, patterns):
+def test_a_pattern_that_fits_better_leaves_it_open_although_both_may_be_true(decide, patterns):
     patterns.alike, patterns.passed_twice = [candidate(200.0, SURE_LLR + 12.0)], True
-    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0)]).accepted is None
+    assert decide(candidate(0.0, SURE_LLR + 10.0)).accepted is None
 
 
-def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns):
+def test_a_pattern_that_repeats_itself_leaves_it_open(decide, patterns):
     patterns.alike = [candidate(8.0, SURE_LLR + 4.0)]
-    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is None
+    assert decide(candidate(0.0, SURE_LLR + 5.0)).accepted is None
     patterns.alike = [candidate(8.0, SURE_LLR - 9.0)]
-    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
+    assert decide(candidate(0.0, SURE_LLR + 5.0)).accepted is not None
 
 
 def test_posterior_odds_are_against_somewhere_new_and_all_that_cannot_be_true_too(acceptance, patterns):
@@ -110,10 +117,10 @@ def test_a_place_unlike_all_others_may_be_new_where_others_are_alike(acceptance)
     assert odds(40.0) == pytest.approx(48.0 - PENALTY - np.logaddexp(40.0 - 25.0, 10.0))
 
 
-def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(acceptance):
+def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(decide):
     far = replace(candidate(0.0, 30.0), odometry_penalty=28.0)
-    assert [each.stage for each in acceptance.decide(query(), [far]).rejected] == ["consistency"]
-    assert [each.stage for each in acceptance.decide(query(), [candidate(0.0, 4.0)]).rejected] == ["acceptance"]
+    assert [each.stage for each in decide(far).rejected] == ["consistency"]
+    assert [each.stage for each in decide(candidate(0.0, 4.0)).rejected] == ["acceptance"]
 
 
 def test_what_is_acceptable_suffices_alone(acceptance):
@@ -121,17 +128,17 @@ def test_what_is_acceptable_suffices_alone(acceptance):
     assert not acceptance.is_acceptable(candidate(0.0, SURE_LLR - 1.0))
 
 
-def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, patterns):
+def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(decide, patterns):
     patterns.alike = [candidate(8.0, SURE_LLR + 30.0)]
-    decision = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)])
+    decision = decide(candidate(0.0, SURE_LLR + 5.0))
     assert decision.accepted is None
     assert "another pose is likelier" in decision.rejected[0].reason
 
 
-def test_candidates_that_agree_are_one_and_places_without_a_candidate_keep_their_reasons(acceptance):
+def test_candidates_that_agree_are_one_and_places_without_a_candidate_keep_their_reasons(decide):
     refused = query().refusal(Stage.REGISTRATION, "nothing fits")
-    decision = acceptance.decide(query(), [candidate(0.5, SURE_LLR), refused, candidate(0.0, SURE_LLR + 1.0)])
+    decision = decide(candidate(0.5, SURE_LLR), refused, candidate(0.0, SURE_LLR + 1.0))
     assert decision.accepted is not None
     assert decision.accepted.T_local_query[0, 3] == 0.0
     assert decision.rejected == (refused,)
-    assert acceptance.decide(query(), [refused]).rejected == (refused,)
+    assert decide(refused).rejected == (refused,)

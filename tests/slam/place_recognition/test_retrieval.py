@@ -28,11 +28,6 @@ BEFORE_M = NOW_M - CONFIG.closure_travel_m
 RADIUS_M = PLACE_RADIUS_RANGES * CONFIG.sensor_range_m
 
 
-def after(travel_m: float) -> OdometryPose:
-    """The pose of the odometry after some travel."""
-    return OdometryPose(0, np.eye(4), travel_m, 0, 0.0)
-
-
 class Places:
     """Landmarks around places, each seen at one travel, and a retriever that knows those left behind."""
 
@@ -48,6 +43,10 @@ class Places:
         labels = rng.choice(("tree", "lamp", "bench", "bin"), COUNT).tolist()
         return add_landmarks(self.map, positions, labels, travel_m=travel_m, segment=segment)
 
+    def index(self, travel_m: float = NOW_M) -> None:
+        """Index what is left behind after some travel."""
+        self.retriever.index_inactive_landmarks(OdometryPose(0, np.eye(4), travel_m, 0, 0.0))
+
     def query(self, x_m: float, seed: int = 1) -> Submap:
         """The same objects as seen from the place, under rows that the map does not have."""
         here = Places()
@@ -57,7 +56,7 @@ class Places:
 
     def found_m(self, x_m: float, seed: int = 1) -> list[float]:
         """Where the first place is said to be, if there is one."""
-        self.retriever.index_inactive_landmarks(after(NOW_M))
+        self.index()
         found = self.retriever.propose(self.query(x_m, seed), before_m=BEFORE_M)
         return [round(float(place.T_local_query[0, 3]), 1) for place in found[:1]]
 
@@ -83,7 +82,7 @@ def test_not_among_landmarks_of_this_traversal(places):
 def test_not_among_retired_landmarks(places):
     rows = places.add(50.0, 100.0)
     places.add(400.0, 450.0, seed=2)
-    places.retriever.index_inactive_landmarks(after(NOW_M))
+    places.index()
     places.map.retire(rows, RetirementReason.GONE)
     assert places.found_m(50.0) != [50.0]
 
@@ -100,10 +99,10 @@ def test_not_among_landmarks_that_are_still_active(places):
 def test_landmarks_are_left_behind_after_some_travel(places):
     recent_m = NOW_M - INACTIVE_RANGES * CONFIG.sensor_range_m
     places.add(50.0, recent_m + 1.0)
-    places.retriever.index_inactive_landmarks(after(NOW_M))
+    places.index()
     found = places.retriever.propose(places.query(50.0), before_m=NOW_M)
     assert found == []
-    places.retriever.index_inactive_landmarks(after(NOW_M + 20.0))
+    places.index(NOW_M + 20.0)
     assert places.retriever.propose(places.query(50.0), before_m=NOW_M) != []
 
 
@@ -126,11 +125,11 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
     for number in range(1, traversals):
         for kept, dropped in zip(first, places.add(0.0, float(number)), strict=True):
             places.map.merge(int(kept), int(dropped))
-    places.retriever.index_inactive_landmarks(after(500.0))
+    places.index(500.0)
     for kept, dropped in zip(first, places.add(50.0, 550.0), strict=True):
         places.map.merge(int(kept), int(dropped))
     places.add(400.0, 551.0, seed=2)
-    places.retriever.index_inactive_landmarks(after(NOW_M))
+    places.index()
     found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
     assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]
@@ -151,7 +150,7 @@ def test_landmarks_are_indexed_among_those_of_their_traversal(places, monkeypatc
     monkeypatch.setattr(places.retriever, "_pairs", index)
     for seed, travel_m in enumerate((0.0, 500.0, 510.0)):
         places.add(0.0, travel_m, seed=seed)
-        places.retriever.index_inactive_landmarks(after(travel_m + 200.0))
+        places.index(travel_m + 200.0)
     assert [(len(batch.centres), len(batch.positions)) for batch in index.added] == [
         (COUNT, COUNT),
         (COUNT, COUNT),
@@ -165,7 +164,7 @@ def test_landmarks_of_an_imported_map_are_not_indexed_again(places, monkeypatch)
     monkeypatch.setattr(retriever, "_pairs", index)
     places.add(0.0, 0.0, segment=SEGMENT)
     places.add(50.0, 0.0, segment=SEGMENT + 1, seed=2)
-    retriever.index_inactive_landmarks(after(200.0))
+    retriever.index_inactive_landmarks(OdometryPose(0, np.eye(4), 200.0, 0, 0.0))
     assert [batch.segment for batch in index.added] == [SEGMENT + 1]
 
 
@@ -218,7 +217,7 @@ def test_places_of_segments_are_told_apart(descriptor):
     places = Places(Config.model_validate({"loop_closure": {"descriptor": descriptor}}))
     places.add(50.0, 100.0)
     places.add(50.0, 100.0, seed=2, segment=1)
-    places.retriever.index_inactive_landmarks(after(NOW_M))
+    places.index()
     for seed, segment in ((1, 0), (2, 1)):
         best = places.retriever.propose(places.query(50.0, seed), before_m=BEFORE_M)[0]
         assert (round(float(best.T_local_query[0, 3]), 1), best.segment) == (50.0, segment)
@@ -226,18 +225,18 @@ def test_places_of_segments_are_told_apart(descriptor):
 
 def test_landmarks_are_indexed_again_when_their_spacing_has_changed(places):
     places.add(50.0, 100.0)
-    places.retriever.index_inactive_landmarks(after(200.0))
+    places.index(200.0)
     before_m = places.retriever._pairs._index.unit_m
     for row in range(4):
         places.add(400.0, 101.0 + row, seed=10 + row)
-    places.retriever.index_inactive_landmarks(after(NOW_M))
+    places.index()
     assert places.retriever._pairs._index.unit_m < before_m / 1.25
     assert places.found_m(50.0) == [50.0]
 
 
 def test_class_shares_are_those_of_what_is_indexed(places):
     rows = places.add(50.0, 100.0)
-    places.retriever.index_inactive_landmarks(after(NOW_M))
+    places.index()
     shares = places.retriever.class_shares()
     counts = 1.0 + np.bincount(places.map.labels.classes(rows), minlength=len(places.map.labels.vocabulary))
     np.testing.assert_allclose(shares, counts / (COUNT + len(counts)))

@@ -70,28 +70,25 @@ def test_the_body_travels_or_turns_between_the_scans_of_a_pair(drive):
         assert np.linalg.norm(motion[:2, 3]) + turned_m > 0.1 * spacing_m
 
 
-@pytest.mark.parametrize(("gain", "spread", "expected"), [(0.5, 1.0, True), (0.1, 1.0, False), (0.0, 0.0, False)])
-def test_more_evidence_must_be_more_than_chance(gain, spread, expected):
-    distances = np.random.default_rng(0).normal(size=(400, 2)) * [spread, 0.0]
-    assert is_better(distances - [gain, 0.0], np.zeros((400, 2))) is expected
+NONE, NEARER = np.zeros((400, 2)), np.tile([-1.0, 0.0], (400, 1))
+CHANCE = np.random.default_rng(0).normal(size=(400, 2)) * [1.0, 0.0]
 
 
-def test_both_halves_must_gain():
-    distances = np.zeros((400, 2))
-    distances[::2, 0] = -1.0
-    assert not is_better(distances, np.zeros((400, 2)))
-
-
-def test_more_evidence_alone_is_no_better_if_scans_are_no_nearer():
-    """A frame in which the inverse motion is worse only is none."""
-    assert is_better(np.tile([-1.0, 0.0], (400, 1)), np.zeros((400, 2)))
-    assert not is_better(np.tile([0.0, 1.0], (400, 1)), np.zeros((400, 2)))
-
-
-def test_a_factor_asks_for_more_evidence():
-    now, better = np.tile([-1.0, 0.0], (400, 1)), np.tile([-1.2, 0.0], (400, 1))
-    assert is_better(better, now)
-    assert not is_better(better, now, 1.25)
+@pytest.mark.parametrize(
+    ("distances", "now", "factor", "expected"),
+    [
+        pytest.param(CHANCE + 0.5 * NEARER, NONE, 1.0, True, id="more than chance"),
+        pytest.param(CHANCE + 0.1 * NEARER, NONE, 1.0, False, id="chance"),
+        pytest.param(NONE, NONE, 1.0, False, id="nothing"),
+        pytest.param(NEARER * (np.arange(400) % 2)[:, None], NONE, 1.0, False, id="in one half"),
+        pytest.param(-NEARER[:, ::-1], NONE, 1.0, False, id="the inverse is worse only"),
+        pytest.param(1.2 * NEARER, NEARER, 1.0, True, id="more"),
+        pytest.param(1.2 * NEARER, NEARER, 1.25, False, id="not by the factor"),
+        pytest.param(NEARER[:39], NONE[:39], 1.0, False, id="few pairs"),
+    ],
+)
+def test_is_better_asks_for_evidence_beyond_chance_and_nearer_scans(distances, now, factor, expected):
+    assert is_better(distances, now, factor) is expected
 
 
 def test_the_fastest_turns_are_those_of_a_body_that_turns_on_the_spot():
@@ -111,10 +108,6 @@ def test_a_body_that_trembles_does_not_travel(drive):
     T[:, :2, 3] = rng.normal(scale=0.05, size=(2000, 2))
     standing = [replace(drive.scans[0], T_odom_body=each) for each in T]
     assert len(ScanPairs.of(standing, spacing_of(standing)).rows) == 0
-
-
-def test_few_pairs_tell_nothing():
-    assert not is_better(np.tile([-1.0, 0.0], (39, 1)), np.zeros((39, 2)))
 
 
 def test_no_scan_is_paired_with_itself():

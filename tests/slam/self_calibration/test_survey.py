@@ -23,15 +23,16 @@ from slam.self_calibration.variance_components import ComponentEstimate
 from tests.helpers.poses import pose_at
 from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, with_odometry
 
-CONFIG = DetectionCalibration()
 ON_BODY = DetectionCalibration(assume_body_frame=True)
 ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
 """At ranges of 5 m, 10 m and 20 m."""
 
 
-def survey(records, detection: DetectionCalibration = CONFIG, **branches) -> Survey | None:
+def survey(records, detection: DetectionCalibration | None = None, **branches) -> Survey | None:
     """The survey of one log."""
-    return survey_logs([SurveyedLog.of(records)], Calibration(detection=detection, **branches))
+    return survey_logs(
+        [SurveyedLog.of(records)], Calibration(detection=detection or DetectionCalibration(), **branches)
+    )
 
 
 def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
@@ -55,7 +56,7 @@ def straight(scans: int = 11, **fields) -> list[Record]:
 
 
 def test_ranges_times_and_motion_are_those_of_the_log():
-    found = survey(straight(), CONFIG)
+    found = survey(straight())
     assert (found.scans, found.detections, found.objects) == (11, 33, 3.0)
     assert found.median_range_m == pytest.approx(10.0)
     assert found.max_range_m == pytest.approx(20.0)
@@ -70,24 +71,24 @@ def test_turns_add_up_whatever_their_sign_and_across_half_a_turn():
     records: list[Record] = []
     for i, yaw in enumerate([3.0, 3.3, 3.0]):
         records += [odometry(0.1 * i, 0.0, yaw), detections(0.1 * i)]
-    assert survey(records, CONFIG).turn_rad == pytest.approx(0.6)
+    assert survey(records).turn_rad == pytest.approx(0.6)
 
 
 def test_spacing_is_that_of_objects_of_one_class():
-    assert survey(straight(), CONFIG).spacing_m == pytest.approx(5.0)
-    assert survey(straight(labels=["tree", "lamp", "tree"]), CONFIG).spacing_m == pytest.approx(np.hypot(8.0, 13.0))
-    assert np.isnan(survey(straight(labels=["tree", "lamp", "sign"]), CONFIG).spacing_m)
+    assert survey(straight()).spacing_m == pytest.approx(5.0)
+    assert survey(straight(labels=["tree", "lamp", "tree"])).spacing_m == pytest.approx(np.hypot(8.0, 13.0))
+    assert np.isnan(survey(straight(labels=["tree", "lamp", "sign"])).spacing_m)
 
 
 def test_ranges_are_horizontal_and_from_the_body():
     T_body_sensor = pose_at(1.0, z=7.0, yaw=np.pi / 2)
     mounted = Transform(0, "base_link", "lidar", T_body_sensor)
-    found = survey([mounted, *straight(positions=[[0.0, -4.0, -5.0]], frame="lidar")], CONFIG)
+    found = survey([mounted, *straight(positions=[[0.0, -4.0, -5.0]], frame="lidar")])
     assert found.max_range_m == pytest.approx(5.0)
 
 
 def test_a_scan_in_a_frame_that_nobody_knows_is_left_out_unless_it_is_taken_for_the_body():
-    assert survey(straight(frame="lidar"), CONFIG) is None
+    assert survey(straight(frame="lidar")) is None
     assert survey(straight(frame="lidar"), ON_BODY).scans == 11
 
 
@@ -98,31 +99,31 @@ def test_a_tilted_body_sees_upright():
     records: list[Record] = []
     for i in range(3):
         records += [replace(odometry(0.1 * i, 0.0), T_odom_body=tilted), detections(0.1 * i, [[10.0, 0.0, 0.0]])]
-    assert survey(records, CONFIG).max_range_m == pytest.approx(10.0 * c)
+    assert survey(records).max_range_m == pytest.approx(10.0 * c)
 
 
 def test_detections_below_the_least_score_or_without_a_place_count_nothing():
     scores = np.array([0.9, 0.2, 0.9])
     found = survey(straight(scores=scores), DetectionCalibration(min_score=0.5))
     assert found.detections == 22
-    assert survey(straight(positions=[*ROW[:2], [np.nan, 0.0, 0.0]]), CONFIG).detections == 22
+    assert survey(straight(positions=[*ROW[:2], [np.nan, 0.0, 0.0]])).detections == 22
 
 
 def test_scans_outside_the_odometry_and_empty_ones_are_left_out():
     records = [*straight(), detections(-1.0), detections(9.0), detections(0.55, np.zeros((0, 3)))]
-    assert survey(records, CONFIG).scans == 11
+    assert survey(records).scans == 11
 
 
 def test_odometry_that_goes_back_in_time_is_left_out():
     records = straight()
-    assert survey([*records, odometry(0.5, 500.0)], CONFIG).travel_m == pytest.approx(2.0)
+    assert survey([*records, odometry(0.5, 500.0)]).travel_m == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(
     "records", [[], [detections(0.0)], [odometry(0.0, 0.0)], [odometry(0.0, 0.0), odometry(1.0, 1.0)]]
 )
 def test_without_odometry_or_detections_there_is_no_survey(records):
-    assert survey(records, CONFIG) is None
+    assert survey(records) is None
 
 
 def test_it_reads_no_more_than_it_needs():
@@ -151,7 +152,7 @@ def test_a_log_that_grows_is_surveyed_with_its_new_odometry():
 
 
 def test_too_few_objects_tell_no_noise():
-    assert survey(straight(), CONFIG).components is None
+    assert survey(straight()).components is None
 
 
 def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
@@ -159,7 +160,7 @@ def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypat
     found = ComponentEstimate(noise, NO_NOISE, 1000)
     monkeypatch.setattr("slam.self_calibration.survey.estimate_components", lambda *_: found)
     monkeypatch.setattr("slam.self_calibration.survey.clutter_density", lambda scans, tracked, sigma_m: sigma_m)
-    assert survey(straight(), CONFIG).clutter_density == pytest.approx(0.3)
+    assert survey(straight()).clutter_density == pytest.approx(0.3)
 
 
 def test_the_variance_that_messages_claim_is_compared_with_that_which_they_have():
@@ -384,17 +385,17 @@ def test_labels_beyond_the_most_classes_are_one_class():
 
 
 def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
-    assert survey(straight(), CONFIG).detour == pytest.approx(1.0, abs=0.1)
+    assert survey(straight()).detour == pytest.approx(1.0, abs=0.1)
     there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
-    found = survey([*there_and_back, detections(1.0)], CONFIG)
+    found = survey([*there_and_back, detections(1.0)])
     assert found.detour > 5.0
-    assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)], CONFIG).detour == 1.0
+    assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)]).detour == 1.0
     wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
-    assert survey([*wild, detections(1.0)], CONFIG).detour < 1.2
+    assert survey([*wild, detections(1.0)]).detour < 1.2
 
 
 def test_of_messages_with_one_stamp_the_first_is_surveyed():
     later = [each for each in straight() if isinstance(each, ObjectDetections)]
     twice = [replace(each, positions=each.positions + 1.0) for each in later]
-    assert survey([*straight(), *twice], CONFIG).scans == survey(straight(), CONFIG).scans
-    assert survey([*straight(), *twice], CONFIG).range_m == survey(straight(), CONFIG).range_m
+    assert survey([*straight(), *twice]).scans == survey(straight()).scans
+    assert survey([*straight(), *twice]).range_m == survey(straight()).range_m
