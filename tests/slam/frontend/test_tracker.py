@@ -288,17 +288,6 @@ def test_no_wrong_pair_is_used_where_two_poses_explain_the_scan_as_well() -> Non
     assert drive.wrong_pairs(drive.located(ahead), ahead) == 0
 
 
-def test_scan_without_landmarks_teaches_nothing() -> None:
-    """All objects are new: none is taken for a landmark, and the landmarks stay where they are."""
-    drive = driven(8)
-    drive.objects = np.concatenate([drive.objects, forest(40, seed=7) + np.array([0.0, 0.0, 300.0])])
-    new = 60 + np.flatnonzero(np.linalg.norm(drive.objects[60:, :2], axis=1) < RANGE_M)
-    tracked = drive.located(new)
-    assert not tracked.assignment.matched.any()
-    assert tracked.correction is None
-    assert known(drive.located()) > 0.9
-
-
 def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odometry(monkeypatch) -> None:
     drive = driven(12)
     first, judge = iter([True]), Tracker._is_failing
