@@ -166,7 +166,7 @@ def attached_at(T_anchor_keyframe: FloatArray) -> AttachedKeyframes:
 def test_an_edge_of_an_attached_keyframe_has_the_error_that_it_had(ends):
     rng = np.random.default_rng(3)
     T_1, T_1_2, T_from_to = (gtsam.Pose3.Expmap(rng.normal(size=6)).matrix() for _ in range(3))
-    edge = Edge(*ends, T_from_to, random_covariance(rng, 6), "odometry")
+    edge = Edge(ends[0], ends[1], T_from_to, random_covariance(rng, 6), "odometry")
     # Near what it says, where errors are linear.
     T_2_3 = T_from_to if ends == (2, 3) else invert(T_from_to)
     T_2_3 = T_2_3 @ gtsam.Pose3.Expmap(1e-4 * rng.normal(size=6)).matrix()

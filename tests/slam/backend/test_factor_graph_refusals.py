@@ -11,9 +11,9 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Observation
 from slam.common.errors import FactorGraphError
+from tests.helpers.graphs import PLAIN
 from tests.slam.backend.graphs import (
     KEYFRAMES,
-    PLAIN,
     SEEN_COVARIANCE,
     build,
     edge,
