@@ -23,9 +23,6 @@ _Record = TypeVar("_Record", bound="m.ObjectDetections | m.ObjectMapRecord | m.F
 _MESSAGE_FIELDS = {"T_map_body": "map_body", "T_reference_query": "reference_query", "edge_transforms": "edge_from_to"}
 """Name in the record -> name in the message, where they differ."""
 
-_SIZES = {"2": 2, "3": 3, "6": 6, "T": 12}
-"""Lengths that stand for themselves, and the numbers of a transform."""
-
 _TYPES: Mapping[int, tuple[Callable[[Any], Any], Any]] = {
     FieldDescriptor.CPPTYPE_INT64: (int, np.int64),
     FieldDescriptor.CPPTYPE_DOUBLE: (float, np.float64),
@@ -68,7 +65,7 @@ class _Field:
             return transforms(values, 1, self.name)[0]
         if first == "6":
             return usable_covariance(flat_array(values, (6, 6), self.name), counters)
-        width = [_SIZES[each] if each in _SIZES else lengths[each] for each in others]
+        width = [int(each) if each.isdecimal() else lengths[each] for each in others]
         if first not in lengths:
             lengths[first] = len(values) // max(math.prod(width), 1)
         count = lengths[first]
@@ -127,7 +124,7 @@ class Codec:
             Refusal: lengths that disagree, or a matrix that is no rotation.
         """
         values: dict[str, Any] = {}
-        lengths: dict[str, int] = {}
+        lengths = {"T": 12}  # numbers of a transform
         for field in self._fields:
             value = getattr(message, field.message_name)
             if field.is_map:  # its order is arbitrary; sorted, a record is the same in every run

@@ -117,6 +117,11 @@ class Config(Branch):
         return 2.0 * SUBMAP_RANGES * self.sensor_range_m if given is None else given
 
     @property
+    def traversal_extent_m(self) -> float:
+        """Travel [m] by which a traversal reaches before and after a place: a tenth more than the least between two."""
+        return 1.1 * self.closure_travel_m
+
+    @property
     def propagation_distance_m(self) -> float:
         """Travel [m] over which an accepted closure predicts those before and after it."""
         given = self.loop_closure.propagation_distance_m

@@ -28,7 +28,7 @@ from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.velocities import velocities
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
-from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
+from slam.odometry.noise import step_covariance
 from slam.odometry.pose import OdometryPose
 
 CONFIRM_OBSERVATIONS = 4
@@ -254,8 +254,9 @@ def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Ed
     covariance = step_covariance(previous.odometry, keyframe.odometry, config.calibration.odometry)
     if keyframe.odometry.segment != previous.odometry.segment:
         kind = EdgeKind.DISCONTINUITY
-        sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
-        covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
+        # It ties nothing together, but the graph must stay connected until a closure does it: 1 rad, and some ranges.
+        sigma_m = 10.0 / 3.0 * config.sensor_range_m
+        covariance = np.diag(np.repeat([1.0, sigma_m**2], 3))
     return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
 
 

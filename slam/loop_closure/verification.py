@@ -15,7 +15,7 @@ from slam.common.geometry import covariance_in_axes, invert, yaw_rad
 from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratios
-from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
+from slam.object_map.submap import Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
@@ -164,7 +164,7 @@ class Verifier:
 
         Farther away, the map of that traversal has less than half of what is in view.
         """
-        extent_m = TRAVERSAL_EXTENT * self._config.closure_travel_m
+        extent_m = self._config.traversal_extent_m
         found = self.track.nearest(
             place.T_local_query[:3, 3],
             segment=place.segment,

@@ -17,9 +17,6 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
-# A traversal reaches that far before and after a place, in multiples of the least travel between two traversals.
-TRAVERSAL_EXTENT = 1.1
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Submap:

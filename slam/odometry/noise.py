@@ -11,9 +11,6 @@ from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import covariance_in_axes, relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
-# A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
-BREAK_SIGMA_RAD = 1.0
-BREAK_SIGMA_RANGES = 100 / 30
 SLIP_INFLATION = 3.0
 """Factor on the sigmas of the odometry where a match is in question: slips are larger than the noise of a step."""
 

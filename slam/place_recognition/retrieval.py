@@ -14,7 +14,7 @@ from descriptors.registry import shipped_likelihood
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
+from slam.object_map.submap import Submap, placed_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.landmark_pairs import Batch, make_landmark_pairs
@@ -37,7 +37,7 @@ class PlaceRetriever:
         self._count = config.loop_closure.max_candidates
         self._calibration = config.calibration
         self._sensor_range_m = config.sensor_range_m
-        self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
+        self._extent_m = config.traversal_extent_m
         self._map = object_map
         self._likelihood = shipped_likelihood()
         self._pairs = make_landmark_pairs(config)

@@ -15,12 +15,11 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.self_calibration.corrections import CAUCHY, MIN_PAIRS, ROUNDS
 from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.scan_pairs import MIN_STANDARD_ERRORS
 from slam.self_calibration.variance_components import BLOCKS
 
 LEAST_VIEW_CHANGE = 0.1
 """Rays that differ less do not determine the bias."""
-SIGNIFICANT = 4.0
-"""Standard errors from which a bias is believed."""
 
 
 def centroid_biases(tracks: ObjectTracks) -> FloatArray:
@@ -45,7 +44,7 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
         if len(parts) < BLOCKS // 2:
             continue
         error = np.sqrt((len(parts) - 1) / len(parts) * np.sum((np.array(parts) - np.mean(parts)) ** 2))
-        biases[label] = found if found > SIGNIFICANT * error else 0.0
+        biases[label] = found if found > MIN_STANDARD_ERRORS * error else 0.0
     return biases
 
 

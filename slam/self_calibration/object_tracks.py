@@ -35,7 +35,7 @@ and how large it may be.
 """
 ROUNDING = 1e-12
 """Squares that are a smaller share of what they are compared with are rounding."""
-MOST_DISTANCES = 2**20
+MAX_DISTANCES = 2**20
 """Held at a time, 8 MB, however many objects a scan has."""
 
 
@@ -296,7 +296,7 @@ def _nearest(
 
 def _parts(count: int, others: int) -> list[slice]:
     """The rows of (count, others) distances, so many at a time as are held."""
-    size = max(MOST_DISTANCES // max(others, 1), 1)
+    size = max(MAX_DISTANCES // max(others, 1), 1)
     return [slice(start, start + size) for start in range(0, count if others else 0, size)]
 
 

@@ -15,11 +15,9 @@ from scipy.spatial.distance import pdist
 
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.geometry import apply
-from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.object_tracks import MAX_DISTANCES, SurveyScan
 from slam.self_calibration.scan_pairs import MIN_PAIRS, median_range, upright
 
-MAX_DISTANCES = 1_000_000
-"""Distances by which the size of clusters is found; scans that have more are left out."""
 CLUSTERED = 1.5
 """Within twice the size of a cluster are less than so many times as many pairs as within it; in rows there are twice as
 many, spread over the ground four times as many.
@@ -31,7 +29,7 @@ KEPT_OFFSETS = 0.25
 def find_resolution(scans: Sequence[SurveyScan]) -> float:
     """Distance [m] up to which detections of a class are of one object; 0 where objects are detected once.
 
-    ``scans``: (K) in the order of their stamps.
+    ``scans``: (K) in the order of their stamps; those of more than ``MAX_DISTANCES`` are left out.
     """
     scans = [scan for scan in scans if len(scan.labels) ** 2 <= MAX_DISTANCES]
     if not scans:
@@ -42,7 +40,7 @@ def find_resolution(scans: Sequence[SurveyScan]) -> float:
 
 
 def _distances(scans: Sequence[SurveyScan]) -> FloatArray:
-    """Distances (N,) m between detections of one class in one scan, sorted."""
+    """Distances (N,) m between detections of one class in one scan, about ``MAX_DISTANCES`` at most, sorted."""
     found, count = [np.zeros(0)], sum(len(scan.labels) ** 2 for scan in scans)
     for scan in scans[:: 1 + count // MAX_DISTANCES]:
         same = (scan.positions[scan.labels == label] for label in np.unique(scan.labels))

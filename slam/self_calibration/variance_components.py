@@ -53,8 +53,6 @@ ROOM_SIGMAS = 4.0
 LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
-EXACT = 1e-10
-"""Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
 OWN, SHARED = 7, 11
@@ -229,7 +227,7 @@ class _Fit:
         self._y = _clipped(np.einsum("nij,nj->ni", axes, pairs.d))
         own, shared = _own_parts(pairs)[:, :, : axes.shape[1]], _shared_parts(pairs)
         self._parts = own, shared
-        square = max(float(np.mean(self._y**2)), EXACT)
+        square = max(float(np.mean(self._y**2)), ROUNDING)
         sums = np.concatenate([own.mean(axis=(1, 2)), (shared * self._levers()).sum(axis=2).mean(axis=1)])
         share = 1.0 / (OWN + SHARED)
         self.variances = np.where(sums > 0.0, share * square / np.maximum(sums, 1e-300), 0.0)
@@ -263,7 +261,7 @@ class _Fit:
         A, y, group = self._A, self._y, self._group
         D = np.einsum("c,cnd->nd", self.variances[:OWN], own)
         Q = np.einsum("c,cgi->gi", self.variances[OWN:], shared)
-        inverse = weights[:, None] / np.maximum(D, EXACT)
+        inverse = weights[:, None] / np.maximum(D, ROUNDING)
         M = np.add.reduceat(A.swapaxes(1, 2) @ (inverse[:, :, None] * A), self._start, axis=0)
         v = np.add.reduceat(np.einsum("ndi,nd->ni", A, inverse * y), self._start, axis=0)
         root = np.sqrt(Q / group_weights[:, None])

@@ -10,8 +10,6 @@ from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table, read_table
 from logs.importers.text_files import read_source_text
 
-DEGREES = {"": 1.0, "deg": 1.0}
-
 
 def read_object_table(path: Path) -> MapObjects:
     """Read columns ``x_m, y_m`` (``z_m``), also called easting and northing, or ``lat, lon`` (``altitude_m``), and
@@ -22,9 +20,10 @@ def read_object_table(path: Path) -> MapObjects:
     """
     source = read_source_text(path)
     table = read_table(source)
-    latitude = table.find(("lat", "latitude"), DEGREES)
+    latitude = table.find(("lat", "latitude", "lat_deg", "latitude_deg"))
     if latitude is not None:
-        plane = [latitude, table.need("the longitude", "lon", ("lon", "lng", "longitude"), DEGREES)]
+        names = ("lon", "lng", "longitude", "lon_deg", "lng_deg", "longitude_deg")
+        plane = [latitude, table.need("the longitude", "lon", names)]
     else:
         plane = [
             table.need(f"{axis} or lat and lon", f"{axis}_m", names, LENGTH_UNITS)

@@ -144,7 +144,7 @@ def test_sensors_that_take_turns_detect_what_each_of_them_sees():
 def test_distances_may_be_held_in_parts(monkeypatch, most):
     drive = SurveyedDrive(0, {}, scans=40, objects=80)
     whole = follow_objects(drive.scans, drive.headings)
-    monkeypatch.setattr(object_tracks, "MOST_DISTANCES", most)
+    monkeypatch.setattr(object_tracks, "MAX_DISTANCES", most)
     parts = follow_objects(drive.scans, drive.headings)
     np.testing.assert_array_equal(parts.track, whole.track)
     np.testing.assert_array_equal(parts.rooms, whole.rooms)
