@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.messages import ObjectDetections, Odometry, Transform
+from logs.messages import ObjectDetections, Odometry
 from slam.common.config import Config, load_config
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, transform_from_xyz_yaw
@@ -24,7 +24,6 @@ from tests.helpers.short_drives import (
 
 pytestmark = pytest.mark.slow
 
-SECOND_NS = 1_000_000_000
 AS_GIVEN = Config(calibrate=False)
 """Where nothing in the log could mislead a calibration."""
 
@@ -50,13 +49,6 @@ def mapped(entries: list[Entry], output: Path, config: Config | None = None) -> 
     return final_status(output).counters
 
 
-def test_a_truncated_log_is_mapped_where_a_chunk_is_left(noisy_log, tmp_path, output):
-    whole = noisy_log.read_bytes()
-    source = tmp_path / "in.mcap"
-    source.write_bytes(whole[: 3 * len(whole) // 4])
-    assert 50 < replay(source, output, Config()).counters["odometry_used"] < 304
-
-
 # Time
 
 
@@ -69,26 +61,6 @@ def test_detections_before_and_after_the_odometry_are_counted(entries, output, t
 # Poses
 
 
-def without_poses(entries: list[Entry], every: int) -> list[Entry]:
-    """Each ``every``-th odometry message has no finite position."""
-
-    def alter(i: int, odometry: Odometry) -> Odometry:
-        if i % every != every - 1:
-            return odometry
-        written_by_others = replace(odometry)
-        nowhere = transform_from_xyz_yaw(np.full(3, np.nan), 0.0)
-        object.__setattr__(written_by_others, "T_odom_body", nowhere)  # a record of ours refuses it
-        return written_by_others
-
-    return change(entries, Odometry, alter)
-
-
-def test_if_no_pose_is_any_good_nothing_is_mapped(entries, output):
-    with pytest.raises(InputDataError, match="no odometry message was usable"):
-        mapped(without_poses(entries, 1), output)
-    assert not output.exists()
-
-
 def test_huge_coordinates_give_the_same_map_elsewhere(entries, output):
     T = transform_from_xyz_yaw(np.array([1e7, -1e7, 100.0]), 1.2)
     here = mapped(entries, output)
@@ -99,17 +71,6 @@ def test_huge_coordinates_give_the_same_map_elsewhere(entries, output):
     assert here["landmarks_confirmed"] == there["landmarks_confirmed"]
     assert map_here.ids == map_there.ids
     np.testing.assert_allclose(map_there.positions, apply(T, map_here.positions), atol=0.01)
-
-
-# Frames
-
-
-def test_what_came_before_its_transform_is_placed_by_it(entries, output):
-    start_ns = entries[0][1]
-    mount = ("/tf_static", start_ns + 2 * SECOND_NS, Transform(start_ns, "base_link", "velodyne", np.eye(4)))
-    seen = change(entries, ObjectDetections, lambda _, scan: replace(scan, frame_id="velodyne"))
-    counters = mapped(sorted([*seen, mount], key=lambda entry: entry[1]), output, AS_GIVEN)
-    assert counters["detections_used"] == 80
 
 
 # Detections

@@ -75,13 +75,6 @@ def test_a_saved_map_is_without_the_condensed_keyframes(condensed, tmp_path):
     )
 
 
-@pytest.mark.slow
-def test_new_streets_are_not_condensed(tmp_path, monkeypatch):
-    monkeypatch.setattr(graph_condenser, "MIN_KEYFRAMES", 60)
-    outcome = replay_drive(tmp_path, furnished([(0, 0), (300, 0), (300, 100), (0, 100)], seed=5))
-    assert count_condensed(outcome) == 0
-
-
 def find(seen: list[tuple[int, list[int]]], travel_m: list[float], **limits: list[bool]) -> dict[int, int]:
     """Anchors of keyframes, each given with its id and the landmarks that it observed."""
     everything = np.ones(len(seen), dtype=np.bool_)

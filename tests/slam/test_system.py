@@ -11,7 +11,6 @@ from logs.messages import (
     DetectionTruth,
     GroundTruthPose,
     ObjectMapRecord,
-    Odometry,
     SlamPose,
     StatusRecord,
     Transform,
@@ -28,7 +27,6 @@ from slam.system import Slam
 from tests.helpers.short_drives import (
     Entry,
     block_world,
-    change,
     drive,
     keep_until,
     map_in_memory,
@@ -109,43 +107,22 @@ def test_without_truth_or_with_another_truth_the_result_is_the_same(noisy_drive)
     same_results(reference, finished(untrue))
 
 
-# Frames and order
-
-
-def test_detections_between_two_odometry_messages_are_placed_between_them(exact_drive):
-    """Every second odometry message is left out, none of the detections."""
-    entries = keep_until(exact_drive, 4.0)
-    sparse = change(entries, Odometry, lambda i, odometry: odometry if i % 2 == 0 else None)
-    result = finished(sparse)
-    assert result.status.counters["detections_used"] == result.status.counters["odometry_used"] * 2 - 1
-    world = block_world()
-    nearest = [np.linalg.norm(world.positions - position, axis=1).min() for position in result.object_map.positions]
-    assert max(nearest) < 0.02
-
-
 # What it says meanwhile
 
 
 def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frames(noisy_drive):
-    slam = Slam(Config())
-    updates = [update for _, _, record in keep_until(noisy_drive, 5.0) for update in slam.process(record)]
-    odometry = odometry_of(keep_until(noisy_drive, 5.0))
-    poses = [update for update in updates if isinstance(update, SlamPose)]
-    assert [pose.stamp_ns for pose in poses] == [o.stamp_ns for o in odometry]
-    transforms = [update for update in updates if isinstance(update, Transform)]
-    frames = [each for each in transforms if each.parent_frame_id == "map"]
-    steps_told = [each for each in transforms if each.parent_frame_id == "odom"]
-    T_map_odom, T_odom_body = np.eye(4), np.eye(4)
-    for update in updates:
+    entries = keep_until(noisy_drive, 5.0)
+    slam, T = Slam(Config()), {"map": np.eye(4), "odom": np.eye(4)}
+    stamps_ns: dict[str, list[int]] = {"pose": [], "map": [], "odom": []}
+    for update in (update for _, _, record in entries for update in slam.process(record)):
         if isinstance(update, SlamPose):
-            np.testing.assert_allclose(update.T_map_body, T_map_odom @ T_odom_body, atol=1e-12)
-        elif isinstance(update, Transform) and update.parent_frame_id == "map":
-            T_map_odom = update.T_parent_child
+            np.testing.assert_allclose(update.T_map_body, T["map"] @ T["odom"], atol=1e-12)
+            stamps_ns["pose"].append(update.stamp_ns)
         elif isinstance(update, Transform):
-            T_odom_body = update.T_parent_child
-    assert [step.stamp_ns for step in steps_told] == [o.stamp_ns for o in odometry]
-    assert len(frames) == slam.counters["keyframes"]
-    assert {(frame.parent_frame_id, frame.child_frame_id) for frame in frames} == {("map", "odom")}
+            T[update.parent_frame_id] = update.T_parent_child
+            stamps_ns[update.parent_frame_id].append(update.stamp_ns)
+    assert stamps_ns["pose"] == stamps_ns["odom"] == [o.stamp_ns for o in odometry_of(entries)]
+    assert len(stamps_ns["map"]) == slam.counters["keyframes"]
 
 
 def test_kidnapping_is_reported_and_both_parts_are_mapped():
