@@ -54,19 +54,6 @@ def test_padding_changes_no_gradient(describe):
 
 
 @torch.no_grad()
-def test_each_layer_of_the_backbone_adds_to_the_one_before(describe):
-    positions, labels, present = batch((12, 5), 12)
-    seen: list[Tensor] = []
-    describe.fusion.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
-    describe(positions, labels, present)
-    layers = seen[0].chunk(14, dim=1)
-    owners = present.nonzero(as_tuple=True)[0]
-    for before, block, after in zip(layers[:-1], describe.backbone, layers[1:], strict=True):
-        assert close(before + block(before, owners), after)
-        assert not close(before, after, 1e-3)
-
-
-@torch.no_grad()
 def test_max_relative_convolution_is_its_equation():
     torch.manual_seed(0)
     convolution = MaxRelativeConvolution(4, 6).eval()
