@@ -21,17 +21,18 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(tmp_path_factory.mktemp("log") / "drive.mcap", drive(SimulationConfig()))
 
 
-def mapped(source: Path, output: Path) -> tuple[float, dict[str, int]]:
-    """ATE [m] and counters of a replay."""
-    counters = replay(source, output, Config()).counters
-    estimate = evaluate(read_records(output)).estimate
+def mapped(log: Path, folder: Path, *faults: str) -> tuple[float, dict[str, int]]:
+    """ATE [m] and counters of a replay with faults."""
+    write_faulty(log, folder / "faulty.mcap", parse_faults(faults), seed=0)
+    counters = replay(folder / "faulty.mcap", folder / "mapped.mcap", Config()).counters
+    estimate = evaluate(read_records(folder / "mapped.mcap")).estimate
     assert estimate is not None
     return estimate.ate_m, counters
 
 
 @pytest.fixture(scope="module")
 def clean_ate_m(log, tmp_path_factory) -> float:
-    ate_m, counters = mapped(log, tmp_path_factory.mktemp("clean") / "mapped.mcap")
+    ate_m, counters = mapped(log, tmp_path_factory.mktemp("clean"))
     assert not {"odometry_corrected", "odometry_wild"} & set(counters)
     return ate_m
 
@@ -47,9 +48,7 @@ def clean_ate_m(log, tmp_path_factory) -> float:
     ],
 )
 def test_jump_is_corrected_and_counted(log, clean_ate_m, tmp_path, fault, counter):
-    faulty = tmp_path / "faulty.mcap"
-    write_faulty(log, faulty, parse_faults([fault]), seed=0)
-    ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
+    ate_m, counters = mapped(log, tmp_path, fault)
     assert ate_m < 1.5 * clean_ate_m + 0.01
     assert counters[counter] == 1
     assert counters.get("odometry_breaks", 0) == 0
@@ -57,11 +56,8 @@ def test_jump_is_corrected_and_counted(log, clean_ate_m, tmp_path, fault, counte
 
 @pytest.mark.slow
 @pytest.mark.xfail(strict=True, reason="few objects in view: ATE 0.31 and 0.36 m, 0.102 wanted")
-@pytest.mark.parametrize("fault", ["odometry_freezes=5"])
-def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, tmp_path, fault):
-    faulty = tmp_path / "faulty.mcap"
-    write_faulty(log, faulty, parse_faults([fault]), seed=0)
-    ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
+def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, tmp_path):
+    ate_m, counters = mapped(log, tmp_path, "odometry_freezes=5")
     assert ate_m < 1.5 * clean_ate_m + 0.05
     assert counters["odometry_corrected"] > 10
     assert counters.get("odometry_breaks", 0) == 0
@@ -69,8 +65,6 @@ def test_landmarks_give_the_motion_where_the_odometry_freezes(log, clean_ate_m, 
 
 @pytest.mark.slow
 def test_pause_of_nine_seconds_is_no_break(log, clean_ate_m, tmp_path):
-    faulty = tmp_path / "faulty.mcap"
-    write_faulty(log, faulty, parse_faults(["odometry_pause=9"]), seed=0)
-    ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
+    ate_m, counters = mapped(log, tmp_path, "odometry_pause=9")
     assert ate_m < 2.0 * clean_ate_m + 0.1
     assert counters.get("kidnappings_detected", 0) == 0

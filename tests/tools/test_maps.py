@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
@@ -39,33 +38,19 @@ def town(folder: Path) -> Path:
     return folder / "map.mcap"
 
 
-def test_relocalize_finds_the_robot_and_the_covariances_hold(
-    dslam: Run, folder: Path, town: Path, tmp_path: Path
-) -> None:
-    """Both drives start at the same true place, so the map's frame is that of the truth at the first pose."""
+def test_relocalize_finds_the_robot(dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
     before, output = town.read_bytes(), tmp_path / "found.mcap"
     command = ("relocalize", folder / "second.mcap", "--map", town, "-o", output)
     result = dslam(*command, "--picture", output.with_suffix(".png"))
     assert (result.code, result.err) == (0, "")
     assert all(name in result.out for name in ("found", "recognised", "tracked"))
     assert output.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    truth = {record.stamp_ns: record.T_world_body for record in records_of(output, "/ground_truth")}
-    T_world_map = records_of(folder / "first.mcap", "/ground_truth")[0].T_world_body
-    records = [closure for closure in records_of(output, "/slam/closures") if closure.accepted]
-    assert len(records) > 20
-    (graph,) = records_of(output, "/slam/graph")
-    T_map_reference = dict(zip(graph.keyframe_ids.tolist(), graph.T_map_body, strict=True))
-    T_errors = [
-        np.linalg.inv(T_map_reference[record.reference_keyframe_id] @ record.T_reference_query)
-        @ np.linalg.inv(T_world_map)
-        @ truth[record.stamp_ns]
-        for record in records
-    ]
-    errors_m = np.array([T[:2, 3] for T in T_errors])
-    sigmas_m = np.sqrt([np.diag(record.covariance)[3:5] for record in records])
-    assert np.linalg.norm(errors_m, axis=1).max() < 1.0
-    assert np.median(np.abs(errors_m) / sigmas_m) < 2.0
-    assert min(pose.stamp_ns for pose in records_of(output, "/slam/pose")) >= records[0].stamp_ns
+    closures = [closure for closure in records_of(output, "/slam/closures") if closure.accepted]
+    assert len(closures) > 20
+    assert min(pose.stamp_ns for pose in records_of(output, "/slam/pose")) >= closures[0].stamp_ns
+    found = json.loads(dslam("evaluate", output, "--map-run", folder / "out.mcap", "--json").out)["relocalization"]
+    assert found["success_rate"] == 1.0
+    assert found["median_error_m"] < 1.0
     told = json.loads(dslam(*command, "--set", "loop_closure.descriptor=gosmatch_vertex", "--json").out)
     assert told["found"] is True
     assert 0.5 < told["tracked_ratio"] < 1.0
@@ -153,8 +138,8 @@ def test_bad_maps_are_refused_in_one_line(dslam: Run, folder: Path, town: Path, 
         assert_refused(dslam(*refuse, folder / "out.mcap"), "is a log, but no map", "--save-map")
         assert_refused(dslam(*refuse, tmp_path / "none.mcap"), "cannot read", "check the path")
     assert "cannot be used" in dslam("info", path).out
-    for metadata, told in (({"drives": "[1"}, "list of drives"),):
-        assert told in json.loads(dslam("info", rewritten(path, town, metadata), "--json").out)["map"]["fault"]
+    damaged = rewritten(path, town, {"drives": "[1"})
+    assert "list of drives" in json.loads(dslam("info", damaged, "--json").out)["map"]["fault"]
     assert_refused(dslam("replay", town, "-o", output), "is a saved map, not a drive", "--map")
     assert_refused(dslam("relocalize", folder / "second.mcap", "--map", town, "-o", town), "is the input")
     assert not list(tmp_path.glob("out*"))
