@@ -20,7 +20,7 @@ from slam.simulation.config import SimulationConfig
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.ros2_logs import encoded, ros2_messages, write_bag
 from tests.helpers.short_drives import drive as drive_of
-from tests.helpers.short_drives import keep_until, write_log
+from tests.helpers.short_drives import keep_until, write_log, write_records
 from tests.logs.clouds.clouds import street, write_ply
 from tests.logs.examples import every_kind
 from tests.logs.importers.text_drives import DETECTIONS
@@ -57,7 +57,7 @@ def make_seeds(folder: Path) -> Seeds:
     rows = (folder / "trajectory.tum").read_text().splitlines()
     (folder / "times.txt").write_text("\n".join(row.partition(" ")[0] for row in rows))
     (folder / "detections.csv").write_text(DETECTIONS)
-    _write_kinds(folder / "kinds.mcap")
+    write_records(folder / "kinds.mcap", ((topic, each) for topic, _, each in every_kind(np.random.default_rng(3))))
     with LogWriter(folder / "ros.mcap") as writer:
         for message in ros2_messages(entries):
             writer.write_raw(encoded(message))
@@ -112,9 +112,3 @@ def _write_extract(path: Path) -> None:
         for number in range(1, 31)
     ]
     path.write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, "</osm>"]))
-
-
-def _write_kinds(path: Path) -> None:
-    with LogWriter(path) as writer:
-        for topic, _, record in every_kind(np.random.default_rng(3)):
-            writer.write(topic, record)

@@ -86,11 +86,19 @@ def keep_until(entries: Iterable[Entry], seconds: float) -> list[Entry]:
     return [entry for entry in kept if entry[1] < end_ns]
 
 
-def write_log(path: Path, entries: Iterable[Entry]) -> Path:
+def write_log(path: Path, entries: Iterable[tuple[str, int | None, Record]], **metadata: dict[str, str]) -> Path:
+    """A log of records, each at its stamp where no log time is given, and of metadata by name."""
     with LogWriter(path) as writer:
+        for name, values in metadata.items():
+            writer.add_metadata(name, values)
         for topic, log_time_ns, record in entries:
             writer.write(topic, record, log_time_ns)
     return path
+
+
+def write_records(path: Path, records: Iterable[tuple[str, Record]], **metadata: dict[str, str]) -> Path:
+    """A log of records at their stamps."""
+    return write_log(path, ((topic, None, record) for topic, record in records), **metadata)
 
 
 def write_map(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord, *, twice: bool = False) -> Path:
@@ -106,6 +114,11 @@ def write_map(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord, *,
 def raw_messages(path: Path) -> list[RawMessage]:
     with LogReader(path) as reader:
         return list(reader.messages())
+
+
+def metadata_of(path: Path) -> dict[str, dict[str, str]]:
+    with LogReader(path) as reader:
+        return reader.metadata()
 
 
 def records_of(path: Path, topic: str) -> list[Record]:

@@ -12,8 +12,8 @@ from logs.errors import UnreadableLogError
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.storage.mcap_index import McapIndex
-from logs.writer import LogWriter
 from tests.fuzz.mcap_file import Layout, read_file, write_file
+from tests.helpers.short_drives import write_records
 from tests.logs.examples import random_detections, random_transform
 
 COUNT = 4000
@@ -22,15 +22,13 @@ ODOMETRY = Selection.of({"/odom": "odometry"})
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    path = tmp_path_factory.mktemp("damage") / "log.mcap"
-    rng = np.random.default_rng(11)
-    with LogWriter(path) as writer:
-        for i in range(COUNT):
-            writer.write("/odom", m.Odometry(i + 1, random_transform(rng)))
-            if i % 100 == 0:
-                writer.write("/detections", random_detections(rng, 5, stamp_ns=i + 1))
-        writer.add_metadata("configuration", {"a": "1"})
-    return path.read_bytes()
+    path, rng = tmp_path_factory.mktemp("damage") / "log.mcap", np.random.default_rng(11)
+    records = []
+    for stamp_ns in range(1, COUNT + 1):
+        records.append(("/odom", m.Odometry(stamp_ns, random_transform(rng))))
+        if stamp_ns % 100 == 1:
+            records.append(("/detections", random_detections(rng, 5, stamp_ns=stamp_ns)))
+    return write_records(path, records, configuration={"a": "1"}).read_bytes()
 
 
 def stamps(path, selection=ODOMETRY):

