@@ -18,9 +18,9 @@ from typer.main import get_command
 
 from slam.common.config import load_config
 from slam.simulation.config import load_simulation_config
+from tests.tools.runs import ROOT
 from tools.cli import make_app
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *sorted((ROOT / "docs").rglob("*.md")),

@@ -21,9 +21,7 @@ from dslam import (
 )
 from slam.place_recognition.imported_map import make_imported_map
 from slam.replay import replay
-
-ROOT = Path(__file__).resolve().parents[1]
-SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
+from tests.tools.runs import ROOT, SAMPLE
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +68,13 @@ def test_a_log_without_a_map_is_refused() -> None:
 
 def test_maps_of_both_kinds_are_loaded_saved_and_read(tmp_path: Path) -> None:
     positions = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 7.0, 0.0], [6.0, 8.0, 1.0]])
-    made = make_imported_map(positions, ["tree", "pole", "tree", "tree"], list("abcd"), sigma_m=0.2)
+    labels = ["tree", "pole", "tree", "tree"]
+    made = make_imported_map(positions, labels, list("abcd"), sigma_m=0.2)
     save_map(str(tmp_path / "imported.mcap"), made)
     loaded = load_map(str(tmp_path / "imported.mcap"))
     assert isinstance(loaded, ImportedMap)
     objects = read_map(tmp_path / "imported.mcap")
-    found = dict(zip(objects.ids, objects.positions.tolist(), strict=True))
-    assert found == dict(zip("abcd", positions.tolist(), strict=True))
-    assert dict(zip(objects.ids, objects.labels, strict=True)) == {"a": "tree", "b": "pole", "c": "tree", "d": "tree"}
+    rows = sorted(zip(objects.ids, objects.labels, objects.positions.tolist(), strict=True))
+    assert rows == list(zip("abcd", labels, positions.tolist(), strict=True))
     np.testing.assert_allclose(landmark_table(objects)["sigma_x_m"], 0.2)
     assert len(dslam.__version__.split(".")) == 3

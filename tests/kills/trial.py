@@ -39,7 +39,7 @@ def run_whole(command: Command, folder: Path) -> Reference:
     started = time.monotonic()
     code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
     if code != 0:
-        raise RuntimeError(f"{command.name} ends with {code}: {(folder / 'said.txt').read_text()[-500:]}")
+        raise RuntimeError(f"{command.name} ends with {code}: {(folder / ERR).read_text()[-500:]}")
     return Reference(_files(folder), time.monotonic() - started)
 
 
@@ -61,7 +61,7 @@ def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: R
     code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
     again_s = time.monotonic() - started
     if code != 0:
-        wrong.append(f"the second run ends with {code}: {(folder / 'said.txt').read_text()[-300:]}")
+        wrong.append(f"the second run ends with {code}: {(folder / ERR).read_text()[-300:]}")
     found = _files(folder)
     wrong += [f"after the second run: {each}" for each in _faults(command, found, reference)]
     wrong += [f"the second run left no {name}" for name in reference.files if name not in found]

@@ -12,10 +12,10 @@ import pytest
 from slam.common.config import Config
 from slam.replay import replay
 from tests.helpers.short_drives import drive, keep_until, write_log
+from tests.tools.runs import ROOT
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
 REPLAY = """
 import sys
 from pathlib import Path

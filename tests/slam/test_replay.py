@@ -34,6 +34,7 @@ from tests.helpers.short_drives import (
     change,
     final_status,
     keep_until,
+    metadata_of,
     odometry_of,
     raw_messages,
     records_of,
@@ -104,8 +105,7 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
 
 
 def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
-    with LogReader(noisy_output) as reader:
-        found = reader.metadata()["dslam"]
+    found = metadata_of(noisy_output)["dslam"]
     assert found["input_sha256"] == file_sha256(noisy_log)
     assert Config.model_validate_json(found["configuration"]) == Config()
     assert json.loads(found["estimated"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from tests.helpers.short_drives import Entry, drive
 pytestmark = pytest.mark.slow
 
 SCALES = (0.05, 20.0)
+DECISION = attrgetter("query_keyframe_id", "reference_keyframe_id", "stage", "inserted", "inlier_count", "proposer")
 
 
 def scaled_pose(T: FloatArray, scale: float) -> FloatArray:
@@ -71,19 +73,8 @@ def mapped(entries: Iterable[Entry], scale: float, prior_map: SavedMap | None = 
     final = slam.finish()
     return Result(
         [(each.stamp_ns, each.landmark_ids) for each in made if isinstance(each, DetectionAssociations)],
-        [_decision(each) for each in made if isinstance(each, LoopClosureRecord)],
+        [DECISION(each) for each in made if isinstance(each, LoopClosureRecord)],
         final,
-    )
-
-
-def _decision(closure: LoopClosureRecord) -> tuple[Any, ...]:
-    return (
-        closure.query_keyframe_id,
-        closure.reference_keyframe_id,
-        closure.stage,
-        closure.inserted,
-        closure.inlier_count,
-        closure.proposer,
     )
 
 

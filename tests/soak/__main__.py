@@ -63,7 +63,6 @@ class Laps:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._started = self._cpu_started = 0.0
         self.megabytes: list[float] = []
         self.ended = 0.0
         self._cpu_started = time.process_time()

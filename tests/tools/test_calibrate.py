@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import dslam as library
-from logs.reader import LogReader
 from slam.common.config import Config, load_config
+from tests.helpers.short_drives import metadata_of
 from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools import cli
 
@@ -39,8 +39,7 @@ def test_replay_uses_the_file_or_estimates_the_same(
     output, again = (tmp_path / "out.mcap") if is_given else mapped, tmp_path / "same.toml"
     if is_given:
         assert dslam("replay", SAMPLE, "-o", output, "--calibration", robot).code == 0
-    with LogReader(output) as reader:
-        about = reader.metadata()["dslam"]
+    about = metadata_of(output)["dslam"]
     assert (json.loads(about["estimated"]) == {}) == is_given
     again.write_text(dslam("config", "--from", output).out)
     used, known = load_config(calibration=robot), load_config(again)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from logs.reader import LogReader
 from slam.simulation.faults.registry import FAULTS
+from tests.helpers.short_drives import metadata_of
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_drive
 
 DETECTIONS = 3313
@@ -21,8 +21,7 @@ def test_faults_are_applied_in_their_order_and_recorded(dslam: Run, tmp_path: Pa
     report = json.loads(result.out)
     assert report["faults"] == faults
     assert 0 < report["detections"] < report["detections_before"] == DETECTIONS
-    with LogReader(output) as reader:
-        told = reader.metadata()["faults"]
+    told = metadata_of(output)["faults"]
     assert (told["faults"], told["seed"]) == (" ".join(faults), "3")
 
 

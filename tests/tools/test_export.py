@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from logs.importers.maps.geojson import read_geojson
 from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.writer import LogWriter
@@ -52,12 +53,10 @@ def test_landmarks_and_poses_on_earth(dslam: Run, mapped: Path, records: Evaluat
     earth = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0))
     places, poses = tmp_path / "l.geojson", tmp_path / "p.csv"
     assert dslam("export", mapped, "--geojson", places, "--geodetic", poses, "--origin", ORIGIN).code == 0
-    features = json.loads(places.read_text())["features"]
-    objects = confirmed(records.object_map)
-    assert [each["properties"]["label"] for each in features] == list(objects.labels)
-    assert {"label_probability", "sigma_x_m", "first_seen_ns"} < features[0]["properties"].keys()
-    found = np.array([each["geometry"]["coordinates"][1::-1] for each in features])
-    np.testing.assert_allclose(found, earth.to_geodetic(objects.positions)[:, :2], rtol=0, atol=1e-6)
+    objects, found = confirmed(records.object_map), read_geojson(places)
+    assert found.labels == objects.labels
+    assert places.read_text().count("sigma_x_m") == len(objects.labels)
+    np.testing.assert_allclose(earth.to_map(found.positions)[:, :2], objects.positions[:, :2], atol=0.1)
     path = pd.read_csv(poses)[["latitude_deg", "longitude_deg", "altitude_m"]].to_numpy()
     np.testing.assert_allclose(earth.to_map(path), records.final_path.positions, atol=2e-3)
     assert_refused(dslam("export", mapped, "--geodetic", poses), "--origin")

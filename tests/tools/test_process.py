@@ -82,26 +82,22 @@ class TestStreams:
 
 
 class TestSignals:
-    def stopped(self, number: signal.Signals, output: Path) -> tuple[int, str]:
+    @pytest.mark.slow
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_while_mapping_name_what_is_left(self, tmp_path: Path, number: signal.Signals) -> None:
+        output, part = tmp_path / "out.mcap", tmp_path / "out.mcap.part"
         command = [sys.executable, "-m", "dslam", "replay", str(SAMPLE), "-o", str(output)]
         process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        part = output.with_name(output.name + ".part")
         deadline = time.monotonic() + 60.0
         while not (part.exists() and part.stat().st_size) and process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.01)
         process.send_signal(number)
         _, told = process.communicate(timeout=600)
-        return process.returncode, told
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-    def test_while_mapping_name_what_is_left(self, tmp_path: Path, number: signal.Signals) -> None:
-        code, told = self.stopped(number, tmp_path / "out.mcap")
-        assert code == 128 + number
+        assert process.returncode == 128 + number
         assert told.count("\n") == 1
-        assert str(tmp_path / "out.mcap.part") in told
-        assert not (tmp_path / "out.mcap").exists()
-        with LogReader(tmp_path / "out.mcap.part") as reader:
+        assert str(part) in told
+        assert not output.exists()
+        with LogReader(part) as reader:
             assert reader.topics() is not None
 
     def test_while_importing_are_one_line(self) -> None:

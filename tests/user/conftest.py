@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.user.installed import ROOT
+from tests.tools.runs import ROOT
 
 
 def build(kind: str, source: Path, folder: Path) -> Path:

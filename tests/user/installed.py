@@ -5,9 +5,6 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
-
 
 def run(home: Path, *command: object) -> str:
     """What a program of the environment ``home`` prints that ends well."""

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.user.installed import SAMPLE, run
+from tests.tools.runs import SAMPLE
+from tests.user.installed import run
 
 pytestmark = pytest.mark.slow
 

@@ -139,7 +139,6 @@ def test_other_metadata_are_refused(path: Path, texts: Mapping[str, str], messag
             {},
             "not finite",
         ),
-        (LearnedLikelihood, None, {"outer": 0.1}, "its sizes are invalid"),
         (LearnedLikelihood, None, {"sectors": 0}, "its sizes are invalid"),
         (LearnedLikelihood, None, {"partners": 10**9}, "its sizes are invalid"),
     ],

@@ -63,7 +63,7 @@ def test_files_that_are_nested_or_long_beyond_reason_are_refused(tmp_path: Path,
         load_config(path)
 
 
-@pytest.mark.parametrize("value", ["[" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "1e308", "5e-324"])
+@pytest.mark.parametrize("value", ["[" * 5000, "9" * 5000, "1e308", "5e-324"])
 def test_values_that_are_nested_or_long_beyond_reason_are_refused(value: str) -> None:
     with pytest.raises(ConfigurationError):
         load_config(None, [f"keyframe.distance_m={value}"])
@@ -79,19 +79,16 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     ("override", "told"),
     [
         ("keyframe.distance=1", "did you mean keyframe.distance_m?"),
-        ("distance_m=1", "did you mean keyframe.distance_m?"),
         ("keyframe.distance_m.x=1", "a valid number"),
         ("zzz.q=1", "'dslam config' lists the keys"),
         ("keyframe.distance_m=-1", "greater than 0: travel since the last keyframe"),
         ("keyframe.distance_m=far", "a valid number"),
-        ("keyframe.distance_m=true", "a valid number"),
         ("keyframe.distance_m=nan", "a finite number"),
         ("calibration.detection.yaw_deg=181", "less than or equal to 180"),
         ("loop_closure.top_k=1.5", "a valid integer"),
         ("loop_closure.enabled=guess", "a valid boolean"),
         ("keyframe=2", "keyframe=2 is not allowed; Input should be an object"),
         ("seed", "expected key=value"),
-        ("seed=", "expected key=value"),
         ("=3", "expected key=value"),
         ("keyframe..distance_m=3", "there is no"),
         ("loop_closure.top_k=4294967296", "numbers other than 0 must be from"),

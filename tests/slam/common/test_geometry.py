@@ -86,13 +86,10 @@ def test_one_and_many_are_treated_alike():
 
 def test_nothing_in_gives_nothing_out():
     none = np.zeros((0, 4, 4))
+    for function in (invert, rotation_angle_rad, yaw_rad, travelled_m):
+        assert len(function(none)) == 0
     assert apply(np.eye(4), np.zeros((0, 3))).shape == (0, 3)
-    assert invert(none).shape == (0, 4, 4)
-    assert rotation_angle_rad(none).shape == (0,)
-    assert yaw_rad(none).shape == (0,)
-    assert travelled_m(none).shape == (0,)
     assert transform_from_xyz_yaw(np.zeros((0, 3)), np.zeros(0)).shape == (0, 4, 4)
-    assert make_transform(np.zeros((0, 3, 3)), np.zeros((0, 3))).shape == (0, 4, 4)
 
 
 def test_travel_is_the_length_of_the_path_and_not_of_the_chord():

@@ -74,13 +74,6 @@ def test_a_level_drive_passes_one_row_of_cells_whatever_its_noise(whole: SavedMa
     assert len(folded.graph.keyframe_ids) == len(np.unique(np.round(T_map_body[:, 0, 3] / CELL_M)))
 
 
-def test_observations_of_a_cell_add_up(whole: SavedMap) -> None:
-    graph = condense_map(whole, cell_m=400.0).graph
-    counts = [whole.graph.observation_landmark_ids.count(name) for name in graph.observation_landmark_ids]
-    expected = 0.1**2 / np.array(counts)[:, None, None] * np.eye(3)
-    np.testing.assert_allclose(graph.observation_covariances, expected, atol=1e-12)
-
-
 def test_edges_between_places_are_as_uncertain_as_the_steps_between_them(condensed: SavedMap) -> None:
     graph = condensed.graph
     first, second = graph.T_map_body[graph.edge_keyframe_ids.T]

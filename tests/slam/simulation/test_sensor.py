@@ -52,23 +52,31 @@ def test_range_and_field_of_view_limit_the_view() -> None:
     np.testing.assert_array_equal(seen, [True, True, True, False, False, False])
 
 
-def test_objects_hide_what_is_behind_them_and_nothing_else() -> None:
-    half_angle = np.arcsin(0.5 / 10.0)
-    behind_edge = [20.0 * np.array([np.cos(a), np.sin(a), 0.0]) for a in (0.98 * half_angle, 1.02 * half_angle)]
-    positions = np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0], *behind_edge, [-20.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(unshadowed(positions, 0.5), [True, False, False, True, True])
+HALF_ANGLE = float(np.arcsin(0.05))
 
 
-def test_shadow_reaches_over_the_cut_of_the_bearing() -> None:
-    positions = np.array([[-5.0, 0.01, 0.0], [-20.0, -0.01, 0.0]])
-    np.testing.assert_array_equal(unshadowed(positions, 0.25), [True, False])
-
-
-def test_things_on_one_post_and_the_sensor_itself_hide_nothing() -> None:
-    on_one_post = np.array([[10.0, 0.0, 2.0], [10.1, 0.0, 4.0]])
-    assert unshadowed(on_one_post, 0.25).all()
-    around_the_sensor = np.array([[0.1, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    assert unshadowed(around_the_sensor, 0.25).all()
+@pytest.mark.parametrize(
+    ("radius_m", "xy", "is_seen"),
+    [
+        pytest.param(
+            0.5,
+            [
+                (10, 0),
+                (20, 0),
+                *((20 * np.cos(a * HALF_ANGLE), 20 * np.sin(a * HALF_ANGLE)) for a in (0.98, 1.02)),
+                (-20, 0),
+            ],
+            [True, False, False, True, True],
+            id="what is behind and nothing else",
+        ),
+        pytest.param(0.25, [(-5, 0.01), (-20, -0.01)], [True, False], id="over the cut of the bearing"),
+        pytest.param(0.25, [(10, 0), (10.1, 0)], [True, True], id="not on one post"),
+        pytest.param(0.25, [(0.1, 0), (10, 0), (0, 0)], [True, True, True], id="not by what is around the sensor"),
+    ],
+)
+def test_objects_are_hidden(radius_m: float, xy: list[tuple[float, float]], is_seen: list[bool]) -> None:
+    positions = np.column_stack([np.array(xy, dtype=np.float64), np.zeros(len(xy))])
+    assert unshadowed(positions, radius_m).tolist() == is_seen
 
 
 def test_occlusion_and_dropout_can_be_switched_off() -> None:

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from slam.sweeps.workers import compute_all
-
-ROOT = Path(__file__).parents[3]
+from tests.tools.runs import ROOT
 
 KILLED = """
 import os, time

@@ -221,11 +221,6 @@ def test_faults_that_cannot_be_are_refused(faults: str, reason: str) -> None:
         faulty(faults)
 
 
-def test_false_positives_need_a_scan() -> None:
-    with pytest.raises(SimulationError, match="widen the field"):
-        faulty("false_positives=1", log=drive(without="/detections"))
-
-
 def test_missing_truth_and_the_frame_of_the_odometry_are_refused() -> None:
     with pytest.raises(SimulationError, match=r"objects_moving=0\.5:2: .*/ground_truth/detections"):
         faulty("objects_moving", log=drive(without="/ground_truth/detections"))

@@ -92,8 +92,7 @@ def _scale_of(positions: FloatArray, truth: FloatArray) -> float:
 # What cannot be.
 
 
-@pytest.mark.parametrize("tour", [[[1.0, 2.0], [1.0, 2.0]], [[1.0, 2.0]]], ids=["standing still", "one point"])
-def test_a_tour_without_length_is_refused(tour):
+def test_a_tour_without_length_is_refused():
     objects, _ = ring()
     with pytest.raises(SimulationError, match="no length"):
-        draw_queries(objects, np.array(tour), SELF, count=3, rng=np.random.default_rng(0))
+        draw_queries(objects, np.array([[1.0, 2.0], [1.0, 2.0]]), SELF, count=3, rng=np.random.default_rng(0))
