@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -20,17 +19,7 @@ from dslam import (
     save_map,
 )
 from slam.place_recognition.imported_map import make_imported_map
-from slam.replay import replay
 from tests.tools.runs import ROOT, SAMPLE
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With a drive, its result and its map, by the names of the examples."""
-    folder = tmp_path_factory.mktemp("library")
-    shutil.copy(SAMPLE, folder / "drive.mcap")
-    replay(SAMPLE, folder / "map.mcap", map_path=folder / "saved.mcap")
-    return folder
 
 
 def test_every_public_name_is_typed_and_found() -> None:
@@ -47,16 +36,6 @@ def test_every_public_name_is_typed_and_found() -> None:
     assert all(getattr(dslam, name).__doc__ for name in dslam.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = dslam.nothing
-
-
-@pytest.mark.slow
-def test_a_saved_map_and_the_result_of_a_replay_hold_the_same_landmarks(folder: Path) -> None:
-    final, saved = read_map(folder / "map.mcap"), read_map(folder / "saved.mcap")
-    assert set(saved.ids) <= set(final.ids)
-    table = landmark_table(final)
-    assert {len(column) for column in table.values()} == {len(final.ids)}
-    np.testing.assert_array_equal(np.column_stack([table["x_m"], table["y_m"], table["z_m"]]), final.positions)
-    assert np.all(table["sigma_x_m"] > 0.0)
 
 
 def test_a_log_without_a_map_is_refused() -> None:

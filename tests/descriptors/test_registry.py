@@ -11,7 +11,7 @@ import pytest
 from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.index import Matches, VectorIndex
-from descriptors.registry import DESCRIPTOR_NAMES, PAPER, make_descriptor, make_index
+from descriptors.registry import DESCRIPTOR_NAMES, make_descriptor, make_index
 from slam.common.arrays import FloatArray, IntArray
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
@@ -50,28 +50,13 @@ def test_descriptor_has_its_name_and_finite_vectors_of_one_length(name):
     assert descriptor.name == name
     positions, labels = scattered(30, seed=2)
     positions[:2, 0] += [1000.0, 2000.0]
+    positions[2:4] = positions[4:6]  # at one place
     vectors, lonely = describe(descriptor, positions, labels), describe(descriptor, positions[:1], labels[:1])
     nobody = describe(descriptor, positions[:0], labels[:0])
     assert len(vectors) == 30
     assert vectors.shape[1:] == lonely.shape[1:] == nobody.shape[1:]
     assert np.isfinite(vectors).all()
     assert vectors.dtype == lonely.dtype == nobody.dtype == np.float32
-
-
-@every_name
-def test_index_holds_objects_at_one_place(name):
-    positions, labels = scattered(20, seed=3)
-    # Of the doubles, some have the class of the object that they coincide with and some do not.
-    positions, labels = np.concatenate([positions, positions]), np.concatenate([labels, labels])
-    labels[:10] = 0
-    index, spot = make_index(name), make_index(name)
-    added(index, positions, labels)
-    matches = searched(index, positions, labels, 5)
-    np.testing.assert_array_equal(np.unique(matches.queries), np.arange(40))
-    added(spot, np.full((5, 3), 7.0), np.array([0, 0, 1, 2, 2]))
-    matches = searched(spot, np.full((5, 3), 7.0), np.array([0, 0, 1, 2, 2]), 5)
-    if name != PAPER:  # which compares objects of all classes
-        np.testing.assert_array_equal(matches.queries, [0, 0, 1, 1, 2, 3, 3, 4, 4])
 
 
 @pytest.mark.parametrize(

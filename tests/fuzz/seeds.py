@@ -23,15 +23,13 @@ from tests.helpers.short_drives import drive as drive_of
 from tests.helpers.short_drives import keep_until, write_log, write_records
 from tests.logs.clouds.clouds import street, write_ply
 from tests.logs.examples import every_kind
+from tests.logs.importers.test_centroids import FILES
 from tests.logs.importers.text_drives import DETECTIONS
 from tools import cli
 
 _SECONDS = 2.0
 _KITTI = {
-    "centroids/bow.txt": "1,0,1\n0,1,0\n0,0,0\n",
-    "centroids/centroids/000000.txt": "1 2 3\n4e0 5 -6.5\n",
-    "centroids/centroids/000001.txt": "7 8 9\n",
-    "centroids/centroids/000002.txt": "",
+    **{f"centroids/{name}": text for name, text in FILES.items()},
     "poses.txt": "".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)),
     "calib.txt": "P0: 0 0 0 0 0 0 0 0 0 0 0 0\nTr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3\n",
     "clock.txt": "0.000000e+00\n1.037359e-01\n2.05816123456789e-01\n",

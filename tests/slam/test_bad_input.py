@@ -76,23 +76,6 @@ def test_huge_coordinates_give_the_same_map_elsewhere(entries, output):
 # Detections
 
 
-def test_two_objects_at_the_very_same_place_are_two(entries, output):
-    """A sign and the lamp post that it hangs on; the body stands."""
-    start = next(record for _, _, record in entries if isinstance(record, Odometry))
-    still = change(entries, Odometry, lambda i, record: replace(record, T_odom_body=start.T_odom_body))
-    place = np.array([[8.0, 3.0, 0.0]] * 2)
-
-    def hung(_: int, scan: ObjectDetections) -> ObjectDetections:
-        return ObjectDetections(scan.stamp_ns, scan.frame_id, place, ("sign", "lamp"), np.ones(2))
-
-    mapped(change(still, ObjectDetections, hung), output, AS_GIVEN)
-    (object_map,) = records_of(output, "/slam/map")
-    confirmed = [
-        label for label, state in zip(object_map.labels, object_map.states, strict=True) if state == "confirmed"
-    ]
-    assert sorted(confirmed) == ["lamp", "sign"]
-
-
 @pytest.mark.parametrize("sigma_m", [1e-9, 1e9])
 def test_covariances_that_are_absurd_do_not_break_the_solver(entries, output, sigma_m):
     def claim(i: int, detections: ObjectDetections) -> ObjectDetections:

@@ -12,7 +12,6 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, yaw_rad
-from slam.loop_closure.candidate import Candidate
 from slam.scan_localization import ScanLocalization, ScanLocalizer
 from tests.helpers.long_street import start_of_street
 from tools.lab.retrieval.labelled_map import LabelledMap
@@ -105,21 +104,6 @@ def test_what_several_places_may_be_is_not_accepted(street, localizer, queries):
     found = localizer.localize(scan_of(street, part(query, nearest)))
     assert not found.found
     assert "wrong with probability" in found.reason
-
-
-def test_two_objects_have_likely_poses_and_none_is_accepted(street, localizer, queries):
-    errors_m = []
-    for query in queries:
-        apart_m = np.linalg.norm(query.positions[:, None] - query.positions, axis=2)
-        apart_m[apart_m < 3.0] = np.inf  # nearer than that they give no heading
-        neighbours = np.array(np.unravel_index(np.argmin(apart_m), apart_m.shape))
-        asked = localizer.query(scan_of(street, part(query, neighbours)))
-        found = [each for each in localizer.propose(asked) if isinstance(each, Candidate)]
-        assert all(len(each.pairs) == 2 for each in found)
-        assert localizer.decide(asked, found).accepted is None
-        offsets_m = [(each.T_local_query - query.T_map_query_gt)[:2, 3] for each in found]
-        errors_m.append(min([np.inf, *(float(np.linalg.norm(offset)) for offset in offsets_m)]))
-    assert np.median(errors_m) < 0.01
 
 
 def test_a_larger_map_needs_more_evidence(street, queries):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -77,14 +76,6 @@ def test_output_that_is_a_link_to_itself_is_replaced(dslam: Run, tmp_path: Path)
     loop.symlink_to(loop)
     assert dslam("simulate", loop, "--length", 10).code == 0
     assert not loop.is_symlink()
-
-
-def test_settings_of_a_file_and_of_the_command_are_joined(dslam: Run, tmp_path: Path) -> None:
-    settings, log = tmp_path / "gap.toml", tmp_path / "log.mcap"
-    settings.write_text("[kidnap]\nfrom_m = 1.0\nto_m = 50.0\ngap_s = 60.0\n")
-    result = dslam("simulate", log, "--length", 80, "--set", "kidnap.from_m=30", "--config", settings)
-    assert result.code == 0
-    assert json.loads(dslam("info", log, "--json").out)["duration_s"] > 60.0
 
 
 def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
 from slam.common.geometry import (
     apply,
-    blend,
     interpolate,
     invert,
     make_transform,
@@ -77,11 +76,6 @@ def test_one_and_many_are_treated_alike():
     for function in (invert, rotation_angle_rad, yaw_rad):
         each = np.array([function(one) for one in T])
         np.testing.assert_allclose(function(batch).reshape(each.shape), each, atol=1e-15)
-    fractions = rng.uniform(size=5)
-    each = np.array(
-        [blend(first, second, fraction) for first, second, fraction in zip(T[:-1], T[1:], fractions, strict=True)]
-    )
-    np.testing.assert_allclose(blend(T[:-1], T[1:], fractions), each, atol=1e-14)
 
 
 def test_nothing_in_gives_nothing_out():
