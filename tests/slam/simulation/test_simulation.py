@@ -15,7 +15,7 @@ from slam.common.geometry import apply, invert
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.world import World
-from tests.slam.simulation.worlds import straight_street
+from tests.helpers.loop_drives import furnished
 
 
 def _records(world: World, config: SimulationConfig) -> dict[str, list[Any]]:
@@ -31,7 +31,7 @@ def _config(**branches: Any) -> SimulationConfig:
 
 @pytest.fixture(scope="module")
 def street() -> World:
-    return straight_street()
+    return furnished([(0, 0), (200, 0)], seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def drive(street: World) -> dict[str, list[Any]]:
 
 
 def test_true_ids_match_the_detections_within_the_noise() -> None:
-    street = straight_street(heading_rad=2.0)
+    street = furnished([(0, 0), (-90, 180)], seed=1)
     drive = _records(street, SimulationConfig())
     place = dict(zip(street.object_ids, street.positions, strict=True))
     normalised = []
@@ -95,8 +95,10 @@ def test_kidnapping_is_a_gap_after_which_odometry_starts_anew(street: World) -> 
         (200.0, {"kidnap": {"from_m": 100, "to_m": 199.99}}),
     ],
 )
-def test_a_drive_too_short_to_map_is_refused(tmp_path: Path, length_m: float, branches: dict[str, Any]) -> None:
-    world, config = straight_street().shortened(length_m), _config(**branches)
+def test_a_drive_too_short_to_map_is_refused(
+    tmp_path: Path, street: World, length_m: float, branches: dict[str, Any]
+) -> None:
+    world, config = street.shortened(length_m), _config(**branches)
     with pytest.raises(SimulationError, match="too short"):
         write_simulation(tmp_path / "log.mcap", world, config, seed=0)
     assert not list(tmp_path.iterdir())
@@ -111,7 +113,7 @@ def test_log_reads_back_with_its_configuration(tmp_path: Path, street: World) ->
         records = [entry.record for entry in reader.records(select_topics(reader.topics()))]
         metadata = reader.metadata()["simulation"]
     assert SimulationConfig.model_validate(json.loads(metadata["configuration"])) == config
-    assert (metadata["world"], metadata["seed"], metadata["world_sha256"]) == ("street", "4", street.sha256())
+    assert (metadata["world"], metadata["seed"], metadata["world_sha256"]) == ("town", "4", street.sha256())
     assert [(type(record), record.stamp_ns) for record in records] == [
         (type(record), record.stamp_ns) for record in expected
     ]

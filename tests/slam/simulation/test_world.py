@@ -9,7 +9,7 @@ import pytest
 from logs.errors import DatasetError
 from slam.common.errors import SimulationError
 from slam.simulation.world import World, load_world
-from tests.slam.simulation.worlds import straight_street
+from tests.helpers.loop_drives import one_block
 
 OBJECTS = "x_m,y_m,z_m,class,id,detail\n1,2,0.5,tree,n1,oak\n3,4,0,bench,n2,\n"
 TOUR = "x_m,y_m\n0,0\n1,0\n1,1\n"
@@ -46,6 +46,6 @@ def test_damage_is_refused_with_file_and_line(tmp_path: Path, objects: str, tour
 
 
 def test_digest_depends_on_content_and_not_on_the_name() -> None:
-    world = straight_street()
+    world = one_block()
     assert dataclasses.replace(world, name="other").sha256() == world.sha256()
     assert dataclasses.replace(world, positions=world.positions + 0.01).sha256() != world.sha256()
