@@ -11,7 +11,7 @@ import pytest
 from slam.common.config import Config
 from slam.replay import ReplaySummary, replay
 from slam.simulation.config import SimulationConfig
-from tests.helpers.short_drives import Entry, drive, write_log
+from tests.helpers.short_drives import Entry, drive, keep_until, write_log
 from tests.tools.runs import Result, Run
 from tools import cli
 
@@ -51,6 +51,12 @@ def noisy_drive() -> list[Entry]:
 @pytest.fixture(scope="session")
 def noisy_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(tmp_path_factory.mktemp("noisy") / "in.mcap", noisy_drive)
+
+
+@pytest.fixture(scope="session")
+def short_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its first five seconds."""
+    return write_log(tmp_path_factory.mktemp("short") / "drive.mcap", keep_until(noisy_drive, 5.0))
 
 
 @dataclass(frozen=True)

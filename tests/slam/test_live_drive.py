@@ -40,10 +40,6 @@ def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
     assert {"/tf", "/slam/map", "/slam/status"} <= {topic for topic, _, _ in published}
     found = [record for _, record, _ in published if isinstance(record, LocalizationRecord)]
     assert len({record.stamp_ns for record in found}) == scans
-    assert_tells_how_well_the_pose_is_known(found)
-
-
-def assert_tells_how_well_the_pose_is_known(found: list[LocalizationRecord]) -> None:
     ratios = np.array([record.innovation_ratios for record in found])
     assert found[0].sources == ("odometry", "detections")
     assert np.median(ratios, axis=0).max() < 0.5  # as of filters that are right

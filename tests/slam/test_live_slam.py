@@ -24,7 +24,7 @@ from slam.provenance import recorded_config
 from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
-from tests.helpers.short_drives import block_world, drive, keep_until
+from tests.helpers.short_drives import drive, keep_until
 
 SECONDS = 6.0
 
@@ -32,7 +32,7 @@ SECONDS = 6.0
 @cache
 def records() -> tuple[Record, ...]:
     """The input of a short drive with noise."""
-    entries = keep_until(drive(SimulationConfig(), world=block_world()), SECONDS)
+    entries = keep_until(drive(SimulationConfig()), SECONDS)
     return tuple(record for topic, _, record in entries if not topic.startswith("/ground_truth"))
 
 

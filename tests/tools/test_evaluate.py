@@ -11,15 +11,9 @@ import pytest
 from slam.common.geometry import make_transform
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
-from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def short_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("short") / "drive.mcap", keep_until(noisy_drive, 5.0))
 
 
 class TestOneLog:

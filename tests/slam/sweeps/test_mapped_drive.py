@@ -9,20 +9,14 @@ import pytest
 from slam.common.config import Config
 from slam.sweeps import mapped_drive
 from slam.sweeps.mapped_drive import DriveTask, map_drive
-from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.logs.importers.text_drives import TextDrive
 from tools.lab.commands.robots import map_robot
 
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("tiny") / "tiny.mcap", keep_until(noisy_drive, 5.0))
-
-
-def test_faults_are_applied_to_the_drive_and_its_truth(log: Path) -> None:
-    tasks = [DriveTask(log, Config(), faults) for faults in ("", "heading_jump=90", "lengths_scaled=20")]
+def test_faults_are_applied_to_the_drive_and_its_truth(short_log: Path) -> None:
+    tasks = [DriveTask(short_log, Config(), faults) for faults in ("", "heading_jump=90", "lengths_scaled=20")]
     clean, turned, scaled = map(map_drive, tasks)
     assert not clean.error + turned.error + scaled.error
     assert clean.figure("trajectory.ate_m") < 0.5
@@ -33,15 +27,15 @@ def test_faults_are_applied_to_the_drive_and_its_truth(log: Path) -> None:
     assert clean.figure("no.such.figure") is None
 
 
-def test_failure_is_a_result(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_is_a_result(short_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert "no_such_fault" in map_drive(DriveTask(log, Config(), "no_such_fault")).error
+    assert "no_such_fault" in map_drive(DriveTask(short_log, Config(), "no_such_fault")).error
 
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("broken")
 
     monkeypatch.setattr(mapped_drive, "replay", fail)
-    failed = map_drive(DriveTask(log, Config()))
+    failed = map_drive(DriveTask(short_log, Config()))
     assert failed.error == "this should not happen: ZeroDivisionError: broken"
     assert not list(tmp_path.iterdir())
 

@@ -17,14 +17,9 @@ from slam.common.errors import ConfigurationError, EvaluationError
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
 from slam.sweeps.result_folder import ResultFolder
 from slam.sweeps.sweep import DEFAULT_DEGRADATIONS, EVERY_FAULT, Sweep, plan_sweep, run_sweep
-from tests.helpers.short_drives import Entry, change, keep_until, write_log
+from tests.helpers.short_drives import change, keep_until, write_log
 
 DEGRADATIONS = ("", "dropout=0.3", "keep_label=unicorn")
-
-
-@pytest.fixture(scope="module")
-def log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("sweep") / "drive.mcap", keep_until(noisy_drive, 5.0))
 
 
 def map_nothing(task: DriveTask) -> MappedDrive:
@@ -49,32 +44,32 @@ def named(log: Path, *degradations: str) -> list[str]:
     return [task.faults for task in plan_sweep(log, degradations, {"": Config()}, seeds=1)]
 
 
-def test_each_degradation_is_planned_once_and_random_ones_for_every_seed(log):
-    assert named(log, "gyro_bias,field-of-view=90, keep_label=tree:lamp", "", "dropout=.30", "dropout=0.3") == [
+def test_each_degradation_is_planned_once_and_random_ones_for_every_seed(short_log):
+    assert named(short_log, "gyro_bias,field-of-view=90, keep_label=tree:lamp", "", "dropout=.30", "dropout=0.3") == [
         "gyro_bias=3:10,field_of_view=90,keep_label=tree:lamp",
         "",
         "dropout=0.3",
     ]
-    tasks = plan_sweep(log, ["", *DEFAULT_DEGRADATIONS], {"a": Config(), "b": Config(calibrate=False)}, seeds=2)
+    tasks = plan_sweep(short_log, ["", *DEFAULT_DEGRADATIONS], {"a": Config(), "b": Config(calibrate=False)}, seeds=2)
     assert len(tasks) == 2 * (1 + 2 * len(DEFAULT_DEGRADATIONS))
-    assert {"heading_jump=30:0.5", "labels_random", "messages_twice"} < set(named(log, EVERY_FAULT))
+    assert {"heading_jump=30:0.5", "labels_random", "messages_twice"} < set(named(short_log, EVERY_FAULT))
     with pytest.raises(ConfigurationError, match="did you mean dropout"):
-        named(log, "drop=0.3")
+        named(short_log, "drop=0.3")
 
 
-def test_finished_drives_are_not_mapped_again(log, tmp_path):
-    first = sweep_over(log, tmp_path)
-    again = sweep_over(log, tmp_path)
+def test_finished_drives_are_not_mapped_again(short_log, tmp_path):
+    first = sweep_over(short_log, tmp_path)
+    again = sweep_over(short_log, tmp_path)
     assert (first.computed, again.computed) == (4, 1)  # the one that failed
     assert again.results == first.results
-    assert sweep_over(log, tmp_path, seeds=3).computed == 2
+    assert sweep_over(short_log, tmp_path, seeds=3).computed == 2
     for path in (tmp_path / "cells").glob("dropout*"):
         path.write_text(path.read_text()[:100])
-    assert sweep_over(log, tmp_path).computed == 3
+    assert sweep_over(short_log, tmp_path).computed == 3
 
 
-def test_groups_hold_the_seeds_and_failures_are_named(log, tmp_path):
-    sweep = sweep_over(log, tmp_path)
+def test_groups_hold_the_seeds_and_failures_are_named(short_log, tmp_path):
+    sweep = sweep_over(short_log, tmp_path)
     assert sweep.failures == ["keep_label=unicorn, seed 0: no unicorn"]
     told = json.loads(json.dumps(plain(sweep.to_json_dict()), allow_nan=False))
     none, dropout, unicorn = (f"faults={name or 'none'}" for name in DEGRADATIONS)
@@ -85,9 +80,9 @@ def test_groups_hold_the_seeds_and_failures_are_named(log, tmp_path):
     assert told["runs"][0]["reported"] == ["optimised"]
 
 
-def test_the_name_of_a_result_depends_on_all_that_it_is_made_from(log, tmp_path):
-    (task,) = plan_sweep(log, [""], {"": Config()}, seeds=1)
-    folder = ResultFolder(tmp_path, log)
+def test_the_name_of_a_result_depends_on_all_that_it_is_made_from(short_log, tmp_path):
+    (task,) = plan_sweep(short_log, [""], {"": Config()}, seeds=1)
+    folder = ResultFolder(tmp_path, short_log)
     other = [
         replace(task, seed=7),
         replace(task, faults="messages_twice"),
@@ -99,7 +94,7 @@ def test_the_name_of_a_result_depends_on_all_that_it_is_made_from(log, tmp_path)
     assert folder.path_of(replace(task, log=Path("elsewhere.mcap"))) == folder.path_of(task)
 
 
-def test_a_drive_with_truth_is_needed(log, noisy_drive, tmp_path):
+def test_a_drive_with_truth_is_needed(short_log, noisy_drive, tmp_path):
     blind = change(keep_until(noisy_drive, 2.0), GroundTruthPose, lambda _, __: None)
     with pytest.raises(EvaluationError, match="no ground truth"):
         sweep_over(write_log(tmp_path / "blind.mcap", blind), tmp_path / "out")
