@@ -59,6 +59,7 @@ def test_odometry_is_judged_as_reported() -> None:
     T = circle()
     result = judged(T, drifting(T, 3.0), drifting(T, 6.0), scans=len(T))
     assert result.better == "odometry"
+    assert "the odometry is significantly better" in str(result)
     assert result.gains["odometry"] > result.gains["online"] > result.gains["final"]
 
 

@@ -10,7 +10,7 @@ from slam.trajectory_check.judgement import TrajectoryCheck, check_trajectories
 from tests.slam.trajectory_check.drives import RANGE_M, SIGMA_M, circle, drifting, scans_of
 
 
-def check(T_true: FloatArray, *, odometry: FloatArray, online: FloatArray, final: FloatArray) -> TrajectoryCheck:
+def check(T_true: FloatArray, odometry: FloatArray, online: FloatArray, final: FloatArray) -> TrajectoryCheck:
     trajectories = {"odometry": odometry, "online": online, "final": final}
     return check_trajectories(scans_of(T_true), trajectories, sensor_range_m=RANGE_M, sigma_m=SIGMA_M)
 
@@ -23,51 +23,39 @@ def with_wrong_associations(T: FloatArray) -> FloatArray:
     return moved
 
 
-def test_good_final_trajectory_is_not_doubted() -> None:
-    T = circle()
-    result = check(T, odometry=drifting(T, 4.0), online=drifting(T, 1.0), final=T)
-    assert result.better is None
-    assert result.gains["final"] > result.gains["online"] > result.gains["odometry"]
-    assert result.detections > 1000
+TRUE = circle()
+WRONG = with_wrong_associations(TRUE)
 
 
-def test_wrongly_associated_final_trajectory_is_worse_than_odometry() -> None:
-    T = circle()
-    wrong = with_wrong_associations(T)
-    result = check(T, odometry=drifting(T, 2.0), online=wrong, final=wrong)
-    assert result.better == "odometry"
-    assert "the odometry is significantly better" in str(result)
-
-
-def test_best_of_two_better_trajectories_is_named() -> None:
-    T = circle()
-    assert check(T, odometry=drifting(T, 2.0), online=T, final=with_wrong_associations(T)).better == "online"
-
-
-def test_slightly_better_trajectory_is_not_told() -> None:
-    T = circle()
-    assert check(T, odometry=T, online=T, final=drifting(T, 0.02)).better is None
-
-
-def test_trajectory_that_predicts_no_better_than_chance_is_not_better() -> None:
-    """The odometry has the two visits apart, where nothing refutes it; the final one has them at wrong places."""
-    T = circle()
-    result = check(T, odometry=drifting(T, 400.0), online=with_wrong_associations(T), final=drifting(T, 60.0))
-    assert result.better is None
+@pytest.mark.parametrize(
+    ("odometry", "online", "final", "better"),
+    [
+        pytest.param(drifting(TRUE, 4.0), drifting(TRUE, 1.0), TRUE, None, id="the final one is the best"),
+        pytest.param(drifting(TRUE, 2.0), WRONG, WRONG, "odometry", id="wrong associations"),
+        pytest.param(drifting(TRUE, 2.0), TRUE, WRONG, "online", id="the best of two better ones"),
+        pytest.param(TRUE, TRUE, drifting(TRUE, 0.02), None, id="slightly better"),
+        # The odometry has the two visits apart, where nothing refutes it; the final one has them at wrong places.
+        pytest.param(drifting(TRUE, 400.0), WRONG, drifting(TRUE, 60.0), None, id="no better than chance"),
+    ],
+)
+def test_significantly_better_trajectory_is_named(
+    odometry: FloatArray, online: FloatArray, final: FloatArray, better: str | None
+) -> None:
+    assert check(TRUE, odometry, online, final).better == better
 
 
 def test_drive_without_revisits_cannot_be_judged() -> None:
     T = circle(rounds=0.7)
-    result = check(T, odometry=drifting(T, 2.0), online=T, final=with_wrong_associations(T))
+    result = check(T, drifting(T, 2.0), T, with_wrong_associations(T))
     assert result == TrajectoryCheck()
     assert "cannot tell" in str(result)
 
 
 def test_axes_of_the_body_do_not_matter() -> None:
     """A camera looks along its z axis, and may be what the odometry calls the body."""
-    T = circle()
+    T = TRUE
     optical = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    upright = check(T, odometry=drifting(T, 2.0), online=T, final=T)
+    upright = check(T, drifting(T, 2.0), T, T)
     scans = scans_of(T, T_body_sensor=optical)
     trajectories = {"odometry": drifting(T, 2.0) @ optical, "online": T @ optical, "final": T @ optical}
     turned = check_trajectories(scans, trajectories, sensor_range_m=RANGE_M, sigma_m=SIGMA_M)
