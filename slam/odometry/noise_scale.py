@@ -25,6 +25,8 @@ WINDOW = 20
 """Corrections after which the scale is estimated again."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: what is beyond contradicts its covariance."""
+AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
+"""Translation, tilt and heading in a pose error, rotation first."""
 
 
 class NoiseScale:
@@ -57,9 +59,9 @@ class NoiseScale:
 
     def add(self, innovation: FloatArray, effects: FloatArray) -> None:
         """Add whitened innovations (M,), and the effects (M, 6) on them of an error of one standard deviation in each
-        coordinate of the step before, rotation first.
+        coordinate of the step before.
         """
-        parts = effects[:, 3:], effects[:, :2], effects[:, 2:3]  # translation, tilt and heading
+        parts = [effects[:, axes] for axes in AXES]
         squares = np.array([np.sum((part.T @ innovation) ** 2) for part in parts])
         expected = np.array([np.sum(part**2) for part in parts])
         # Sums of squares that count like so many independent ones (Satterthwaite, 1946).
