@@ -14,6 +14,7 @@ from slam.common.calibration import ObjectCalibration
 from slam.common.errors import FactorGraphError
 from slam.final_map import find_passed, judge_outcome, known_covariances
 from slam.object_map.landmarks import ObjectMap
+from tests.helpers.landmarks import add_landmarks
 
 CONVERGED = Optimization(True, 4, 1.0)
 
@@ -69,13 +70,9 @@ PATH = np.column_stack([np.arange(100.0, 126.0, 5.0), np.zeros((6, 2))])
 
 def street(*landmarks_m: float) -> ObjectMap:
     """Landmarks along the x axis."""
-    count = len(landmarks_m)
-    positions = np.column_stack([landmarks_m, np.zeros((count, 2))])
+    positions = np.column_stack([landmarks_m, np.zeros((len(landmarks_m), 2))])
     object_map = ObjectMap(ObjectCalibration())
-    rows = object_map.add(
-        positions, np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, np.int64), stamp_ns=0, scan=0, travel_m=0.0
-    )
-    object_map.confirm(rows)
+    rows = add_landmarks(object_map, positions)
     object_map.assign(rows, position_map=positions)
     return object_map
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, EdgeKind
+from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
-from tests.helpers.graphs import PLAIN, chained, observed_from
+from slam.common.geometry import make_transform, relative, transform_from_xyz_yaw
+from tests.helpers.graphs import chained, observed_from
 
 KEYFRAMES, STEP_M = 120, 1.0
 SIGMA_M = 0.1
@@ -32,20 +32,19 @@ def drive(drift_rad: float, seed: int) -> FactorGraph:
     rng, T = np.random.default_rng(seed), true_poses()
     R = T[:, :3, :3]
     landmarks = rng.uniform([-5.0, -8.0, -3.0], [KEYFRAMES * STEP_M + 5.0, 8.0, 3.0], (200, 3))
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, T[0])
     upright = np.diag([TILT_RAD**2, TILT_RAD**2, 1e-6])
+    edges, observations = list[Edge](), list[Observation]()
     for k in range(KEYFRAMES):
         if k:
             error = Rotation.from_rotvec(R[k].T @ np.append(rng.normal(scale=drift_rad, size=2), 0.0)).as_matrix()
             covariance = 1e-4 * np.eye(6)
             covariance[:3, :3] = R[k].T @ upright @ R[k]
-            step = invert(T[k - 1]) @ T[k] @ make_transform(error, np.zeros(3))
-            graph.add_next_keyframe(Edge(k - 1, k, step, covariance, EdgeKind.ODOMETRY))
+            step = relative(T[k - 1], T[k]) @ make_transform(error, np.zeros(3))
+            edges.append(Edge(k - 1, k, step, covariance, EdgeKind.ODOMETRY))
         near = np.flatnonzero(np.linalg.norm(landmarks - T[k][:3, 3], axis=1) < 6.0)
         errors = rng.normal(scale=SIGMA_M, size=(len(near), 3))
-        graph.add_observations(observed_from(k, T[k], landmarks, near, SIGMA_M**2 * np.eye(3), errors))
-    return graph
+        observations += observed_from(k, T[k], landmarks, near, SIGMA_M**2 * np.eye(3), errors)
+    return chained(T[0], edges, observations)
 
 
 def tilt_errors_rad(graph: FactorGraph) -> FloatArray:

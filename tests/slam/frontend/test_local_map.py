@@ -163,20 +163,6 @@ def test_start_of_the_drive_does_not_matter(T_start: FloatArray) -> None:
     np.testing.assert_allclose(there.relative_covariance(ALL), R @ here.relative_covariance(ALL) @ R.T, atol=1e-6)
 
 
-def test_covariances_of_offsets_are_those_of_the_state() -> None:
-    local = Drive(1).filtered()
-    slots = np.array([3, 0, 4])
-    H = np.zeros((9, len(local._P)))
-    H[np.arange(9), (POSE + 3 * slots[:, None] + np.arange(3)).ravel()] = 1.0
-    H[np.arange(9), np.tile(np.arange(3, POSE), 3)] = -1.0
-    blocks = np.arange(9).reshape(3, 3)[:, :, None], np.arange(9).reshape(3, 3)[:, None, :]
-    joint = H @ local._P @ H.T
-    np.testing.assert_allclose(local.relative_covariance(slots), joint, atol=1e-15)
-    positions, covariances = local.predict(slots)
-    np.testing.assert_array_equal(positions, local.positions[slots])
-    np.testing.assert_allclose(covariances, joint[blocks], atol=1e-15)
-
-
 # Single steps
 
 
@@ -283,20 +269,3 @@ def test_removal_marginalizes() -> None:
     np.testing.assert_array_equal(local.positions, positions[[0, 2, 4]])
     kept = np.concatenate([np.arange(POSE + 3), np.arange(12, 15), np.arange(18, 21)])
     np.testing.assert_array_equal(local._P, P[np.ix_(kept, kept)])
-
-
-def test_new_landmark_errs_as_the_body_and_its_measurement_do() -> None:
-    local = Drive(2).filtered()
-    P = local._P.copy()
-    local.insert(np.array([9]), np.array([[5.0, 1.0, 0.0]]), R_BODY[None])
-    np.testing.assert_array_equal(local._P[-3:, :-3], P[3:POSE])
-    np.testing.assert_allclose(local._P[-3:, -3:], P[3:POSE, 3:POSE] + R_BODY)
-    assert_is_covariance(local._P)
-
-
-def test_new_start_forgets_landmarks_and_covariance() -> None:
-    local = Drive(5).filtered()
-    local.start(UPSIDE_DOWN)
-    assert len(local.ids) == 0
-    np.testing.assert_array_equal(local._P, np.zeros((POSE, POSE)))
-    np.testing.assert_array_equal(local.T_local_body, UPSIDE_DOWN)

@@ -373,7 +373,7 @@ def test_what_fits_at_the_predicted_place_does_not_lose_the_robot(parts):
 
 def test_in_a_map_that_is_being_made_landmarks_may_be_missed(parts):
     drive = Drive(parts)
-    parts.llrs = {FIRST: SURE_LLR}
+    parts.llrs, parts.objects = {FIRST: SURE_LLR}, 12
     drive.close(FIRST)
     see(drive, 20, STEP_M * FIRST, segment=0)
     drive.close(FIRST + 1)

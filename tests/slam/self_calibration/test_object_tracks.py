@@ -54,15 +54,6 @@ def test_objects_are_followed_while_the_robot_drives_and_turns():
     np.testing.assert_array_equal(tracks.claimed, np.full(30, 0.04))
 
 
-def test_the_order_of_detections_does_not_matter():
-    rng = np.random.default_rng(0)
-    scans = [scan_of(OBJECTS[rng.permutation(3)], number=i) for i in range(8)]
-    tracks = follow(scans)
-    assert lengths(tracks) == [8, 8, 8]
-    for track in range(3):
-        assert np.ptp(tracks.points[tracks.track == track], axis=0).max() < 1e-9
-
-
 @pytest.mark.parametrize(("missed", "expected"), [(MISSED_SCANS, [6]), (MISSED_SCANS + 1, [3, 3])])
 def test_a_track_goes_on_after_a_few_scans_without_the_object(missed, expected):
     there, gone = OBJECTS[:1], OBJECTS[:0]
@@ -94,15 +85,6 @@ def test_a_newcomer_next_to_an_object_makes_it_ambiguous():
 def test_an_object_that_is_alone_moves_by_no_more_than_a_quarter_of_its_range(distance_m, followed):
     tracks = follow([scan_of([[distance_m, 0, 0]]), scan_of([[distance_m, 2.0, 0]], number=1)])
     assert (lengths(tracks) == [2]) is followed
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_tracks_do_not_depend_on_the_unit_of_length(scale):
-    drives = [SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1}, scans=150, scale=s) for s in (1.0, scale)]
-    found = [follow_objects(drive.scans, drive.headings[: len(drive.scans)]) for drive in drives]
-    np.testing.assert_array_equal(found[0].track, found[1].track)
-    np.testing.assert_array_equal(found[0].scan, found[1].scan)
-    np.testing.assert_allclose(scale * found[0].points, found[1].points, rtol=1e-6)
 
 
 def test_without_scans_or_detections_there_are_no_tracks():
