@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray, IntArray
 from slam.frontend.input.scan import Scan
 from slam.object_map.landmarks import ObjectMap
@@ -41,6 +43,22 @@ def add_landmarks(
     if confirmed:
         object_map.confirm(rows)
     return rows
+
+
+def detections_of(
+    positions: ArrayLike,
+    labels: Sequence[str] = (),
+    *,
+    stamp_ns: int = 0,
+    frame_id: str = "lidar",
+    scores: ArrayLike | None = None,
+    covariances: FloatArray | None = None,
+) -> ObjectDetections:
+    """A message of detections at ``positions`` (N, 3) m: sure ones of trees unless it is said otherwise."""
+    at = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    count = len(at)
+    sure = np.ones(count) if scores is None else np.array(scores, dtype=np.float64)
+    return ObjectDetections(stamp_ns, frame_id, at, tuple(labels) or ("tree",) * count, sure, covariances)
 
 
 def scan_of(

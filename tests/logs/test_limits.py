@@ -16,7 +16,7 @@ import zstandard
 from logs.container.limits import ReadingLimits
 from logs.decoders.decode import decode
 from logs.errors import InvalidRecordError, UnreadableLogError
-from logs.messages import ObjectDetections, Odometry
+from logs.messages import Odometry
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.storage import mcap_index
@@ -24,6 +24,7 @@ from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 from logs.summary import summarize
 from logs.topics import Channel, RawMessage, RecordKind
 from tests.fuzz.mcap_file import Layout, McapFile, Message, read_file, write_file
+from tests.helpers.landmarks import detections_of
 from tests.helpers.short_drives import write_records
 
 TOPICS = Selection.of({"/odom": "odometry", "/objects": "detections"})
@@ -135,10 +136,7 @@ def test_times_after_the_next_century_are_left_out(file, tmp_path, time_ns):
 
 
 def objects_log(path: Path, labels: list[tuple[str, ...]]) -> Path:
-    scans = (
-        ObjectDetections(i + 1, "lidar", np.zeros((len(names), 3)), names, np.ones(len(names)))
-        for i, names in enumerate(labels)
-    )
+    scans = (detections_of(np.zeros((len(names), 3)), names, stamp_ns=i + 1) for i, names in enumerate(labels))
     return write_records(path, (("/objects", scan) for scan in scans))
 
 

@@ -3,6 +3,7 @@ import pytest
 
 from logs import messages as m
 from logs.summary import summarize
+from tests.helpers.landmarks import detections_of
 from tests.helpers.short_drives import write_log, write_records
 
 SECOND = 1_000_000_000
@@ -15,8 +16,7 @@ def odometry(stamp_ns, x):
 
 
 def detections(stamp_ns, *labels):
-    count = len(labels)
-    return m.ObjectDetections(stamp_ns, "lidar", np.zeros((count, 3)), labels, np.ones(count))
+    return detections_of(np.zeros((len(labels), 3)), labels, stamp_ns=stamp_ns)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, yaw_rad
 from slam.scan_localization import ScanLocalization, ScanLocalizer
+from tests.helpers.landmarks import detections_of
 from tests.helpers.long_street import start_of_street
 from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.paper import localizer_config
@@ -40,7 +41,7 @@ def queries(street) -> list[LocalQuery]:
 
 def scan_of(street: tuple[LabelledMap, FloatArray], query: LocalQuery) -> ObjectDetections:
     labels = street[0].names(query.labels)
-    return ObjectDetections(0, "scan", query.positions, labels, np.ones(len(query)))
+    return detections_of(query.positions, labels)
 
 
 def part(query: LocalQuery, kept: np.ndarray) -> LocalQuery:
@@ -142,7 +143,7 @@ def test_a_map_without_landmarks_is_refused(street):
 
 def test_a_map_of_one_object_gives_a_reason():
     lonely: ObjectMapRecord = LabelledMap(np.zeros((1, 3)), np.zeros(1, np.int64), ("tree",)).to_record()
-    seen = np.array([[5.0, 0.0, 0.0], [0.0, 7.0, 0.0], [3.0, 3.0, 0.0]])
-    found = ScanLocalizer(lonely, Config()).localize(ObjectDetections(0, "scan", seen, ("tree",) * 3, np.ones(3)))
+    seen = [[5.0, 0.0, 0.0], [0.0, 7.0, 0.0], [3.0, 3.0, 0.0]]
+    found = ScanLocalizer(lonely, Config()).localize(detections_of(seen))
     assert not found.found
     assert found.reason

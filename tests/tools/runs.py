@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from logs.messages import ObjectDetections, Odometry, Transform
+from logs.messages import Odometry, Transform
 from logs.writer import LogWriter
+from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,9 +54,7 @@ def write_drive(
             x_m = 1e-9 * stamp_ns
             for topic in odometry:
                 writer.write(topic, Odometry(stamp_ns, pose_at(x_m)))
-            scan = ObjectDetections(
-                stamp_ns + delay_ns, "base_link", np.array([[5.0 - x_m, 2.0, 1.0]]), ("tree",), np.ones(1)
-            )
+            scan = detections_of([5.0 - x_m, 2.0, 1.0], stamp_ns=stamp_ns + delay_ns, frame_id="base_link")
             for topic in detections:
                 writer.write(topic, replace(scan, **changed), stamp_ns)
     return path

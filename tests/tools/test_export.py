@@ -10,12 +10,13 @@ import pandas as pd
 import pytest
 
 from logs.importers.maps.geojson import read_geojson
-from logs.messages import ObjectDetections, Odometry
+from logs.messages import Odometry
 from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import EvaluationRecords, read_records
 from slam.object_map.map_io import confirmed
+from tests.helpers.landmarks import detections_of
 from tests.tools.runs import Run, assert_refused
 
 ORIGIN = "60.1699,24.9384,12.5,30"
@@ -34,7 +35,7 @@ def test_a_map_far_up_is_exported(dslam: Run, tmp_path: Path) -> None:
             T_odom_body = np.eye(4)
             T_odom_body[:3, 3] = i, 0.0, 1e7 * i
             writer.write("/odom", Odometry(i * 10**9, T_odom_body))
-            writer.write("/objects", ObjectDetections(i * 10**9, "base_link", places, ("tree",) * 20, np.ones(20)))
+            writer.write("/objects", detections_of(places, stamp_ns=i * 10**9, frame_id="base_link"))
     assert dslam("replay", tmp_path / "drive.mcap", "-o", tmp_path / "mapped.mcap").code == 0
     result = dslam("export", tmp_path / "mapped.mcap", "--g2o", tmp_path / "graph.g2o")
     assert (result.code, result.err) == (0, "")

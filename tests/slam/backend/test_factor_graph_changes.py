@@ -26,17 +26,6 @@ from tests.slam.backend.graphs import (
 )
 
 
-def test_merged_landmarks_are_as_if_all_had_seen_one():
-    observations = [replace(o, covariance_inflation=50.0) for o in sightings()]
-    split = [replace(o, landmark=99) if o.landmark == OFTEN_SEEN and o.keyframe % 2 else o for o in observations]
-    assert sum(o.landmark == 99 for o in split) > 1
-    merged, whole = build(noisy_edges(), split), build(noisy_edges(), observations)
-    merged.alias_landmarks({99: OFTEN_SEEN})
-    merged.optimize()
-    whole.optimize()
-    assert_same_estimate(merged, whole, atol=1e-4)
-
-
 def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
     without = [o for o in sightings() if o.landmark not in (2, 4)]
     graph, reference = build(noisy_edges(), sightings()), build(noisy_edges(), without)

@@ -20,7 +20,7 @@ from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.step_limits import MAX_GAP_S
 from slam.odometry.track import OdometryTrack
-from tests.helpers.landmarks import spheres
+from tests.helpers.landmarks import detections_of, spheres
 from tests.helpers.poses import pose_at
 from tests.slam.frontend.test_tracker import STEP_NS, T_true, forest
 
@@ -56,9 +56,8 @@ class Drive:
         positions = apply(invert(T_true(self.step)), self.objects)
         positions = positions[np.linalg.norm(positions, axis=1) < 25.0]
         positions += self.rng.normal(scale=0.03, size=positions.shape)
-        count = len(positions)
-        labels, scores, covariances = ("tree",) * count, np.ones(count), spheres(0.03, count)
-        return ObjectDetections(stamp_ns, self.frame_id, positions, labels, scores, covariances)
+        covariances = spheres(0.03, len(positions))
+        return detections_of(positions, stamp_ns=stamp_ns, frame_id=self.frame_id, covariances=covariances)
 
     def take(self, placed) -> None:
         for each in placed:

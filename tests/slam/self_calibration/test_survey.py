@@ -19,6 +19,7 @@ from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.self_calibration.variance_components import ComponentEstimate
+from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
 from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, with_odometry
 
@@ -39,11 +40,8 @@ def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
     return Odometry(round(seconds * 1e9), T, child_frame_id="base_link")
 
 
-def detections(seconds: float, positions=ROW, labels=None, *, frame="base_link", **fields) -> ObjectDetections:
-    positions = np.array(positions, dtype=np.float64).reshape(-1, 3)
-    names = tuple(labels or ["tree"] * len(positions))
-    fields = {"scores": np.ones(len(positions))} | fields
-    return ObjectDetections(round(seconds * 1e9), frame, positions, names, **fields)
+def detections(seconds: float, positions=ROW, labels=(), *, frame="base_link", **fields) -> ObjectDetections:
+    return detections_of(positions, labels, stamp_ns=round(seconds * 1e9), frame_id=frame, **fields)
 
 
 def straight(scans: int = 11, **fields) -> list[Record]:

@@ -86,18 +86,6 @@ def test_occlusion_and_dropout_can_be_switched_off() -> None:
     assert len(_scan(_ring(10.0), _with(dropout=0.25)).sources) / 4000 == pytest.approx(0.75, abs=0.03)
 
 
-@pytest.mark.parametrize("range_m", [2.0, 29.0])
-def test_noise_is_that_of_the_formula_on_each_axis(range_m: float) -> None:
-    positions = _ring(range_m)
-    scan = _scan(positions, _with(noise_base_m=0.1, noise_per_m=0.01))
-    error = scan.positions - positions[scan.sources]
-    expected_m = 0.1 + 0.01 * range_m
-    np.testing.assert_allclose(scan.sigmas_m, expected_m)
-    # 4000 samples: the standard deviation is known to 1.1 %.
-    np.testing.assert_allclose(error.std(axis=0), expected_m, rtol=0.05)
-    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=5.0 * expected_m / np.sqrt(4000))
-
-
 def test_wrong_labels_grow_linearly_with_the_range_and_are_spread_over_the_other_classes() -> None:
     for range_m in (3.0, 15.0, 30.0):
         scan = _scan(_ring(range_m * 0.9999), _with(misclassification=0.4))

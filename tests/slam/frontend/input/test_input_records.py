@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from logs.messages import ObjectDetections, Odometry
 from slam.common.config import Config
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.sensor_frames import SensorFrames
+from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
 
 ROW = [[5.0, 1.0, 0.0], [9.0, -2.0, 0.0]]
 
 
 def scan(stamp_ns: int, positions: list[list[float]], frame: str = "lidar") -> ObjectDetections:
-    found = np.array(positions, dtype=np.float64).reshape(-1, 3)
-    return ObjectDetections(stamp_ns, frame, found, ("tree",) * len(found), np.ones(len(found)))
+    return detections_of(positions, stamp_ns=stamp_ns, frame_id=frame)
 
 
 def prepared(*scans: ObjectDetections, speed_m: float = 0.1) -> tuple[list[int], dict[str, int]]:

@@ -14,13 +14,13 @@ from slam.common.config_tree import to_toml
 from slam.common.errors import ConfigurationError
 from slam.frontend.input.label_map import DROPPED, LabelMap
 from slam.frontend.input.scan import is_wanted
+from tests.helpers.landmarks import detections_of
 
 NAMES = ("car", "van", "person", "pole_1", "tree")
 
 
 def detections(labels: tuple[str, ...] = NAMES) -> ObjectDetections:
-    positions = np.array([[float(i), 0.0, 0.0] for i in range(len(labels))])
-    return ObjectDetections(1, "base_link", positions, labels, np.ones(len(labels)))
+    return detections_of(np.eye(len(labels), 3), labels)
 
 
 def test_classes_are_renamed_merged_and_dropped() -> None:

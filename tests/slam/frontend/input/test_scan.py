@@ -12,6 +12,7 @@ from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, make_transform
 from slam.frontend.input.scan import Scan, in_metres, make_scan, with_expected_noise
+from tests.helpers.landmarks import detections_of
 from tests.logs.examples import random_detections, random_transform
 
 HERE, UP = np.eye(4), np.array([0.0, 0.0, 1.0])
@@ -23,11 +24,10 @@ def scan_of(
     return make_scan(message, T_body_sensor, DetectionCalibration(**settings), up_body=up_body)
 
 
-def detections(positions, *, scores=None, covariances=None) -> ObjectDetections:
-    positions = np.array(positions, dtype=float).reshape(-1, 3)
-    scores = np.ones(len(positions)) if scores is None else np.array(scores)
-    labels = tuple(f"object {i}" for i in range(len(positions)))
-    return ObjectDetections(5, "lidar", positions, labels, scores, covariances)
+def detections(positions, **given) -> ObjectDetections:
+    """Each has a label of its own."""
+    labels = [f"object {i}" for i in range(len(positions))]
+    return detections_of(positions, labels, stamp_ns=5, **given)
 
 
 NO_FLOOR = {"sensor_range_m": 1e-6, "max_range_m": 1e3}

@@ -10,6 +10,7 @@ from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan_placer import ScanPlacer
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.odometry.pose import OdometryPose
+from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
 
 T_ODOM_BODY = pose_at(5.0, 1.0, yaw=0.5)
@@ -18,7 +19,7 @@ T_BODY_SENSOR = pose_at(1.0, z=2.0)
 
 
 def detections(frame_id: str, at: tuple[float, float, float] = (4.0, 0.0, 0.0)) -> ObjectDetections:
-    return ObjectDetections(10, frame_id, np.array([at]), ("tree",), np.ones(1), np.zeros((1, 3, 3)))
+    return detections_of(at, stamp_ns=10, frame_id=frame_id)
 
 
 @pytest.fixture

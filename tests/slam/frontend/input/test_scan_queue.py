@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from logs.messages import ObjectDetections
 from slam.frontend.input.scan_queue import ScanQueue
+from tests.helpers.landmarks import detections_of
 
 
 def detections(stamp_ns: int, frame_id: str = "sensor") -> ObjectDetections:
-    return ObjectDetections(stamp_ns, frame_id, np.zeros((0, 3)), (), np.zeros(0), np.zeros((0, 3, 3)))
+    return detections_of([], stamp_ns=stamp_ns, frame_id=frame_id)
 
 
 def queue(*stamps_ns: int, time_offset_s: float = 0.0) -> ScanQueue:

@@ -11,6 +11,7 @@ from logs.messages import ObjectDetections, Odometry, Record
 from logs.reader import LogItem
 from logs.topics import Channel, RawMessage
 from slam.frontend.input.stamp_clocks import CONFIRMING, ClockDrift, LoggingDelays, StampClocks
+from tests.helpers.landmarks import detections_of
 
 TENTH_NS = 100_000_000
 S_NS = 10**9
@@ -23,7 +24,7 @@ def item(record: Record, logged_ns: int, topic: str = "/detections") -> LogItem:
 
 
 def scan(stamp_ns: int) -> ObjectDetections:
-    return ObjectDetections(stamp_ns, "lidar", np.zeros((0, 3)), (), np.zeros(0))
+    return detections_of([], stamp_ns=stamp_ns)
 
 
 def followed(
