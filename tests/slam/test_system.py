@@ -15,7 +15,6 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
-from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import transform_from_xyz_yaw
@@ -31,7 +30,6 @@ from tests.helpers.short_drives import (
     keep_until,
     map_in_memory,
     odometry_of,
-    records_of,
     run,
 )
 
@@ -139,16 +137,6 @@ def test_kidnapping_is_reported_and_both_parts_are_mapped():
     assert np.linalg.eigvalsh(final.object_map.covariances)[:, 0].min() > 0.0
     assert len(final.trajectory.stamps_ns) == len(odometry_of(entries))
     assert np.isfinite(final.trajectory.T_map_body).all()
-
-
-def steps(T: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))
-
-
-def test_the_final_trajectory_has_no_steps_that_the_odometry_has_not(noisy_drive, noisy_output):
-    (trajectory,) = records_of(noisy_output, "/slam/trajectory_stamped")
-    T_odom = np.array([o.T_odom_body for o in odometry_of(noisy_drive)])
-    assert np.abs(steps(trajectory.T_map_body) - steps(T_odom)).max() < 0.1
 
 
 def test_nothing_at_all_cannot_be_mapped():

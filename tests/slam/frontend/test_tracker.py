@@ -301,14 +301,6 @@ def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odo
 # After a step that no body can have made
 
 
-def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
-    drive = driven(12)
-    drive.err(pose_at(yaw=2.5))
-    assert not drive.rejoined().is_lost
-    assert drive.error()[0] < 0.2
-    assert drive.error()[1] < 0.02
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_unknown_place_is_not_rejoined(seed: int) -> None:
     drive = driven(20)

@@ -57,13 +57,6 @@ def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(decide):
     assert refused.rejected[0].reason == f"wrong with probability {wrong:.2g}"
 
 
-def test_a_rival_that_fits_as_well_leaves_it_open(decide, patterns):
-    both = [candidate(0.0, SURE_LLR + 10.0), candidate(200.0, SURE_LLR + 9.0)]
-    assert decide(*both).accepted is None
-    patterns.passed_twice = True
-    assert decide(*both).accepted is not None
-
-
 def test_a_place_that_the_odometry_rules_out_shows_that_places_are_alike(decide):
     elsewhere = replace(candidate(200.0, SURE_LLR + 15.0), odometry_penalty=PENALTY + 40.0)
     assert decide(candidate(0.0, SURE_LLR + 10.0), elsewhere).accepted is None
@@ -87,13 +80,6 @@ def test_a_pose_is_not_as_sure_as_one_that_may_be_true_with_it_and_with_its_riva
 def test_a_pattern_that_fits_better_leaves_it_open_although_both_may_be_true(decide, patterns):
     patterns.alike, patterns.passed_twice = [candidate(200.0, SURE_LLR + 12.0)], True
     assert decide(candidate(0.0, SURE_LLR + 10.0)).accepted is None
-
-
-def test_a_pattern_that_repeats_itself_leaves_it_open(decide, patterns):
-    patterns.alike = [candidate(8.0, SURE_LLR + 4.0)]
-    assert decide(candidate(0.0, SURE_LLR + 5.0)).accepted is None
-    patterns.alike = [candidate(8.0, SURE_LLR - 9.0)]
-    assert decide(candidate(0.0, SURE_LLR + 5.0)).accepted is not None
 
 
 def test_posterior_odds_are_against_somewhere_new_and_all_that_cannot_be_true_too(acceptance, patterns):

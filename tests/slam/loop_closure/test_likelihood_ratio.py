@@ -57,14 +57,6 @@ def ratios_of(
     return compute_log_likelihood_ratios(query, reference, T, pairs, RANGE_M, shares)
 
 
-def test_the_llr_of_an_object_without_a_match_is_that_of_a_missed_detection():
-    positions, labels = scattered(6, seed=0)
-    query = seen(positions, labels)
-    ratios = ratios_of(query, submap(positions, labels), each_with_its_own(6)[1:], T_REFERENCE_QUERY)
-    assert ratios[0] == pytest.approx(np.log(1.0 - DETECTION_PROBABILITY))
-    assert np.all(ratios[1:] > 0.0)
-
-
 def row_llr(count: int, spacing_m: float, *, row_heading_rad: float, heading_rad: float) -> float:
     """Evidence of a row of equal objects, placed with that heading, wrongly: shifted by one object along the row."""
     row = np.zeros((count, 3))

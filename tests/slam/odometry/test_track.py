@@ -74,10 +74,6 @@ def test_fast_drive_and_short_silence_are_no_break():
     assert made.latest.travel_m == pytest.approx(60.0)
 
 
-def test_travel_is_the_path_and_not_the_distance():
-    assert track((0, 0), (1, 3), (2, 0.5), (3, 3)).latest.travel_m == pytest.approx(8.0)
-
-
 def test_oldest_poses_are_dropped():
     made = track(*((0.01 * i, 0.1 * i) for i in range(HISTORY + 100)))
     assert x_at(made, 0.0) is None

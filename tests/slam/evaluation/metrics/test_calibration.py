@@ -70,7 +70,7 @@ def test_pose_errors_are_right_perturbations(size: float) -> None:
     np.testing.assert_allclose(pose_errors(T_est, T_est @ exponential(xi)), xi, rtol=1e-7, atol=1e-9)
 
 
-def log_of_a_drive(*, perturb_left: bool = False, poses: int = 400, landmarks: int = 400) -> Log:
+def log_of_a_drive(*, poses: int = 400, landmarks: int = 400) -> Log:
     """Poses, landmarks and closures whose errors have the covariances that the log tells.
 
     The drive heads to all sides, in a map turned by 2.4 rad against the world.
@@ -81,7 +81,7 @@ def log_of_a_drive(*, perturb_left: bool = False, poses: int = 400, landmarks: i
     covariances = np.tile(ANISOTROPIC, (poses, 1, 1))
     error = exponential(draw(rng, covariances))
     error[0] = np.eye(4)
-    T_map_body = error @ T_map_gt if perturb_left else T_map_gt @ invert(error)
+    T_map_body = T_map_gt @ invert(error)
     log: Log = [("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(at.tolist(), T_gt, strict=True)]
     log.append(("/slam/graph", replace(graph(at, T_map_body), pose_covariances=covariances)))
     ids = tuple(str(index) for index in range(landmarks))
@@ -116,10 +116,6 @@ def test_nees_of_right_covariances_is_1_in_every_part() -> None:
     for name in NEEDS:
         assert quality[f"{name}_nees"] == pytest.approx(1.0, abs=0.2), name
     assert quality["pose_count"] == 399  # the first keyframe is where the truth is tied
-
-
-def test_calibration_detects_covariances_about_map_axes() -> None:
-    assert measured(log_of_a_drive(perturb_left=True))["pose_nees"] > 5.0
 
 
 def test_landmarks_are_tied_at_first_keyframe() -> None:

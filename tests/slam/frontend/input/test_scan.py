@@ -113,11 +113,6 @@ def test_one_unknown_covariance_leaves_the_others_as_they_are():
     np.testing.assert_allclose(scan.covariances, [0.3**2 * np.eye(3), 0.3**2 * np.eye(3)])
 
 
-def test_no_detector_is_right_to_less_than_the_floor():
-    scan = scan_of(detections([[10, 0, 0]], covariances=1e-18 * np.eye(3)[None]))
-    assert np.sqrt(scan.covariances[0, 0, 0]) == pytest.approx(0.01)
-
-
 @pytest.mark.parametrize("covariances", [None, np.zeros((0, 3, 3))])
 def test_an_empty_message_is_an_empty_scan(covariances):
     scan = scan_of(detections([], covariances=covariances))
@@ -158,12 +153,3 @@ def test_noise_by_the_expected_range_is_the_same_for_short_and_long_measurements
     for covariance in expected.covariances:
         np.testing.assert_allclose(covariance, scan.covariances[2], atol=1e-12)
     np.testing.assert_array_equal(expected.positions, scan.positions)
-
-
-def test_noise_that_the_message_gives_does_not_change_with_the_expected_range() -> None:
-    own = np.array([0.04 * np.eye(3), np.zeros((3, 3))])
-    config = {"sigma_per_m": 0.02}
-    scan = scan_of(detections([[10, 0, 0], [10, 0, 0]], covariances=own), **config)
-    changed = with_expected_noise(scan, np.full(2, 15.0), DetectionCalibration(**config)).covariances - scan.covariances
-    assert not changed[0].any()
-    assert changed[1].any()
