@@ -132,7 +132,7 @@ def test_lengths_are_scaled_and_angles_are_not() -> None:
 def test_labels_are_of_the_log_of_their_own_or_of_one_class() -> None:
     drawn = Counter(label for scan in labels(faulty("labels_random")) for label in scan)
     assert set(drawn) == set(LABELS)
-    assert min(drawn.values()) > TOTAL / 3 * 0.7
+    assert min(drawn.values()) > TOTAL / 3 * 0.8  # LABELS themselves have 0.75
     own = [label for scan in labels(faulty("labels_unique")) for label in scan]
     assert len(set(own)) == len(own) == TOTAL
     assert len({label for scan in labels(faulty("labels_one_class")) for label in scan}) == 1
