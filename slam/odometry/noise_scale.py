@@ -50,7 +50,7 @@ class NoiseScale:
         none = np.zeros(6)
         # Noise of long ago had other lever arms: no more than all of the innovation can come from it.
         error = effects.T @ innovation / max(float(np.linalg.norm(effects, 2)), 1.0) ** 2
-        ratios = self.factors * [float(error[axes] @ error[axes]) for axes in AXES]
+        ratios = self.factors * [float(np.mean(error[axes] ** 2)) for axes in AXES]
         if np.max(ratios) < GATE * self._least:
             return none
         rest = innovation - effects @ np.linalg.lstsq(effects, innovation)[0]
