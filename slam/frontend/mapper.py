@@ -45,6 +45,9 @@ MOVING_RANGES_PER_S, MOVING_RANGES, MOVING_OBSERVATIONS = 1.0 / 30.0, 1.0 / 12.0
 """An object moves if it is faster than that and has moved so far, both in sensor ranges, in so many observations."""
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
+BREAK_SIGMA_RAD = 1.0
+BREAK_SIGMA_RANGES = 10 / 3
+"""A discontinuity of the odometry holds no information, but the graph must stay connected until a closure joins it."""
 
 
 class Mapper:
@@ -254,9 +257,8 @@ def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Ed
     covariance = step_covariance(previous.odometry, keyframe.odometry, config.calibration.odometry)
     if keyframe.odometry.segment != previous.odometry.segment:
         kind = EdgeKind.DISCONTINUITY
-        # It ties nothing together, but the graph must stay connected until a closure does it: 1 rad, and some ranges.
-        sigma_m = 10.0 / 3.0 * config.sensor_range_m
-        covariance = np.diag(np.repeat([1.0, sigma_m**2], 3))
+        sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
+        covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
     return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
 
 

@@ -10,8 +10,8 @@ with the columns of W for translation, tilt or heading, scaled by their standard
 can tell. The ratio is the weighted median over a window of scans, so that detections that err by far, and single
 slips, do not change it.
 
-A slip is an error n that the model of the odometry cannot explain, whatever the factor has become, although it explains
-the innovations of several landmarks: its posterior mean is W' y.
+A slip is a step whose error n contradicts the calibrated noise, even where the factor has grown to expect it, and
+explains the innovations of at least three landmarks. The estimate of n is its posterior mean W' y.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ class NoiseScale:
         self._weights: list[FloatArray] = []
 
     def slip(self, innovation: FloatArray, effects: FloatArray) -> FloatArray:
-        """The slip (6,) of the step before, in the standard deviations that ``effects`` are scaled by; zeros if there
-        was none. Arguments as of ``add``.
+        """The error (6,) of the last step if it slipped, else zeros; in standard deviations, by which ``effects`` are
+        scaled. Arguments as of ``add``.
         """
         none = np.zeros(6)
-        # Noise of long ago had other lever arms: no more than all of the innovation can come from it.
+        # Earlier steps had other lever arms, so that effects may be larger than the innovations allow, which is 1.
         error = effects.T @ innovation / max(float(np.linalg.norm(effects, 2)), 1.0) ** 2
         ratios = self.factors * [float(np.mean(error[axes] ** 2)) for axes in AXES]
         if np.max(ratios) < GATE * self._least:
             return none
         rest = innovation - effects @ np.linalg.lstsq(effects, innovation)[0]
-        # One or two landmarks leave no rest, which tells nothing.
+        # One or two landmarks leave no degrees of freedom to test the fit, and chdtrc is then 0 or NaN.
         return error if chdtrc(len(innovation) - len(error), rest @ rest) > 0.01 else none
 
     def add(self, innovation: FloatArray, effects: FloatArray) -> None:

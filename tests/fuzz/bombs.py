@@ -37,7 +37,7 @@ def log_of(*parts: bytes) -> bytes:
     return b"".join([MAGIC, encoded(Header("", "bomb")), *parts, encoded(DataEnd(0), Footer(0, 0, 0)), MAGIC])
 
 
-def packed_10gb(compression: str, size_told: int) -> bytes:
+def packed_10gb(compression: str, declared_size: int) -> bytes:
     """A chunk of zeros."""
     parts = []
     if compression == "lz4":
@@ -46,7 +46,7 @@ def packed_10gb(compression: str, size_told: int) -> bytes:
     else:
         compressor = zstandard.ZstdCompressor(level=1).compressobj()
     parts += [compressor.compress(bytes(10**7)) for _ in range(1000)]
-    return log_of(encoded(Chunk(compression, b"".join([*parts, compressor.flush()]), 1, 0, 0, size_told)))
+    return log_of(encoded(Chunk(compression, b"".join([*parts, compressor.flush()]), 1, 0, 0, declared_size)))
 
 
 def channels_65e3_with_index() -> bytes:
@@ -68,10 +68,10 @@ def class_name_10mb() -> bytes:
 
 BOMBS: dict[str, Callable[[], bytes]] = {
     "zstd, 10 GB": partial(packed_10gb, "zstd", 10**10),
-    "zstd, 10 GB told as 1 MB": partial(packed_10gb, "zstd", 10**6),
+    "zstd, 10 GB declared as 1 MB": partial(packed_10gb, "zstd", 10**6),
     "lz4, 10 GB": partial(packed_10gb, "lz4", 10**10),
-    "lz4, 10 GB told as 1 MB": partial(packed_10gb, "lz4", 10**6),
-    "1 kB told as 2^60": lambda: log_of(encoded(Chunk("zstd", zstandard.compress(bytes(1000)), 1, 0, 0, 2**60))),
+    "lz4, 10 GB declared as 1 MB": partial(packed_10gb, "lz4", 10**6),
+    "1 kB declared as 2^60": lambda: log_of(encoded(Chunk("zstd", zstandard.compress(bytes(1000)), 1, 0, 0, 2**60))),
     "a million channels": lambda: log_of(*(encoded(Channel(i % 65_536, f"/{i}", "json", {}, 0)) for i in range(10**6))),
     "65,535 channels with an index": channels_65e3_with_index,
     "ten million empty messages": empty_messages_1e7,
