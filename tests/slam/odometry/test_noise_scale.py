@@ -120,6 +120,7 @@ def test_slip_is_the_error_of_the_step_by_the_innovations() -> None:
 def test_slip_is_what_the_model_does_not_explain_though_its_factor_grew() -> None:
     scale, effects = NoiseScale(LEAST, NO_LIMIT), orthogonal(12)
     assert not scale.slip(effects @ (2.0 * FORWARD), effects).any()
+    assert not scale.slip(effects @ (5.0 * FORWARD), effects).any()  # in one of three coordinates
     scale.factors = np.array([100.0 * LEAST, LEAST, LEAST])
     assert scale.slip(effects @ (2.0 * FORWARD), effects).any()
     assert not scale.slip(effects @ (0.2 * FORWARD), effects).any()
