@@ -29,6 +29,7 @@ from itertools import product
 import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.geometry import view_change
 from slam.self_calibration.object_tracks import ObjectTracks
 
 TERMS = (
@@ -170,7 +171,7 @@ def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
 def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     """Apparent motion by the differences of all terms; None where too few objects could be tracked."""
     first, second = _lagged(tracks)
-    if len(first) < MIN_PAIRS:
+    if len(first) < MIN_PAIRS or _views(tracks) < BLOCKS:
         return None
     effects = _effects(tracks, motion)
     X = effects[first] - effects[second]  # (P, 3, terms)
@@ -182,6 +183,14 @@ def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
     scans = np.sort(tracks.scan[second])[np.searchsorted(np.sort(block), np.arange(BLOCKS))]
     return _Regression(_block_sums(X / scale, y, block), scale, scans)
+
+
+def _views(tracks: ObjectTracks) -> float:
+    """How many views of objects there are that do not share their errors: those of each track, by changes of 1 rad."""
+    before = tracks.followed(1)
+    offsets = np.column_stack([tracks.offsets, np.zeros(len(tracks.offsets))])
+    changes = view_change(offsets[before], offsets[before + 1])
+    return len(np.unique(tracks.track)) + float(changes.sum())
 
 
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:

@@ -80,7 +80,7 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
     found = [_evidence(scans, spacing_m, factor) for factor in factors.tolist()]
     best = int(np.argmax([np.sum(each) for each in found]))
     is_sure = is_positive(found[best]) and np.mean(found[best]) > np.log(FACTOR)
-    return float(factors[best]) if is_sure else 1.0
+    return float(factors[best]) if is_sure and _is_nearer(scans, spacing_m, float(factors[best])) else 1.0
 
 
 def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
@@ -93,10 +93,25 @@ def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
 
 def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float = 1.0) -> FloatArray:
     """Evidence (P,) of pairs of scans, where the lengths of the odometry are multiplied by a factor."""
-    pairs = ScanPairs.by_travel(
-        [replace(scan, T_odom_body=_scaled(scan.T_odom_body, factor)) for scan in scans], spacing_m
-    )
+    pairs = _pairs_of_unit(scans, spacing_m, factor)
     return evidence(pairs.log_distances(pairs.motions))
+
+
+def _is_nearer(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> bool:
+    """Whether lengths that are multiplied by a factor bring scans nearer to one another than lengths as they are.
+
+    The pairs are those of the factor. A factor that is too large chooses scans of a short way, which share objects, and
+    has evidence for it where scans of a longer way share none.
+    """
+    pairs = _pairs_of_unit(scans, spacing_m, factor)
+    as_they_are = pairs.motions.copy()
+    as_they_are[:, :3, 3] /= factor
+    return is_positive(pairs.log_distances(as_they_are)[:, 0] - pairs.log_distances(pairs.motions)[:, 0])
+
+
+def _pairs_of_unit(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> ScanPairs:
+    scaled = [replace(scan, T_odom_body=_scaled(scan.T_odom_body, factor)) for scan in scans]
+    return ScanPairs.by_travel(scaled, spacing_m)
 
 
 def _scaled(T: FloatArray, factor: float) -> FloatArray:

@@ -20,6 +20,8 @@ MIN_PAIRS, FEW, MAX_DETECTIONS = 40, 300, 10_000
 many pairs by travel as by turn.
 """
 SAMPLED_SCANS = 600
+BLOCKS = 14
+"""Stretches of the log whose means are independent; on a way of fewer motions, the pairs have most of it in common."""
 MIN_STANDARD_ERRORS, ROUNDING = 4.0, 1e-9
 
 _Pairs = list[tuple[int, int]]
@@ -95,13 +97,13 @@ def is_better(distances: FloatArray, now: FloatArray, factor: float = 1.0) -> bo
 
 
 def is_positive(values: FloatArray) -> bool:
-    """Whether the mean of values (P,) is larger than 0 by more than chance and rounding, in each half of the pairs."""
+    """Whether the mean of values (P,) is larger than 0 by more than rounding, and than chance by the means of blocks:
+    neighbours see the same objects, and overlap.
+    """
     if len(values) < MIN_PAIRS:
         return False
-    halves = [values[part::2] for part in (0, 1)]
-    errors = [np.std(half) / np.sqrt(len(half)) for half in halves]
-    least = [MIN_STANDARD_ERRORS * error + ROUNDING for error in errors]
-    return all(np.mean(half) > bound for half, bound in zip(halves, least, strict=True))
+    means = np.array([np.mean(block) for block in np.array_split(values, BLOCKS)])
+    return bool(np.mean(means) > MIN_STANDARD_ERRORS * np.std(means, ddof=1) / np.sqrt(BLOCKS) + ROUNDING)
 
 
 def spacing_of(scans: Sequence[SurveyScan]) -> float:
@@ -149,6 +151,8 @@ def _path(steps: FloatArray) -> FloatArray:
 
 def _reached(way: FloatArray, least: float) -> _Pairs:
     """Pairs (i, j) with j the first scan after i to which the way from i is ``least``."""
+    if way[-1] < BLOCKS * least:
+        return []
     second = np.searchsorted(way, way + least)
     return [(first, int(after)) for first, after in enumerate(second) if first < after < len(way)]
 
