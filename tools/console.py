@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from typing import Any
@@ -19,6 +19,8 @@ from logs.container.json_text import plain
 from logs.container.names import visible
 
 PIPE_WIDTH = 120
+MAX_LISTED = 40
+"""Entries of a list; of a longer one the others are counted."""
 
 
 _STYLE: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": None, "pad_edge": False}
@@ -58,6 +60,40 @@ def _print(out: Console, parts: Sequence[RenderableType]) -> None:
 def show_json(value: Mapping[str, Any]) -> None:
     """Print exactly one JSON object, dataclasses and arrays included; numbers that JSON cannot hold are null."""
     sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False) + "\n")
+
+
+def report(figures: Mapping[str, Any], *, as_json: bool) -> None:
+    """Print figures as one JSON object, or their names and values below one another, without those that are empty."""
+    if as_json:
+        show_json(figures)
+    else:
+        show(pairs(texts(figures)))
+
+
+def texts(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Figures for people, by their names; those that are empty or undefined are left out."""
+    shown = {name.replace("_", " "): _text(value) for name, value in figures.items()}
+    return {name: text for name, text in shown.items() if text}
+
+
+def rows(records: Iterable[Mapping[str, Any]], names: Sequence[str]) -> list[dict[str, str]]:
+    """Some figures of each record, for :func:`table`."""
+    return [{name.replace("_", " "): _text(record.get(name)) for name in names} for record in records]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(first(f"{name} {_text(each)}" for name, each in value.items()))
+    if isinstance(value, list | tuple):
+        return "; ".join(first(map(_text, value)))
+    return f"{value:.7g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def first(listed: Iterable[str], what: str = "") -> list[str]:
+    """The first of a list, and how many more there are."""
+    every = list(listed)
+    more = [f"and {len(every) - MAX_LISTED} more{what}"] if len(every) > MAX_LISTED else []
+    return every[:MAX_LISTED] + more
 
 
 def pairs(rows: Mapping[str, str]) -> Table:

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import InputLog, Json, Output, Topics, check_outputs, parse_topics
-
-if TYPE_CHECKING:
-    from slam.simulation.faults.faulty_log import FaultSummary
-    from slam.simulation.faults.registry import Fault
 
 
 def _list_faults(wanted: bool) -> None:
@@ -61,20 +56,5 @@ def degrade(
     faults = parse_faults(fault)
     with console.progress_bar("degrading", "finishing") as progress:
         summary = write_faulty(source, output, faults, seed=seed, topics=chosen, progress=progress)
-    if json:
-        applied = [each.name for each in faults]
-        console.show_json({"output": str(output), "seed": seed, "faults": applied, **asdict(summary)})
-    else:
-        _show(output, seed, faults, summary)
-
-
-def _show(output: Path, seed: int, faults: list[Fault], summary: FaultSummary) -> None:
-    from tools import console
-
-    rows = {
-        "faults": "\n".join(f"{fault.name}: {fault.meaning}" for fault in faults),
-        "detections": f"{summary.detections} after, {summary.detections_before} before",
-        "warnings": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in summary.left_out.items()) or "none",
-        "written": f"{output} (seed {seed})",
-    }
-    console.show(console.pairs(rows))
+    applied = [each.name for each in faults]
+    console.report({"output": output, "seed": seed, "faults": applied, **asdict(summary)}, as_json=json)

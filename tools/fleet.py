@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True)
 
+FIGURES = ("map", "logs", "landmarks", "present", "median_sigma_m", "changes")
+"""Of a part of the map, in the order of the table."""
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.")]
 
 
@@ -88,33 +90,14 @@ def _compose(city: Path, report: dict[str, Any]) -> list[RenderableType]:
     from slam.fleet.report import REPORT_NAME
     from tools import console
 
-    logs = [
-        {
-            "log": log["log"],
-            "status": log["status"],
-            "map": log.get("map", ""),
-            "warnings": str(len(log.get("notes", []))),
-            "reason": log.get("reason", ""),
-        }
-        for log in report["logs"]
-    ]
-    parts = [
-        {
-            "map": str(city / part["map"]),
-            "logs": str(part["logs"]),
-            "landmarks": str(part["landmarks"]),
-            "there now": str(part["present"]),
-            "median sigma m": f"{part['median_sigma_m']:.3f}",
-            "changes": str(part["changes"]),
-        }
-        for part in report["parts"]
-    ]
     warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
     names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
     written = [str(city / name) for name in names if (city / name).exists()]
     return [
-        console.table(logs, texts=("status", "map", "reason")),
-        console.table(parts),
+        console.table(
+            console.rows(report["logs"], ("log", "status", "map", "reason")), texts=("status", "map", "reason")
+        ),
+        console.table(console.rows(report["parts"], FIGURES)),
         *warnings,
         f"written: {', '.join(written)}",
     ]

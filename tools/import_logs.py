@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,6 @@ import typer
 
 from tools.arguments import Json, NewLog, check_outputs
 from tools.importers import maps
-from tools.importers.drives import show_written
 
 app = typer.Typer(
     help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
@@ -51,24 +51,18 @@ def csv(
     check_outputs([output], [odometry, detections, ground_truth, times, calib])
     from logs.importers.imported_log import write_drive
     from logs.importers.text_log import read_text_log
+    from tools import console
 
     drive = read_text_log(odometry=odometry, detections=detections, ground_truth=ground_truth, times=times, calib=calib)
     summary = write_drive(output, drive.records(), drive.source)
-    format, length_m, columns = drive.odometry.format.value, drive.odometry.length_m, drive.detections.left_out
-    speed = f" ({length_m / summary.duration_s:.2f} m/s)" if summary.duration_s > 0.0 else ""
-    show_written(
-        output,
-        summary,
-        json=json,
-        figures={
-            "odometry_format": format,
-            "odometry_length_m": length_m,
-            "columns_left_out": list(columns),
-            "notes": list(drive.notes),
+    console.report(
+        {
+            "output": output,
+            **asdict(summary),
+            "odometry_format": drive.odometry.format.value,
+            "odometry_length_m": drive.odometry.length_m,
+            "columns_left_out": drive.detections.left_out,
+            "notes": drive.notes,
         },
-        notes=[
-            f"  odometry in {format} format, {length_m:.0f} m{speed}",
-            *([f"  columns left out: {', '.join(columns)}"] if columns else []),
-            *(f"  note: {note}" for note in drive.notes),
-        ],
+        as_json=json,
     )

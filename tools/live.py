@@ -75,18 +75,14 @@ def live(
         for item in items:
             drive.process(item)
         final = drive.finish(counters)
-    latency_s = drive.latency_s()
-    if json:
-        console.show_json({"latency_s": latency_s, "status": final.status.message, "counters": final.status.counters})
-        return
-    rows = {
-        "latency": ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in latency_s.items()),
-        "landmarks": str(len(final.object_map.ids)),
-        "of the robot": "; ".join(drive.slam.calibration.notes),
-        "final status": final.status.message,
-        "written": "" if output is None else str(output),
+    figures = {
+        "output": output,
+        "latency_s": drive.latency_s(),
+        "status": final.status.message,
+        "notes": drive.slam.calibration.notes,
+        "counters": final.status.counters,
     }
-    console.show(console.pairs({name: text for name, text in rows.items() if text}))
+    console.report(figures, as_json=json)
 
 
 def _at_speed(reader: LogReader, config: Config, topics: dict[str, str] | None, speed: float) -> Iterator[LogItem]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, NewLog, Settings, check_outputs
-from tools.importers.drives import show_written
 
 if TYPE_CHECKING:
     from slam.simulation.world import World
@@ -38,21 +38,15 @@ def simulate(
     check_outputs([output], [objects, trajectory, config_file])
     from slam.simulation.config import load_simulation_config
     from slam.simulation.simulation import write_simulation
+    from tools import console
 
     config = load_simulation_config(config_file, settings or ())
     world = load_or_generate(objects, trajectory, seed=seed if world_seed is None else world_seed)
     if length is not None:
         world = world.shortened(length)
     summary = write_simulation(output, world, config, seed=seed)
-
-    show_written(
-        output,
-        summary,
-        json=json,
-        figures={"world": world.name, "seed": seed, "object_count": len(world.object_ids)},
-        title=f" through {world.name} (seed {seed}), {len(world.object_ids)} objects of "
-        f"{len(world.vocabulary)} classes",
-    )
+    made = {"output": output, "world": world.name, "seed": seed, "object_count": len(world.object_ids)}
+    console.report({**made, **asdict(summary)}, as_json=json)
 
 
 def load_or_generate(objects: Path | None, trajectory: Path | None, *, seed: int) -> World:

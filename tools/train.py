@@ -74,12 +74,8 @@ def train(
     recipe = Recipe(config, [_load_map(path) for path in maps or ()], start, device=device)
     with console.progress_bar(f"training {network}") as move:
         history = train_recipe(recipe, folder, threads=threads, on_progress=move)
-    best = best_of(history)
-    if json:
-        console.show_json({"weights": str(folder / WEIGHTS), "best": best, "epochs": history[-1]["epoch"]})
-        return
-    figures = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in best.items() if value is not None)
-    console.show(f"weights of the best epoch: {folder / WEIGHTS}", figures)
+    figures = {"weights": folder / WEIGHTS, "best": best_of(history), "epochs": history[-1]["epoch"]}
+    console.report(figures, as_json=json)
 
 
 def _shipped(network: str) -> Path | None:

@@ -60,7 +60,7 @@ def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, calle
     result = dslam("train", tmp_path / "net", *options)
     assert (result.code, result.err) == (0, "")
     assert "epoch 3, " in result.out
-    assert "validation top 5 0.975" in result.out
+    assert "validation_top_5 0.975" in result.out
     config = called.pop("config")
     assert (config.architecture, config.epochs, config.seed) == (DescriptellationArchitecture(), 7, 3)
     assert called == {"folder": tmp_path / "net", "device": "cpu", "threads": 1}

@@ -113,6 +113,8 @@ def _make_map(
     json: bool,
 ) -> None:
     """Write the map of ``objects`` and print what is in it."""
+    import numpy as np
+
     from logs.importers.tables import UNLABELLED
     from slam.localization.map_import import import_map
     from slam.place_recognition.imported_map import save_imported_map
@@ -122,27 +124,20 @@ def _make_map(
         objects = replace(objects, labels=(label,) * len(objects))
     imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
-    counts = Counter(objects.labels).most_common()
-    notes = list(objects.notes)
+    notes, georeference = list(objects.notes), imported.georeference
     if label is None and UNLABELLED in objects.labels:
         unlabelled = f"{objects.labels.count(UNLABELLED)} of {len(objects)} objects"
         notes.append(f"{unlabelled} have no class and are of the class {UNLABELLED}; --class NAME sets one for all")
-    georeference = imported.georeference
-    if json:
-        origin_deg = None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg]
-        about = {"output": str(output), "object_count": len(imported), "class_counts": dict(counts), "notes": notes}
-        console.show_json({**about, "origin": origin_deg})
-        return
-    others = f" and {len(counts) - 10} classes more" if len(counts) > 10 else ""
-    where = (
-        "unknown: give --origin LAT,LON for poses in latitude and longitude"
-        if georeference is None
-        else f"at latitude {georeference.latitude_deg:.6f}, longitude {georeference.longitude_deg:.6f}"
-    )
-    width_m, height_m = (imported.positions[:, :2].max(axis=0) - imported.positions[:, :2].min(axis=0)).tolist()
-    console.show(
-        f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
-        f"  {', '.join(f'{name} {count}' for name, count in counts[:10])}{others}",
-        f"  origin {where}",
-        *(f"  note: {note}" for note in notes),
-    )
+    if georeference is None:
+        notes.append("origin unknown: give --origin LAT,LON for poses in latitude and longitude")
+    width_m, height_m = np.ptp(imported.positions[:, :2], axis=0).tolist()
+    figures = {
+        "output": output,
+        "object_count": len(imported),
+        "class_counts": dict(Counter(objects.labels).most_common()),
+        "width_m": width_m,
+        "height_m": height_m,
+        "origin": georeference and [georeference.latitude_deg, georeference.longitude_deg],
+        "notes": notes,
+    }
+    console.report(figures, as_json=json)

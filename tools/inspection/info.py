@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tools import console
 from tools.arguments import InputLog, Json, Settings, Topics, parse_topics
 from tools.inspection import frames, saved_map
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 REPLAYED = "dslam"
 """Metadata of a log that a replay wrote."""
-MAX_LISTED = 40
-"""Entries of a list; of a longer one the others are counted."""
 
 
 def info(
@@ -42,7 +41,6 @@ def info(
     """
     from logs.container.json_text import plain
     from logs.summary import summarize
-    from tools import console
 
     limits = None
     if settings:
@@ -69,15 +67,15 @@ def info(
         decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)
         counts = [
             {"decision": decision, "stage": stage, "reason": reason, "candidates": str(count)}
-            for (decision, stage, reason), count in decisions.most_common(MAX_LISTED)
+            for (decision, stage, reason), count in decisions.most_common(console.MAX_LISTED)
         ]
         console.show("", console.table(counts, texts=("stage", "reason"), title="Loop closures"), "")
     if wanted:
-        shown = [_candidate(summary, each) for each in candidates[:MAX_LISTED]]
+        shown = [_candidate(summary, each) for each in candidates[: console.MAX_LISTED]]
         table = console.table(shown, texts=("decision", "stage", "reason"), title="Candidates by query keyframe")
         console.show(table if shown else "no loop-closure candidate")
-    if wanted and len(candidates) > MAX_LISTED:
-        more = len(candidates) - MAX_LISTED
+    if wanted and len(candidates) > console.MAX_LISTED:
+        more = len(candidates) - console.MAX_LISTED
         console.show(f"and {more} more: --keyframe ID lists those of one query keyframe, --json all")
 
 
@@ -86,7 +84,7 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     is_mapped = REPLAYED in summary.metadata
     listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
     if not is_mapped:
-        listed["frames"] = "\n".join(_first(frames.list_edges(summary.topics)))
+        listed["frames"] = "\n".join(console.first(frames.list_edges(summary.topics)))
         listed["not placed"] = "\n".join(frames.find_faults(summary))
     of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
     faults = [
@@ -124,13 +122,7 @@ def _classes(summary: LogSummary) -> str:
             counts = Counter(read_map(summary.path).labels).most_common()
         except (InputDataError, LogError):
             counts = []
-    return ", ".join(_first([f"{name} {count}" for name, count in counts], " classes"))
-
-
-def _first(listed: list[str], what: str = "") -> list[str]:
-    """The first of a list, and how many more there are."""
-    more = [f"and {len(listed) - MAX_LISTED} more{what}"] if len(listed) > MAX_LISTED else []
-    return listed[:MAX_LISTED] + more
+    return ", ".join(console.first([f"{name} {count}" for name, count in counts], " classes"))
 
 
 def _selected(summary: LogSummary) -> dict[str, list[str]]:

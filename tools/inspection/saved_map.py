@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from tools import console
+
 METADATA = "dslam_map"
 """What makes a log a saved map."""
 
@@ -50,12 +52,8 @@ def rows(path: Path) -> dict[str, str]:
     plain = describe(path)
     if not plain["usable"]:
         return {"saved map": f"cannot be used: {plain['fault']}"}
-    numbers = {name: value for name, value in plain.items() if type(value) in (int, float) and name != "stamp_ns"}
     return {
-        **{
-            name.replace("_", " "): f"{value:.7g}" if isinstance(value, float) else str(value)
-            for name, value in numbers.items()
-        },
+        **console.texts({name: value for name, value in plain.items() if type(value) in (int, float)}),
         "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
         "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
     }
