@@ -13,6 +13,8 @@ import numpy as np
 from pydantic_core import from_json
 
 from logs.container.limits import RESULT_LIMITS
+from logs.importers.text_files import read_source_text
+from logs.importers.trajectory_files import read_trajectory
 from logs.messages import (
     DetectionAssociations,
     DetectionTruth,
@@ -32,7 +34,6 @@ from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries, clean_poses, series_of
-from slam.evaluation.inputs.text_reference import read_text_reference
 from slam.evaluation.report.figures import value_at
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
 
@@ -170,15 +171,22 @@ def read_records(
         UnreadableLogError: a file is missing or no log.
         DatasetError: a file of poses is wrong.
         TopicSelectionError: ``topics`` names a kind or a topic that does not exist.
-        EvaluationError: a reference holds no truth, or not the poses of this robot's body.
+        EvaluationError: a reference holds no truth.
     """
     if reference is None:
         return _read(path, topics)
     output = _read(path, None)
     if is_log(Path(reference)):
         return output.with_truth_of(_read(reference, topics))
-    true_path = read_text_reference(Path(reference), calib, output.odometry_path or output.final_path)
+    true_path = _read_poses(Path(reference), calib, output.odometry_path or output.final_path)
     return output.with_truth_of(EvaluationRecords(true_path=true_path))
+
+
+def _read_poses(reference: Path, calib: Path | None, path: PoseSeries) -> PoseSeries:
+    """The poses in a file; those in KITTI's format, which has no stamps, are at the stamps of the ``path``."""
+    calibration = None if calib is None else read_source_text(calib)
+    trajectory = read_trajectory(read_source_text(reference), times_ns=path.stamps_ns, calib=calibration)
+    return PoseSeries(trajectory.stamps_ns, trajectory.T_world_body)
 
 
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
