@@ -66,20 +66,9 @@ class VectorIndex:
         squares[:, ~allowed] = np.inf
         if self._of_own_class:
             squares[labels[:, None] != self._labels] = np.inf
-        nearest = _smallest(squares, min(k, len(self)))
-        order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
-        nearest = np.take_along_axis(nearest, order, axis=1)
+        nearest = np.argsort(squares, axis=1, kind="stable")[:, :k]
         found = np.take_along_axis(squares, nearest, axis=1)
         queries, places = np.nonzero(np.isfinite(found))
         own = np.einsum("ij,ij->i", vectors, vectors)
         distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
         return Matches(queries, nearest[queries, places], distances)
-
-
-def _smallest(values: Float32Array, k: int) -> IntArray:
-    """Columns (Q, k), ascending, of the k smallest values of each row; of equal ones the first."""
-    bound = np.partition(values, k - 1, axis=1)[:, k - 1 : k]
-    below, equal = values < bound, values == bound
-    wanted = k - np.count_nonzero(below, axis=1, keepdims=True)
-    chosen = below | (equal & (np.cumsum(equal, axis=1) <= wanted))
-    return np.nonzero(chosen)[1].reshape(-1, k)

@@ -112,9 +112,7 @@ def _load_map(path: Path) -> TrainingMap:
     from slam.common.errors import InputDataError
     from slam.library import read_map
 
-    objects: Any = read_object_table(path) if path.suffix.lower() == ".csv" else read_map(path)
-    if getattr(objects, "is_geodetic", False):
-        raise InputDataError(f"{path}: positions in degrees; give metres")
+    objects: Any = read_object_table(path).in_metres() if path.suffix.lower() == ".csv" else read_map(path)
     if not len(objects.labels):
         raise InputDataError(f"{path} holds no object")
     found, numbers = np.unique(np.asarray(objects.labels), return_inverse=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from logs.validation import (
     MAX_COORDINATE_M,
     FloatArray,
     Refusal,
+    stamp_ns,
     transform_from_quaternion,
     usable_covariance,
     usable_covariances,
@@ -76,22 +78,42 @@ def transform_of(position: Any, orientation: Any) -> FloatArray:
     )
 
 
-def pose_records(context: Context, place: Place, pose: Any, body_frame_id: str = "") -> Records:
-    """The record that a pose is on a topic of this kind; an empty frame name becomes the usual one."""
-    stamp_ns, frame_id = place
-    T = transform_of(pose.position, pose.orientation)
-    if context.kind == RecordKind.ODOMETRY:
-        return (Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link"),)
-    if context.kind == RecordKind.GROUND_TRUTH:
-        return (GroundTruthPose(stamp_ns, T, frame_id or "world"),)
-    return (SlamPose(stamp_ns, T),)
+def place_of(message: Any, context: Context, otherwise: Place | None = None) -> Place:
+    """Stamp and frame of a message, as its ROS header or its own fields have them; where they are empty, those of
+    ``otherwise``, or the log time.
+    """
+    time_ns, frame = otherwise or (context.raw.log_time_ns, "")
+    header = getattr(message, "header", None)
+    if header is None:
+        return stamp_ns(message.timestamp.seconds, message.timestamp.nanos, time_ns), message.frame_id or frame
+    return stamp_ns(header.stamp.sec, header.stamp.nanosec, time_ns), header.frame_id or frame
+
+
+def pose_decoder(path: str, body: str = "") -> Callable[[Any, Context], Records]:
+    """What makes of a message the record that its pose, at a ``path`` of fields, is on a topic of its kind.
+
+    ``body``: the field with the name of the body. An empty name of a frame becomes the usual one.
+    """
+    pose_of = attrgetter(path)
+
+    def decode(message: Any, context: Context) -> Records:
+        time_ns, frame_id = place_of(message, context)
+        pose = pose_of(message)
+        T = transform_of(pose.position, pose.orientation)
+        if context.kind == RecordKind.ODOMETRY:
+            return (Odometry(time_ns, T, frame_id or "odom", (body and getattr(message, body)) or "base_link"),)
+        if context.kind == RecordKind.GROUND_TRUTH:
+            return (GroundTruthPose(time_ns, T, frame_id or "world"),)
+        return (SlamPose(time_ns, T),)
+
+    return decode
 
 
 def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]]) -> Records:
     """Records of (stamp and parent, child, translation, rotation); as odometry, those whose parent is "odom"."""
     transforms = [
-        Transform(stamp_ns, parent, child, transform_of(translation, rotation))
-        for (stamp_ns, parent), child, translation, rotation in frames
+        Transform(time_ns, parent, child, transform_of(translation, rotation))
+        for (time_ns, parent), child, translation, rotation in frames
     ]
     if context.kind != RecordKind.ODOMETRY:
         return tuple(transforms)
@@ -102,11 +124,13 @@ def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]
     )
 
 
-def fix_records(context: Context, place: Place, message: Any) -> Records:
+def fix_records(message: Any, context: Context) -> Records:
     """The record of a fix: latitude and longitude [deg], altitude [m], 9 numbers of a covariance and how it is known.
 
-    An altitude that is NaN, as of a receiver that has none, is 0.
+    An altitude that is NaN, as of a receiver that has none, is 0. None of a receiver that says that it has no fix.
     """
+    if hasattr(message, "status") and message.status.status < 0:
+        return ()
     latitude, longitude, altitude_m = message.latitude, message.longitude, message.altitude
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise Refusal("not a valid latitude and longitude", f"latitude {latitude}, longitude {longitude}")
@@ -115,6 +139,7 @@ def fix_records(context: Context, place: Place, message: Any) -> Records:
         if len(message.position_covariance) != 9:
             raise Refusal("lengths disagree", f"covariance of {len(message.position_covariance)} numbers, expected 9")
         P = usable_covariance(np.array(message.position_covariance, np.float64).reshape(3, 3), context.counters)
+    place = place_of(message, context)
     return (GeodeticFix(*place, latitude, longitude, altitude_m if abs(altitude_m) <= MAX_COORDINATE_M else 0.0, P),)
 
 

@@ -39,7 +39,8 @@ from logs.decoders.parts import (
     detection_records,
     fix_records,
     frame_records,
-    pose_records,
+    place_of,
+    pose_decoder,
     usable_detections,
     xyz,
 )
@@ -86,15 +87,6 @@ def _with_text_for_time(values: dict[str, Any]) -> Any:
     return Timestamp(seconds=seconds, nanos=nanos).ToJsonString()
 
 
-def _place(message: Any, context: Context) -> Place:
-    time = message.timestamp
-    return stamp_ns(time.seconds, time.nanos, context.raw.log_time_ns), message.frame_id
-
-
-def _odometry(message: Any, context: Context) -> Records:
-    return pose_records(context, _place(message, context), message.pose, message.body_frame_id)
-
-
 def _frame_transforms(message: Any, context: Context) -> Records:
     frames = []
     for t in message.transforms if isinstance(message, FrameTransforms) else [message]:
@@ -109,7 +101,7 @@ def _scene_update(message: Any, context: Context) -> Records:
         objects: list[Any] = [*entity.cubes, *entity.spheres, *entity.cylinders, *entity.models]
         if objects := objects or [*entity.texts[:1]]:
             label, score = _class_and_score(entity)
-            scans[_place(entity, context)] += [Detection(xyz(p.pose.position), label, score) for p in objects]
+            scans[place_of(entity, context)] += [Detection(xyz(p.pose.position), label, score) for p in objects]
     return detection_records(scans, context.counters)
 
 
@@ -138,20 +130,12 @@ def _detections(message: Any, context: Context) -> Records:
     return (usable_detections(m.ObjectDetections(**codec.values(message, context.counters)), context.counters),)
 
 
-def _pose(message: Any, context: Context) -> Records:
-    return pose_records(context, _place(message, context), message.pose)
-
-
-def _fix(message: Any, context: Context) -> Records:
-    return fix_records(context, _place(message, context), message)
-
-
 DECODERS: dict[str, MessageDecoder] = {
-    "foxglove.Odometry": MessageDecoder(POSE, _odometry, Odometry),
-    "foxglove.PoseInFrame": MessageDecoder((*POSE, RecordKind.SLAM_POSE), _pose, PoseInFrame),
+    "foxglove.Odometry": MessageDecoder(POSE, pose_decoder("pose", "body_frame_id"), Odometry),
+    "foxglove.PoseInFrame": MessageDecoder((*POSE, RecordKind.SLAM_POSE), pose_decoder("pose"), PoseInFrame),
     "foxglove.FrameTransform": MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
     "foxglove.FrameTransforms": MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
-    "foxglove.LocationFix": MessageDecoder((RecordKind.GNSS,), _fix, LocationFix),
+    "foxglove.LocationFix": MessageDecoder((RecordKind.GNSS,), fix_records, LocationFix),
     "foxglove.SceneUpdate": MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
     "dslam.ObjectDetections": MessageDecoder(DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
     **_own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),

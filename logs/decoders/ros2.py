@@ -16,46 +16,28 @@ from logs.decoders.parts import (
     Records,
     fix_records,
     frame_records,
-    pose_records,
+    place_of,
+    pose_decoder,
 )
-from logs.decoders.ros2_detections import place_of
 from logs.topics import RecordKind
-
-
-def _odometry(message: Any, context: Context) -> Records:
-    return pose_records(context, place_of(message.header, context), message.pose.pose, message.child_frame_id)
-
-
-def _pose(message: Any, context: Context) -> Records:
-    return pose_records(context, place_of(message.header, context), message.pose)
-
-
-def _pose_with_covariance(message: Any, context: Context) -> Records:
-    return pose_records(context, place_of(message.header, context), message.pose.pose)
 
 
 def _tf(message: Any, context: Context) -> Records:
     frames = (
-        (place_of(t.header, context), t.child_frame_id, t.transform.translation, t.transform.rotation)
+        (place_of(t, context), t.child_frame_id, t.transform.translation, t.transform.rotation)
         for t in message.transforms
     )
     return frame_records(context, frames)
 
 
-def _fix(message: Any, context: Context) -> Records:
-    if message.status.status < 0:  # the receiver has no fix
-        return ()
-    return fix_records(context, place_of(message.header, context), message)
-
-
 AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
 DECODERS = {
-    "nav_msgs/msg/Odometry": MessageDecoder(POSE, _odometry),
-    "geometry_msgs/msg/PoseStamped": MessageDecoder(POSE, _pose),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": MessageDecoder(POSE, _pose_with_covariance),
+    "nav_msgs/msg/Odometry": MessageDecoder(POSE, pose_decoder("pose.pose", "child_frame_id")),
+    "geometry_msgs/msg/PoseStamped": MessageDecoder(POSE, pose_decoder("pose")),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": MessageDecoder(POSE, pose_decoder("pose.pose")),
     "tf2_msgs/msg/TFMessage": MessageDecoder(FRAMES, _tf),
     "tf/msg/tfMessage": MessageDecoder(FRAMES, _tf),
-    "sensor_msgs/msg/NavSatFix": MessageDecoder((RecordKind.GNSS,), _fix),
+    "sensor_msgs/msg/NavSatFix": MessageDecoder((RecordKind.GNSS,), fix_records),
     "vision_msgs/msg/Detection3DArray": MessageDecoder(DETECTIONS, objects.detections_3d),
     **{
         f"{package}/msg/{name}": MessageDecoder(DETECTIONS, objects.autoware_objects)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from logs.clouds.labelled_cloud import LabelledCloud, labelled_cloud
-from logs.decoders.parts import Context, Records
-from logs.decoders.ros2_detections import place_of
+from logs.decoders.parts import Context, Records, place_of
 from logs.decoders.ros2_images import image_rows
 from logs.errors import DatasetError
 from logs.messages import LabelledScan
@@ -19,7 +18,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 def labelled_scan(message: Any, context: Context) -> Records:
     """The record of a PointCloud2; points without finite coordinates are left out."""
-    place = place_of(message.header, context)
+    place = place_of(message, context)
     point_step = int(message.point_step)
     if message.height * message.width == 0:
         return (LabelledScan(*place, LabelledCloud(np.zeros((0, 3)), np.zeros(0, np.int64))),)

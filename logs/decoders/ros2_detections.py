@@ -17,26 +17,20 @@ from typing import Any
 
 import numpy as np
 
-from logs.decoders.parts import Context, Detection, Place, Records, detection_records, xyz
-from logs.validation import FloatArray, stamp_ns
-
-
-def place_of(header: Any, context: Context, otherwise: Place | None = None) -> Place:
-    """Stamp and frame of ``header``; where they are empty, those of ``otherwise``, or the log time."""
-    stamp, frame = otherwise or (context.raw.log_time_ns, "")
-    return stamp_ns(header.stamp.sec, header.stamp.nanosec, stamp), header.frame_id or frame
+from logs.decoders.parts import Context, Detection, Place, Records, detection_records, place_of, xyz
+from logs.validation import FloatArray
 
 
 def detections_3d(message: Any, context: Context) -> Records:
     """Records of a Detection3DArray."""
-    own = place_of(message.header, context)
+    own = place_of(message, context)
     scans: dict[Place, list[Detection]] = defaultdict(list, {own: []})
     for detection in message.detections:
         best = best_result(detection)
         position = xyz(detection.bbox.center.position)
         if best is not None and not any(position) and not any(xyz(detection.bbox.size)):
             position = xyz(best.pose.pose.position)
-        scans[place_of(detection.header, context, own)].append(
+        scans[place_of(detection, context, own)].append(
             Detection(
                 position,
                 *hypothesis_of(best),
@@ -61,7 +55,7 @@ def autoware_objects(message: Any, context: Context) -> Records:
                 covariance=position_covariance(placed.covariance) if is_known else None,
             )
         )
-    return detection_records({place_of(message.header, context): found}, context.counters)
+    return detection_records({place_of(message, context): found}, context.counters)
 
 
 def _class_name(best: Any) -> str:
@@ -77,7 +71,7 @@ def markers(message: Any, context: Context) -> Records:
         # Added: a cube, a sphere, a cylinder or a mesh.
         if marker.action == 0 and marker.type in (1, 2, 3, 10):
             found = Detection(xyz(marker.pose.position), marker.text or marker.ns)
-            scans[place_of(marker.header, context)].append(found)
+            scans[place_of(marker, context)].append(found)
     return detection_records(scans, context.counters)
 
 

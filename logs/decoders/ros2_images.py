@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.decoders.parts import UNKNOWN_LABEL, Context, Records
-from logs.decoders.ros2_detections import best_result, hypothesis_of, place_of
+from logs.decoders.parts import UNKNOWN_LABEL, Context, Records, place_of
+from logs.decoders.ros2_detections import best_result, hypothesis_of
 from logs.messages import CameraModel, DepthImage, ImageDetections
 from logs.validation import FloatArray, Refusal
 
@@ -30,7 +30,7 @@ def detections_2d(message: Any, context: Context) -> Records:
         labels.append(label or UNKNOWN_LABEL)
         scores.append(score)
     pixels, clipped = _finite(boxes).reshape(-1, 4), np.clip(_finite(scores), 0.0, 1.0)
-    return (ImageDetections(*place_of(message.header, context), pixels, tuple(labels), clipped),)
+    return (ImageDetections(*place_of(message, context), pixels, tuple(labels), clipped),)
 
 
 def tags(message: Any, context: Context) -> Records:
@@ -40,7 +40,7 @@ def tags(message: Any, context: Context) -> Records:
     low, high = corners.min(axis=1), corners.max(axis=1)
     boxes = np.concatenate([0.5 * (low + high), high - low], axis=1)
     labels = tuple(f"{tag.family}:{tag.id}" for tag in found)
-    return (ImageDetections(*place_of(message.header, context), boxes, labels, np.ones(len(labels)), corners),)
+    return (ImageDetections(*place_of(message, context), boxes, labels, np.ones(len(labels)), corners),)
 
 
 def camera_info(message: Any, context: Context) -> Records:
@@ -51,7 +51,7 @@ def camera_info(message: Any, context: Context) -> Records:
         return ()
     if not (np.isfinite(K).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0):
         raise Refusal("camera matrix is missing or invalid", f"k={K.ravel().tolist()}")
-    return (CameraModel(*place_of(message.header, context), K, _finite(d), message.distortion_model),)
+    return (CameraModel(*place_of(message, context), K, _finite(d), message.distortion_model),)
 
 
 def depth_image(message: Any, context: Context) -> Records:
@@ -62,7 +62,7 @@ def depth_image(message: Any, context: Context) -> Records:
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     rows = image_rows(message, int(message.step), int(message.width) * dtype.itemsize)
     depths = rows.view(dtype).astype(np.float32) * np.float32(scale)
-    return (DepthImage(*place_of(message.header, context), np.where(depths > 0.0, depths, np.nan)),)
+    return (DepthImage(*place_of(message, context), np.where(depths > 0.0, depths, np.nan)),)
 
 
 def image_rows(message: Any, step: int, width: int) -> NDArray[np.uint8]:

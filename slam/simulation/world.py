@@ -79,13 +79,10 @@ def load_world(objects: Path, trajectory: Path) -> World:
         trajectory: the points of the tour in order.
 
     Raises:
-        DatasetError: a missing column, a cell that is no number, or an id used twice; names the file and the line.
-        SimulationError: degrees instead of metres, or fewer than two poses.
+        DatasetError: a missing column, a cell that is no number, or degrees; names the file and the line.
+        SimulationError: fewer than two poses.
     """
-    there, tour = read_object_table(objects), read_object_table(trajectory)
-    for path, table in ((objects, there), (trajectory, tour)):
-        if table.is_geodetic:
-            raise SimulationError(f"{path}: positions in degrees; give metres")
+    there, tour = (read_object_table(path).in_metres() for path in (objects, trajectory))
     if len(tour.labels) < 2:
         raise SimulationError(f"{trajectory}: {len(tour.labels)} poses; a tour needs at least two")
     return World(objects.resolve().parent.name, there.ids, there.positions, there.labels, tour.positions[:, :2])

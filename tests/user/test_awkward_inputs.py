@@ -53,7 +53,7 @@ CASES = {
         code=2,
     ),
     "a map in metres": places("origin unknown: give --origin", MAP),
-    "a map in degrees": places("origin at latitude 60.1", PLACES),
+    "a map in degrees": places("origin 60.1", PLACES),
     "a national grid": places("national grid", GRID, "--origin", "60,24", code=2),
     "three objects": places("needs at least four", MAP.rpartition("6,8")[0], code=2),
     "a frame that is connected with another": drive(

@@ -30,6 +30,16 @@ class MapObjects:
     def __len__(self) -> int:
         return len(self.labels)
 
+    def in_metres(self) -> MapObjects:
+        """The same objects.
+
+        Raises:
+            DatasetError: they are in degrees.
+        """
+        if self.is_geodetic:
+            raise DatasetError(f"{self.source}: positions in degrees; give metres")
+        return self
+
 
 def distinct(names: Iterable[str]) -> tuple[str, ...]:
     """The names, those that occur before with their place behind."""

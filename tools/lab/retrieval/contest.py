@@ -24,7 +24,6 @@ from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.errors import SimulationError
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratios
 from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
@@ -41,15 +40,13 @@ def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
     """The maps along x as one, farther apart than any sensor sees: no constellation has objects of two.
 
     Raises:
-        SimulationError: objects in degrees.
+        DatasetError: objects in degrees.
     """
     placed, end_m, gap_m = list[FloatArray](), 0.0, 5.0 * Config().sensor_range_m
     for each in maps:
-        if each.is_geodetic:
-            raise SimulationError(f"{each.source}: objects in degrees; give metres")
         if len(maps) == 1:
-            return each
-        moved = each.positions - [*each.positions[:, :2].min(axis=0), 0.0] + [end_m, 0.0, 0.0]
+            return each.in_metres()
+        moved = each.in_metres().positions - [*each.positions[:, :2].min(axis=0), 0.0] + [end_m, 0.0, 0.0]
         end_m = float(moved[:, 0].max()) + gap_m
         placed.append(moved)
     return MapObjects(

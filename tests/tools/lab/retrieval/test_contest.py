@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.config import Config
-from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
 from tools.lab.retrieval.contest import run_contest, side_by_side
 
@@ -53,5 +53,5 @@ def test_maps_side_by_side_do_not_meet() -> None:
 
 
 def test_maps_in_degrees_are_refused() -> None:
-    with pytest.raises(SimulationError, match="metres"):
+    with pytest.raises(DatasetError, match="metres"):
         side_by_side([town(50, 1.0, is_geodetic=True)])
