@@ -21,7 +21,7 @@ from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
-from slam.display.snapshot import MapSnapshot
+from slam.display.map_topics import Message
 from slam.localization.pose_output import MAP_FRAME
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
@@ -39,7 +39,7 @@ class FinalMap:
     trajectory: TrajectoryRecord
     object_map: ObjectMapRecord
     graph: FactorGraphRecord
-    snapshot: MapSnapshot
+    snapshot: Sequence[Message]
     status: StatusRecord
     trajectory_check: TrajectoryCheck
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from logs.messages import Record
@@ -24,53 +23,38 @@ from slam.log_mapper import LogMapper
 from slam.output_log import OutputLog
 
 
-class LiveDrive:
-    """Maps messages one by one; a context manager that writes ``output``, if one is given, and finishes it.
+def map_live(
+    items: Iterable[LogItem],
+    counters: Mapping[str, int],
+    config: Config,
+    publish: Callable[[str, Record, int], None],
+    *,
+    prior_map: PriorMap | None = None,
+    output: Path | None = None,
+) -> tuple[FinalMap, LogMapper]:
+    """Map messages as they come, publish what each makes known, and optimise everything at the end.
 
-    ``publish`` is called with topic, record and log time of each update.
+    Args:
+        items: the messages.
+        counters: of what was read, when the messages end.
+        config: of the estimator.
+        publish: called with topic, record and log time of each update.
+        prior_map: a map to localize in.
+        output: a log to write as well.
+
+    Raises:
+        InputDataError: there was nothing to map.
+        LogError: the input cannot be read or the output cannot be written.
     """
-
-    def __init__(
-        self,
-        config: Config,
-        publish: Callable[[str, Record, int], None],
-        *,
-        prior_map: PriorMap | None = None,
-        output: Path | None = None,
-    ) -> None:
-        frames, clocks = SensorFrames(), StampClocks()
-        self.slam = LiveSlam(config, prior_map, frames=frames, delays=clocks.delays)
-        self._stack = ExitStack()
-        self._stack.enter_context(threadpool_limits(1, user_api="blas"))
-        writer = None if output is None else self._stack.enter_context(LogWriter(output))
-        log = OutputLog(writer, publish, None)
-        self._mapper = LogMapper(self.slam, InputRecords(config, LabelMap(config.labels), frames), clocks, log)
-        self._log_time_ns = 0
-
-    def __enter__(self) -> LiveDrive:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.__exit__(*error)  # type: ignore[arg-type]
-
-    def process(self, item: LogItem) -> None:
-        """Map the next message, and publish what it makes known."""
-        self._log_time_ns = max(self._log_time_ns, item.raw.log_time_ns)
-        self._mapper.process(item, self._log_time_ns)
-
-    def finish(self, counters: Mapping[str, int] | None = None) -> FinalMap:
-        """Optimise everything at once, and publish the result; ``counters``: of what was read.
-
-        Raises:
-            InputDataError: there was nothing to map.
-        """
-        final = self._mapper.finish(self._log_time_ns, counters or {})
-        self._mapper.log.write_final(final, None, self._log_time_ns)
-        return final
-
-    def latency_s(self) -> dict[str, float]:
-        """How long messages took on this machine: the median, the 99th percentile and the longest, in seconds."""
-        if not self._mapper.seconds:
-            return {}
-        median, most, longest = np.percentile(self._mapper.seconds, [50.0, 99.0, 100.0]).tolist()
-        return {"p50": median, "p99": most, "max": longest}
+    frames, clocks = SensorFrames(), StampClocks()
+    slam, log_time_ns = LiveSlam(config, prior_map, frames=frames, delays=clocks.delays), 0
+    writing = nullcontext() if output is None else LogWriter(output)
+    with threadpool_limits(1, user_api="blas"), writing as writer:
+        inputs = InputRecords(config, LabelMap(config.labels), frames)
+        mapper = LogMapper(slam, inputs, clocks, OutputLog(writer, publish, None))
+        for item in items:
+            log_time_ns = max(log_time_ns, item.raw.log_time_ns)
+            mapper.process(item, log_time_ns)
+        final = mapper.finish(log_time_ns, counters)
+        mapper.log.write_final(final, None, log_time_ns)
+    return final, mapper

@@ -19,7 +19,7 @@ from logs.messages import (
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
-from slam.display.snapshot import MapSnapshot
+from slam.display.map_topics import Message
 from slam.final_map import FinalMap
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import LoggingDelays
@@ -90,7 +90,7 @@ class LiveSlam:
         """When the drive began."""
         return self._slam.first_stamp_ns
 
-    def snapshot(self) -> MapSnapshot | None:
+    def snapshot(self) -> list[Message] | None:
         """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
         return self._slam.snapshot()
 

@@ -7,6 +7,8 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from logs.messages import GeodeticFix, Record
 from logs.reader import LogItem
 from slam.final_map import FinalMap
@@ -19,7 +21,7 @@ from slam.output_log import OutputLog
 class LogMapper:
     """Maps messages one by one, and writes what each makes known.
 
-    ``fixes``: those of a satellite receiver; ``seconds``: how long each message took on this machine.
+    ``fixes``: those of a satellite receiver.
     """
 
     def __init__(self, slam: LiveSlam, inputs: InputRecords, clocks: StampClocks, log: OutputLog) -> None:
@@ -27,14 +29,14 @@ class LogMapper:
         self.log = log
         self.clocks = clocks
         self.fixes: list[GeodeticFix] = []
-        self.seconds = array("d")
+        self._seconds = array("d")
         self._inputs = inputs
 
     def process(self, item: LogItem, log_time_ns: int) -> None:
         """Map the next message; what it makes known is written at a log time."""
         started = time.perf_counter()
         self._map(self.clocks.follow(item), log_time_ns)
-        self.seconds.append(time.perf_counter() - started)
+        self._seconds.append(time.perf_counter() - started)
 
     def finish(self, log_time_ns: int, counters: Mapping[str, int]) -> FinalMap:
         """Map what still waits, and optimise everything at once; ``counters``: of what was read.
@@ -47,6 +49,13 @@ class LogMapper:
         self.log.write_updates(self.slam.catch_up(), log_time_ns)
         self.slam.counters.update(Counter(counters) + Counter(self._inputs.counters))
         return self.slam.finish()
+
+    def latency_s(self) -> dict[str, float]:
+        """How long messages took on this machine: the median, the 99th percentile and the longest, in seconds."""
+        if not self._seconds:
+            return {}
+        median, most, longest = np.percentile(self._seconds, [50.0, 99.0, 100.0]).tolist()
+        return {"p50": median, "p99": most, "max": longest}
 
     def _map(self, records: Iterable[Record], log_time_ns: int) -> None:
         for record in self._inputs.prepare(records):

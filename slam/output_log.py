@@ -16,8 +16,7 @@ from logs.messages import (
 from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.display.drive_display import DriveDisplay
-from slam.display.map_topics import LANDMARKS, map_messages
-from slam.display.snapshot import MapSnapshot
+from slam.display.map_topics import LANDMARKS, Message
 from slam.final_map import FinalMap
 from slam.object_map.map_io import make_markers
 
@@ -63,9 +62,9 @@ class OutputLog:
                 if self._georeference is not None:
                     self._write(LOCATION, _location(update, self._georeference), log_time_ns)
 
-    def write_snapshot(self, snapshot: MapSnapshot, log_time_ns: int) -> None:
+    def write_snapshot(self, snapshot: Iterable[Message], log_time_ns: int) -> None:
         """Write a snapshot of the map for viewers."""
-        for topic, message in map_messages(snapshot):
+        for topic, message in snapshot:
             self._write(topic, message, log_time_ns)
 
     def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
@@ -74,7 +73,7 @@ class OutputLog:
             self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
         for topic, record in _final_records(final):
             self._write(topic, record, log_time_ns)
-        for topic, message in (*self._display.show(final.status), *map_messages(final.snapshot)):
+        for topic, message in (*self._display.show(final.status), *final.snapshot):
             self._write(topic, message, log_time_ns)
 
     def _write(self, topic: str, record: Record, log_time_ns: int) -> None:

@@ -31,7 +31,8 @@ from slam.backend.tilt import hold_tilt
 from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
+from slam.display.map_topics import Message
+from slam.display.snapshot import SnapshotSchedule, take_snapshot
 from slam.final_map import (
     FinalMap,
     final_trajectory,
@@ -137,11 +138,11 @@ class Slam:
             return self._follow(self._odometry.correct(record))
         return self._advance()
 
-    def snapshot(self) -> MapSnapshot | None:
+    def snapshot(self) -> list[Message] | None:
         """A snapshot of the map for viewers; None if it is not due."""
         return self._snapshot() if self._schedule.is_due(len(self._mapper.keyframes)) else None
 
-    def _snapshot(self) -> MapSnapshot:
+    def _snapshot(self) -> list[Message]:
         return take_snapshot(
             self._mapper.keyframes,
             self._object_map,

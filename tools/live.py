@@ -57,7 +57,7 @@ def live(
     from logs.storage.stream import read_stream
     from slam.common.config import load_config
     from slam.display.foxglove_feed import FoxgloveFeed
-    from slam.live_drive import LiveDrive
+    from slam.live_drive import map_live
     from slam.localization.prior_map import load_prior_map
     from tools import console
 
@@ -67,19 +67,16 @@ def live(
     with ExitStack() as stack:
         feed = stack.enter_context(closing(FoxgloveFeed(host, port)))
         typer.echo(f"Foxglove: ws://{host}:{feed.port}", err=True)
-        drive = stack.enter_context(LiveDrive(config, feed.show, prior_map=prior_map, output=output))
         if source == STANDARD_INPUT:
             items = read_stream(sys.stdin.buffer, counters, config.reading_limits)
         else:
             items = _at_speed(stack.enter_context(LogReader(source, config.reading_limits)), config, chosen, speed)
-        for item in items:
-            drive.process(item)
-        final = drive.finish(counters)
+        final, mapper = map_live(items, counters, config, feed.show, prior_map=prior_map, output=output)
     figures = {
         "output": output,
-        "latency_s": drive.latency_s(),
+        "latency_s": mapper.latency_s(),
         "status": final.status.message,
-        "notes": drive.slam.calibration.notes,
+        "notes": mapper.slam.calibration.notes,
         "counters": final.status.counters,
     }
     console.report(figures, as_json=json)

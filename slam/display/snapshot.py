@@ -1,16 +1,20 @@
-"""The map at one time of the drive."""
+"""The map at one time of the drive as messages for viewers; each holds its whole topic, so that a viewer may begin
+anywhere.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from logs.messages import SceneLines, ScenePoints
+from logs.scene import class_colors
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import apply, invert
+from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, MAP_FRAME, PATH, SUBMAP, Message
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
@@ -36,28 +40,6 @@ class SnapshotSchedule:
         return True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MapSnapshot:
-    """Everything with a position in the map; positions in metres, map frame.
-
-    A stretch of odometry that nothing connects with the map has no place in it: neither its keyframes nor the
-    landmarks that only it observed are here.
-
-    path: polylines (n, 3) through the keyframes of this drive, one for each segment of the odometry.
-    closures: the two keyframes of each accepted closure, (C, 2, 3). landmarks (L,): ids of the confirmed ones,
-    ascending, at positions (L, 3), of classes (L,), rows of the vocabulary. submap: which of them (S,) are in
-    the submap of the newest keyframe.
-    """
-
-    stamp_ns: int
-    path: tuple[FloatArray, ...]
-    closures: FloatArray
-    landmarks: IntArray
-    positions: FloatArray
-    classes: IntArray
-    submap: IntArray
-
-
 def take_snapshot(
     keyframes: Sequence[Keyframe],
     object_map: ObjectMap,
@@ -65,8 +47,12 @@ def take_snapshot(
     closed: IntArray,
     is_localized: Callable[[Keyframe], bool],
     calibration: Calibration,
-) -> MapSnapshot:
-    """The map at the newest keyframe.
+) -> list[Message]:
+    """The map at the newest keyframe: the confirmed landmarks, those of the newest submap among them, the path of this
+    drive, a line for each segment of the odometry, and the accepted closures.
+
+    A stretch of odometry that nothing connects with the map has no place in it: neither its keyframes nor the
+    landmarks that only it observed are here.
 
     Args:
         keyframes: all of them, those of a prior map first.
@@ -90,16 +76,16 @@ def take_snapshot(
     placed[in_graph] = graph.landmark_positions(in_graph)
     rows = object_map.in_state(LandmarkState.CONFIRMED)
     rows = rows[np.isin(object_map.rows["segment"][rows], connected) & np.isfinite(placed[rows, 0])]
-    own = [segment for segment in connected if not keyframes[first_of[segment]].is_prior]
-    return MapSnapshot(
-        stamp_ns=newest.odometry.stamp_ns,
-        path=tuple(places[segments == segment] for segment in own),
-        closures=places[closed[np.isin(segments[closed], connected).all(axis=1)]],
-        landmarks=rows,
-        positions=placed[rows],
-        classes=object_map.labels.classes(rows),
-        submap=np.intersect1d(recent_submap(object_map, newest, calibration).rows, rows),
-    )
+    stamp_ns, colors = newest.odometry.stamp_ns, class_colors(object_map.labels.classes(rows))
+    is_submap = np.isin(rows, recent_submap(object_map, newest, calibration).rows)
+    path = tuple(places[segments == segment] for segment in connected if not keyframes[first_of[segment]].is_prior)
+    lines = places[closed[np.isin(segments[closed], connected).all(axis=1)]]
+    return [
+        (LANDMARK_POINTS, ScenePoints(stamp_ns, MAP_FRAME, placed[rows], colors)),
+        (SUBMAP, ScenePoints(stamp_ns, MAP_FRAME, placed[rows[is_submap]], np.ones((int(is_submap.sum()), 4)))),
+        (PATH, SceneLines(stamp_ns, MAP_FRAME, path, (0.15, 0.45, 1.0, 1.0))),
+        (CLOSURES, SceneLines(stamp_ns, MAP_FRAME, tuple(lines), (0.84, 0.15, 0.79, 0.9))),
+    ]
 
 
 def _placed(object_map: ObjectMap, newest: Keyframe, T_map_newest: FloatArray) -> FloatArray:

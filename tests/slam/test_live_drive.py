@@ -12,7 +12,7 @@ from logs.messages import LocalizationRecord, ObjectDetections, Record, SlamPose
 from logs.storage.stream import read_stream, write_stream
 from slam.common.config import Config
 from slam.evaluation.inputs.records import read_records
-from slam.live_drive import LiveDrive
+from slam.live_drive import map_live
 from slam.simulation.config import SimulationConfig
 from tests.helpers.short_drives import drive, keep_until
 
@@ -27,10 +27,15 @@ def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
             write_stream(stream, topic, record, log_time_ns)
             scans += isinstance(record, ObjectDetections)
     stream.seek(0)
-    with LiveDrive(Config(), lambda *each: published.append(each), output=tmp_path / "out.mcap") as live:
-        for item in read_stream(stream, Counter()):
-            live.process(item)
-        latency_s, final = live.latency_s(), live.finish()
+    counters = Counter[str]()
+    final, mapper = map_live(
+        read_stream(stream, counters),
+        counters,
+        Config(),
+        lambda *each: published.append(each),
+        output=tmp_path / "out.mcap",
+    )
+    latency_s = mapper.latency_s()
     assert 0.0 < latency_s["p50"] <= latency_s["p99"] <= latency_s["max"]
     poses = [record.stamp_ns for _, record, _ in published if isinstance(record, SlamPose)]
     written = read_records(tmp_path / "out.mcap")

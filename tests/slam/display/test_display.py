@@ -14,10 +14,10 @@ from logs.messages import LoopClosureRecord, StatusRecord, Transform
 from logs.reader import LogReader
 from slam.common.config import Config
 from slam.display.drive_display import DriveDisplay
-from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, LANDMARKS, PATH, SUBMAP, map_messages
-from slam.display.snapshot import MapSnapshot
+from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, LANDMARKS, PATH, SUBMAP
 from slam.library import read_map
 from slam.replay import replay
+from tests.helpers.loop_drives import one_block, replay_drive
 from tests.helpers.short_drives import drive, write_log
 
 CONFIG = Config(calibrate=False)
@@ -52,17 +52,22 @@ def test_viewer_holds_more_of_the_map_as_the_drive_goes_and_all_at_the_end(logs)
     assert len(SceneUpdate.FromString(markers.data).entities) == len(confirmed)
 
 
-def test_messages_hold_landmarks_submap_path_and_closures():
-    path, closures = (np.zeros((3, 3)), np.ones((2, 3))), np.array([[[0.0, 0, 0], [8.0, 0, 0]]])
-    positions = np.array([[1.0, 0, 0], [2.0, 0, 0]])
-    snapshot = MapSnapshot(7, path, closures, np.array([3, 9]), positions, np.array([1, 0]), np.array([9]))
-    messages = dict(map_messages(snapshot))
-    np.testing.assert_array_equal(messages[LANDMARK_POINTS].positions, positions)
-    assert len(np.unique(messages[LANDMARK_POINTS].colors, axis=0)) == 2
-    np.testing.assert_array_equal(messages[SUBMAP].positions, positions[1:])
-    assert messages[PATH].polylines is path
-    np.testing.assert_array_equal(messages[CLOSURES].polylines, closures)
-    assert {record.stamp_ns for record in messages.values()} == {7}
+@pytest.mark.slow
+def test_messages_hold_submap_path_and_closures(tmp_path):
+    outcome = replay_drive(tmp_path, one_block())
+    with LogReader(outcome.path) as reader:
+        topics = (LANDMARK_POINTS, SUBMAP, PATH, CLOSURES)
+        points, submaps, paths, closures = ([*reader.messages([topic])] for topic in topics)
+    inside = [
+        {*map(tuple, points_of(PointCloud.FromString(part.data)).tolist())}
+        < {*map(tuple, points_of(PointCloud.FromString(whole.data)).tolist())}
+        for part, whole in zip(submaps, points, strict=True)
+    ]
+    assert np.mean(inside) > 0.5
+    assert max(len(each.data) for each in submaps) > 200
+    path, lines = (SceneUpdate.FromString(raw.data).entities[0].lines for raw in (paths[-1], closures[-1]))
+    assert len(path) == 1
+    assert len(lines) == outcome.closures["accepted_count"] > 0
 
 
 def test_status_and_closures_are_shown_as_text():

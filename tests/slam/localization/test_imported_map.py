@@ -10,6 +10,7 @@ import pytest
 
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
 from slam.common.config import Config
+from slam.display.map_topics import CLOSURES
 from slam.final_map import FinalMap
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import MIRRORED
@@ -67,7 +68,7 @@ def test_the_robot_is_found_with_a_fifth_of_the_objects_missing(town: World, ext
     assert np.sqrt(np.mean(np.square(errors))) < 0.5
     # The optimised trajectory lies in the map, too, and lines to its far origin are not drawn.
     assert abs(final.trajectory.T_map_body[0, 0, 3] - town.tour[0, 0]) < 1.0
-    assert len(final.snapshot.closures) == 0
+    assert dict(final.snapshot)[CLOSURES].polylines == ()
 
 
 @pytest.mark.slow
