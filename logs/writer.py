@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
-from io import BytesIO
+from io import BufferedWriter, BytesIO, FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -46,10 +46,11 @@ class LogWriter:
         self._refusals = refusals
         self.partial_path = partial_path(self.path)
         check_replaceable(self.path)
-        self._stream = _OutputStream(self.partial_path)
+        with _refusing(self.partial_path):
+            self._stream = _OutputStream(FileIO(self.partial_path, "w"))
         try:
             # A killed run loses at most the chunk in progress; zstd finds enough to compress in small ones.
-            self._writer = Writer(self._stream, chunk_size=256 * 1024, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+            self._writer = Writer(self._stream, chunk_size=256 * 1024, compression=CompressionType.ZSTD)
             self._writer.start(library=_LIBRARY)
         except BaseException as error:  # also a signal
             error.add_note(f"an empty log is left in {self.partial_path}")
@@ -69,7 +70,7 @@ class LogWriter:
         # Whatever made the caller give up is the error to tell, not that the footer did not fit either.
         with contextlib.suppress(UnwritableLogError):
             self._writer.finish()  # type: ignore[no-untyped-call]
-        with contextlib.suppress(UnwritableLogError):
+        with contextlib.suppress(OSError):
             self._stream.close()
         is_empty = isinstance(error, Exception) and not self._channel_ids
         if is_empty or isinstance(error, self._refusals):
@@ -123,11 +124,9 @@ class LogWriter:
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def _finish(self) -> None:
-        try:
+        with _refusing(self.partial_path), self._stream:
             self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.sync()
-        finally:
-            self._stream.close()
+            os.fsync(self._stream.fileno())
         try:
             put_in_place(self.partial_path, self.path)
             _sync_folder(self.path.parent)
@@ -152,46 +151,26 @@ class LogWriter:
         return self._channel_ids[key]
 
 
-class _OutputStream:
+class _OutputStream(BufferedWriter):
     """A file for the MCAP library: every failure becomes our error, and every write reaches the system at once."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._offset = 0
-        with self._refusing():
-            self._file: BinaryIO = open(path, "wb")  # noqa: SIM115  closed by the writer
-
-    def write(self, data: bytes) -> int:
-        with self._refusing():
-            self._file.write(data)
+    def write(self, data: Any) -> int:
+        with _refusing(self.name):
+            written = super().write(data)
             # The library hands over whole chunks, so this is rare; without it a killed run would lose finished chunks.
-            self._file.flush()
-        self._offset += len(data)
-        return len(data)
+            self.flush()
+        return written
 
-    def tell(self) -> int:
-        return self._offset
 
-    def flush(self) -> None:
-        pass
-
-    def sync(self) -> None:
-        with self._refusing():
-            os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        with self._refusing():
-            self._file.close()
-
-    @contextlib.contextmanager
-    def _refusing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise UnwritableLogError(
-                f"cannot write {self._path}: {error.strerror}; "
-                "check that the folder exists, that it may be written to, and that the disk has room"
-            ) from error
+@contextlib.contextmanager
+def _refusing(path: str | Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UnwritableLogError(
+            f"cannot write {path}: {error.strerror}; "
+            "check that the folder exists, that it may be written to, and that the disk has room"
+        ) from error
 
 
 def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:

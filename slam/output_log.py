@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from logs.messages import (
     DetectionAssociations,
+    FrameTree,
     GeodeticFix,
     LocalizationRecord,
+    LogMessage,
     LoopClosureRecord,
     Record,
     SlamPose,
     StatusRecord,
+    Transform,
 )
 from logs.writer import LogWriter
 from slam.common.georeference import Georeference
-from slam.display.drive_display import DriveDisplay
-from slam.display.map_topics import LANDMARKS, Message
+from slam.display.map_topics import FRAMES, LANDMARKS, LOG, MAP_FRAME, Message
 from slam.final_map import FinalMap
+from slam.localization.state import State
 from slam.object_map.map_io import make_markers
 
 LOCATION = "/slam/location"
@@ -45,7 +49,7 @@ class OutputLog:
         georeference: Georeference | None,
     ) -> None:
         self._writer = writer
-        self._display = DriveDisplay()
+        self._frames: dict[str, Transform] = {}  # by the child
         self._view = view
         self._georeference = georeference
         self.tracked = 0
@@ -55,7 +59,7 @@ class OutputLog:
         for update in updates:
             if type(update) in _TOPICS:
                 self._write(_TOPICS[type(update)], update, log_time_ns)
-            for topic, message in self._display.show(update):
+            for topic, message in self._shown(update):
                 self._write(topic, message, log_time_ns)
             if isinstance(update, SlamPose):
                 self.tracked += 1
@@ -73,8 +77,26 @@ class OutputLog:
             self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
         for topic, record in _final_records(final):
             self._write(topic, record, log_time_ns)
-        for topic, message in (*self._display.show(final.status), *final.snapshot):
+        for topic, message in (*self._shown(final.status), *final.snapshot):
             self._write(topic, message, log_time_ns)
+
+    def _shown(self, update: Record) -> Iterator[Message]:
+        """Messages for viewers about an update: texts, and all frames that are known, so that they need no other."""
+        if isinstance(update, Transform):
+            if update.child_frame_id != update.parent_frame_id:  # as of an odometry in the frame of the map
+                self._frames[update.child_frame_id] = update
+            if all(each.parent_frame_id != update.child_frame_id for each in self._frames.values()):  # the body
+                frames = tuple(replace(each, stamp_ns=update.stamp_ns) for each in self._frames.values())
+                yield FRAMES, FrameTree(update.stamp_ns, frames)
+        elif isinstance(update, StatusRecord):
+            if update.state == State.LOST:
+                self._frames = {
+                    child: each for child, each in self._frames.items() if each.parent_frame_id != MAP_FRAME
+                }
+            yield LOG, LogMessage(update.stamp_ns, update.level, f"{update.state.lower()}: {update.message}")
+        elif isinstance(update, LoopClosureRecord) and update.inserted:
+            text = f"loop closed: keyframe {update.query_keyframe_id} with {update.reference_keyframe_id}"
+            yield LOG, LogMessage(update.stamp_ns, "info", text)
 
     def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
         if self._writer is not None:

@@ -16,7 +16,7 @@ from logs.topics import RecordKind
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.display.drive_display import FRAMES
+from slam.display.map_topics import FRAMES
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects

@@ -1,10 +1,10 @@
-"""Topics of the map for viewers."""
+"""Topics for viewers."""
 
 from __future__ import annotations
 
 from logs.messages import Record
 
-MAP_FRAME = "map"
+MAP_FRAME, FRAMES, LOG = "map", "/tf", "/slam/log"
 LANDMARKS, LANDMARK_POINTS, SUBMAP = "/slam/landmarks", "/slam/landmark_points", "/slam/submap"
 PATH, CLOSURES = "/slam/path", "/slam/closure_lines"
 

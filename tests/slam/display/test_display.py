@@ -10,10 +10,8 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from logs.errors import TopicSelectionError
-from logs.messages import LoopClosureRecord, StatusRecord, Transform
 from logs.reader import LogReader
 from slam.common.config import Config
-from slam.display.drive_display import DriveDisplay
 from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, LANDMARKS, PATH, SUBMAP
 from slam.library import read_map
 from slam.replay import replay
@@ -68,28 +66,6 @@ def test_messages_hold_submap_path_and_closures(tmp_path):
     path, lines = (SceneUpdate.FromString(raw.data).entities[0].lines for raw in (paths[-1], closures[-1]))
     assert len(path) == 1
     assert len(lines) == outcome.closures["accepted_count"] > 0
-
-
-def test_status_and_closures_are_shown_as_text():
-    display = DriveDisplay()
-    closure = LoopClosureRecord(2, 8, 3, accepted=True, stage="accepted", reason="", inserted=True)
-    updates = (StatusRecord(1, "MAPPING", "info", "first odometry"), closure)
-    texts = [record.text for update in updates for _, record in display.show(update)]
-    assert texts == ["mapping: first odometry", "loop closed: keyframe 8 with 3"]
-
-
-def test_lost_robot_is_not_in_the_map():
-    display = DriveDisplay()
-    assert list(display.show(Transform(0, "map", "odom", np.eye(4)))) != []
-    ((_, tree),) = display.show(Transform(1, "odom", "base_link", np.eye(4)))
-    assert {each.child_frame_id: each.parent_frame_id for each in tree.transforms} == {
-        "odom": "map",
-        "base_link": "odom",
-    }
-    assert list(display.show(Transform(1, "map", "odom", np.eye(4)))) == []  # told with the body
-    list(display.show(StatusRecord(2, "LOST", "warning", "")))
-    ((_, tree),) = display.show(Transform(3, "odom", "base_link", np.eye(4)))
-    assert [each.parent_frame_id for each in tree.transforms] == ["odom"]
 
 
 @pytest.mark.slow
