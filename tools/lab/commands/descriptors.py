@@ -16,8 +16,6 @@ COLUMNS = {
     "descriptor": "{method}",
     "scenario": "{scenario}",
     "success %": "{success:.1%} ± {deviation:.1%}",
-    "of ceiling %": "{of_ceiling:.1%}",
-    "ceiling %": "{ceiling:.1%}",
     "misplaced %": "{misplaced:.1%}",
     "likeliest %": "{likeliest:.1%}",
     "ms": "{query_ms:.1f}",
@@ -39,8 +37,8 @@ def descriptors(
     Queries hold the visible objects within 30 m of random poses on the trajectory (self), within 20 m (fewer objects),
     or with the paper's noise (added noise). Verification and acceptance are those of a replay. Success: accepted, error
     below 1 m. Misplaced: accepted, error above 10 m. Likeliest: the likeliest candidate, accepted or not, has an error
-    below 1 m. Ceiling: success of a weighted fit to the true correspondences. Without CSV files the map is the
-    generated town of 'dslam simulate --seed 0'. Random vectors are always measured.
+    below 1 m. Without CSV files the map is the generated town of 'dslam simulate --seed 0'. Random vectors are always
+    measured.
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor gosmatch_vertex --queries 100
     """
