@@ -79,7 +79,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         for name, path in paths.items()
     }
     best = trajectories["estimate"] or trajectories["online"]
-    T_world_map = best.alignment.T_world_map if best else None
+    T_world_map = best.T_world_map if best else None
     labelled = measure("associations", partial(_label_detections, records))
     matches = _match_by_detections(records, labelled)
     landmarks = measure("landmarks", partial(_landmarks, records, protocol, labelled, matches, T_world_map))
@@ -116,7 +116,7 @@ def _true_axes(records: EvaluationRecords, protocol: Protocol) -> FloatArray:
     with suppress(EvaluationError):
         path = records.final_path or records.online_path
         est, gt = synchronize(path, records.true_path, max_gap_s=protocol.max_truth_gap_s)
-        R_world_map = align_path(est.positions, gt.positions).T_world_map[:3, :3]
+        R_world_map = align_path(est.positions, gt.positions)[:3, :3]
         return find_axes(R_world_map @ est.T_world_body[:, :3, :3], gt.T_world_body[:, :3, :3])
     return np.eye(3)
 

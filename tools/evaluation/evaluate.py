@@ -86,6 +86,6 @@ def _locate_map_of(log: Path) -> FloatArray:
 
     mapping, max_gap_s = read_records(log), Protocol().max_truth_gap_s
     try:
-        return evaluate_trajectory(mapping.final_path, mapping.true_path, max_gap_s=max_gap_s).alignment.T_world_map
+        return evaluate_trajectory(mapping.final_path, mapping.true_path, max_gap_s=max_gap_s).T_world_map
     except EvaluationError as error:
         raise EvaluationError(f"--map-run {log}: {error}") from error

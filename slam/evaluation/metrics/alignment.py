@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -13,16 +10,8 @@ from slam.common.errors import EvaluationError
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
-    """``T_world_map`` (4, 4) carries estimated points into the true world."""
-
-    T_world_map: FloatArray
-    kind: Literal["se3", "yaw_translation"]
-
-
-def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
-    """Yaw about the common vertical and a 3-D translation (four degrees of freedom), least squares in the plane.
+def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
+    """``T_world_map`` (4, 4) by yaw about the common vertical and a 3-D translation, least squares in the plane.
 
     Both frames must have z up.
 
@@ -44,11 +33,12 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Alig
     est, gt = (points_est - mean_est)[:, :2] @ (1.0, 1.0j), (points_gt - mean_gt)[:, :2] @ (1.0, 1.0j)
     turn = transform_from_xyz_yaw(np.zeros(3), float(np.angle(np.vdot(est, gt))))
     turn[:3, 3] = mean_gt - turn[:3, :3] @ mean_est
-    return Alignment(turn, "yaw_translation")
+    return turn
 
 
-def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
-    """Rotation and translation, no scale; on a straight line, where that is ambiguous, yaw and translation.
+def align_path(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
+    """``T_world_map`` (4, 4), rotation and translation, no scale; on a straight line, where that is ambiguous, yaw and
+    translation.
 
     Args:
         points_est: (N, 3) float64, metres, map frame.
@@ -63,7 +53,7 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
         return align_yaw_translation(points_est, points_gt)
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
-    return Alignment(make_transform(R, mean_gt - R @ mean_est), "se3")
+    return make_transform(R, mean_gt - R @ mean_est)
 
 
 def find_axes(R_est: FloatArray, R_gt: FloatArray) -> FloatArray:

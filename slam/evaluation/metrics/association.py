@@ -21,18 +21,10 @@ UNASSIGNED = ""
 
 
 def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
-    """Id of each merged landmark -> id of the one that it was merged into, through chains of merges."""
+    """Id of each merged landmark -> id of the one that stands for it."""
     if object_map is None:
         return {}
-    merged = {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=False) if kept}
-    aliases = {}
-    for name in merged:
-        kept, passed = name, set[str]()
-        while kept in merged and kept not in passed:
-            passed.add(kept)
-            kept = merged[kept]
-        aliases[name] = kept
-    return aliases
+    return {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=False) if kept}
 
 
 def label_detections(
@@ -40,7 +32,7 @@ def label_detections(
     truths: Iterable[DetectionTruth],
     path: PoseSeries,
     *,
-    aliases: Mapping[str, str] | None = None,
+    aliases: Mapping[str, str],
 ) -> pd.DataFrame:
     """Join the landmark that the estimator gave each detection with the object that the detection shows.
 
@@ -72,7 +64,7 @@ def label_detections(
                 f"the frame at {frame.stamp_ns} ns has {len(frame.landmark_ids)} landmark ids, {len(frame.created)} "
                 f"flags and {len(object_ids)} true ids; the ground truth belongs to another log"
             )
-        landmark_ids = ((aliases or {}).get(name, name) for name in frame.landmark_ids)
+        landmark_ids = (aliases.get(name, name) for name in frame.landmark_ids)
         created = (bool(each) for each in frame.created)
         rows += ((len(stamps), *row) for row in zip(landmark_ids, object_ids, created, strict=True))
         stamps.append(frame.stamp_ns)

@@ -73,8 +73,8 @@ def compute_windowed_errors_m(
         if np.count_nonzero(inside) < 3:  # two leave no residual after their alignment
             continue
         with suppress(EvaluationError):
-            alignment = align_yaw_translation(positions_est[inside], positions_gt[inside])
-            errors_m.append(_distances_m(alignment.T_world_map, positions_est[inside], positions_gt[inside]))
+            T_world_map = align_yaw_translation(positions_est[inside], positions_gt[inside])
+            errors_m.append(_distances_m(T_world_map, positions_est[inside], positions_gt[inside]))
     return np.concatenate(errors_m)
 
 

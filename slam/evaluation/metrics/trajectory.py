@@ -9,7 +9,7 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, rotation_angle_rad, travelled_m
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
-from slam.evaluation.metrics.alignment import Alignment, align_path
+from slam.evaluation.metrics.alignment import align_path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,8 +17,8 @@ class TrajectoryErrors:
     """Errors of one trajectory; ``length_m``, ``duration_s`` and ``pose_count`` are of the part that has a truth, the
     length without gaps of the truth and without kidnappings.
 
-    ``ate_m`` is the RMSE of the aligned positions. The relative errors (``rpe_...``) are None where the drive is
-    shorter than the stretches.
+    ``ate_m`` is the RMSE of the positions, aligned by ``T_world_map`` (4, 4). The relative errors (``rpe_...``) are
+    None where the drive is shorter than the stretches.
     """
 
     ate_m: float
@@ -27,7 +27,7 @@ class TrajectoryErrors:
     max_m: float
     rpe_translation_percent: float | None
     rpe_rotation_deg_per_100m: float | None
-    alignment: Alignment
+    T_world_map: FloatArray
     length_m: float
     duration_s: float
     pose_count: int
@@ -45,8 +45,8 @@ def evaluate_trajectory(
         EvaluationError: no common time, a single common pose, or no motion; never a NaN.
     """
     est, gt = synchronize(estimate, truth, max_gap_s=max_gap_s)
-    alignment = align_path(est.positions, gt.positions)
-    aligned = apply(alignment.T_world_map, est.positions)
+    T_world_map = align_path(est.positions, gt.positions)
+    aligned = apply(T_world_map, est.positions)
     errors_m = np.linalg.norm(aligned - gt.positions, axis=1)
     steps_m = np.linalg.norm(np.diff(gt.positions, axis=0), axis=1)
     is_driven = (np.diff(gt.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
@@ -58,7 +58,7 @@ def evaluate_trajectory(
         max_m=float(np.max(errors_m)),
         rpe_translation_percent=translation_percent,
         rpe_rotation_deg_per_100m=rotation_deg_per_100m,
-        alignment=alignment,
+        T_world_map=T_world_map,
         length_m=float(steps_m[is_driven].sum()),
         duration_s=int(gt.stamps_ns[-1] - gt.stamps_ns[0]) * 1e-9,
         pose_count=len(gt),

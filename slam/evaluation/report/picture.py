@@ -47,7 +47,7 @@ def compose_picture(
     odometry = _broken(records.odometry_path.stamps_ns, _in_map(records.odometry_path, estimate), spans_ns)
     truth = np.zeros((0, 3))
     if errors is not None:
-        aligned = apply(invert(errors.alignment.T_world_map), records.true_path.positions)
+        aligned = apply(invert(errors.T_world_map), records.true_path.positions)
         truth = _broken(records.true_path.stamps_ns, aligned, spans_ns)
     objects, landmarks, labels = records.object_map, np.zeros((0, 3)), list[str]()
     if objects is not None:
