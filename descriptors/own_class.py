@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -52,12 +53,9 @@ class OwnDescriptor:
                 f"{name}: is not a descriptor: it lacks {', '.join(lacking)}; see descriptors.descriptor.Descriptor"
             )
         self.name = str(self._own.name)
-        try:
-            self.radius_m = float(self._own.radius_m)
-        except (TypeError, ValueError) as error:
-            raise DescriptorError(f"{name}: radius_m is {self._own.radius_m!r}, which is not a length") from error
-        if not 0.0 < self.radius_m < np.inf:
-            raise DescriptorError(f"{name}: radius_m is {self.radius_m}; give metres above 0")
+        if not (isinstance(self._own.radius_m, Real) and 0.0 < float(self._own.radius_m) < np.inf):
+            raise DescriptorError(f"{name}: radius_m is {self._own.radius_m!r}; give metres above 0")
+        self.radius_m = float(self._own.radius_m)
         self._length: int | None = None
 
     def describe(self, constellations: Constellations) -> Float32Array:

@@ -142,25 +142,20 @@ def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, c
 
 
 def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[str]) -> frozenset[str]:
-    """The topics that are copied to the output: those for an evaluation, and those in ``wanted``."""
-    copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
-    copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
-    return frozenset(copied | _checked_copies(reader, wanted))
-
-
-def _checked_copies(reader: LogReader, topics: Collection[str]) -> set[str]:
-    """``topics``, if the log has all of them.
+    """The topics that are copied to the output: those for an evaluation, and those in ``wanted``.
 
     Raises:
-        TopicSelectionError: it lacks one, or the output has a topic of that name.
+        TopicSelectionError: the log lacks one of these, or the output has a topic of that name.
     """
+    copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
+    copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
     there = {info.topic for info in reader.topics()}
-    for topic in topics:
+    for topic in wanted:
         if topic == FRAMES or topic.startswith(OUTPUT_PREFIX):
             raise TopicSelectionError(f"{topic} cannot be copied: the output already has a topic of that name")
         if topic not in there:
             raise TopicSelectionError(f"the log has no topic {topic} to copy; it has {', '.join(sorted(there))}")
-    return set(topics)
+    return frozenset(copied.union(wanted))
 
 
 def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:

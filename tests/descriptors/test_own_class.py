@@ -63,7 +63,7 @@ def test_example_of_the_page_is_found_in_the_current_folder_and_finds_objects() 
             "0 is not finite",
         ),
         ("name = 'a'\n    radius_m = 20.0\n    def describe(self, c): return c.nothing", "AttributeError"),
-        ("name = 'a'\n    radius_m = 'far'\n    def describe(self, c): return 1", "not a length"),
+        ("name = 'a'\n    radius_m = 'far'\n    def describe(self, c): return 1", "'far'; give metres"),
         ("name = 'a'\n    radius_m = 0.0\n    def describe(self, c): return 1", "above 0"),
     ],
 )
