@@ -22,7 +22,7 @@ def test_a_drive_is_simulated_mapped_and_looked_into(dslam: Run, tmp_path: Path)
     drive, output = tmp_path / "drive.mcap", tmp_path / "map.mcap"
     made = dslam("simulate", drive, "--seed", 2, "--length", 100, "--set", "sensor.dropout=0.2")
     assert made.code == 0
-    assert "street-grid (seed 2)" in " ".join(made.out.split())
+    assert "world street-grid seed 2" in " ".join(made.out.split())
     replayed = dslam("replay", drive, "-o", output, "--set", "keyframe.distance_m=3", "--set", "calibrate=false")
     assert (replayed.code, replayed.err) == (0, "")  # no progress where there is no terminal
     assert "confirmed" in replayed.out
@@ -68,3 +68,11 @@ def test_a_narrow_terminal_loses_no_digit(dslam: Run, mapped: Path, monkeypatch:
         monkeypatch.setattr(console, "PIPE_WIDTH", width)
         narrow = dslam("evaluate", mapped).out
         assert sorted(numbers.findall(narrow)) == sorted(numbers.findall(wide))
+
+
+def test_figures_as_text_leave_out_what_is_empty_and_shorten_long_lists() -> None:
+    counts = {f"class {number}": number for number in range(45)}
+    texts = console.texts({"length_m": 12.5, "origin": None, "notes": (), "class_counts": counts})
+    assert list(texts) == ["length m", "class counts"]
+    assert texts["length m"] == "12.5"
+    assert texts["class counts"].endswith("class 39 39, and 5 more")
