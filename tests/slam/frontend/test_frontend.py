@@ -93,6 +93,15 @@ def test_each_pose_is_handed_out_once_as_reported() -> None:
     assert drive.counters["detections_used"] == 30
 
 
+def test_detections_that_come_twice_are_used_once() -> None:
+    drive = Drive()
+    drive.drive(5)
+    drive.frontend.add_detections(drive.detections(START_NS + 4 * STEP_NS))
+    drive.drive(5)
+    assert len(drive.associations) == drive.counters["detections_used"] == 10
+    assert drive.counters["detections_duplicated"] == 1
+
+
 def test_poses_wait_for_a_scan_but_not_forever() -> None:
     drive = Drive()
     drive.drive(10)

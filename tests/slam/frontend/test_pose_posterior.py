@@ -91,6 +91,13 @@ def test_joint_shift_wins_where_nearest_landmarks_are_wrong(seed: int) -> None:
     assert probabilities([best, *others])[0] > 0.99
 
 
+def test_seed_of_a_pair_turns_the_body_by_what_the_landmark_shows() -> None:
+    scene = Scene(scattered(), turn_rad=0.1)
+    search = scene.search(scene.seen(np.arange(4), about_body(yaw=0.05)))
+    xi, _ = search._seeds(search._seen, search._common)
+    np.testing.assert_allclose(xi[:, 2], [0.0, 0.05, 0.05, 0.05, 0.05], atol=0.005)
+
+
 def test_covariance_of_a_mode_is_that_of_its_errors() -> None:
     scene, which, T_off = Scene(scattered(), shift_m=0.5, turn_rad=0.02), np.arange(8), about_body(0.3, -0.2, 0.01)
     errors = []

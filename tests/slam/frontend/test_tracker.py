@@ -199,6 +199,16 @@ def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
     assert shift == pytest.approx(STEP_M, rel=0.2)
 
 
+def test_slip_is_as_probable_as_slips_were_so_far() -> None:
+    """One in a hundred scans before any is seen."""
+    drive = driven(9)
+    drive.err(pose_at(yaw=1.5))
+    drive.drive(1)
+    odometry_is_right, slips = drive.mapper.tracker._components(drive.pose(), is_failing=False)
+    assert slips.weight == pytest.approx(2.0 / 110.0)
+    assert odometry_is_right.weight == pytest.approx(1.0 - slips.weight)
+
+
 def test_scans_that_do_not_fit_are_decided_together() -> None:
     """Each has one object, which tells too little by itself."""
     drive = driven(15, spacing_m=1e6)

@@ -47,7 +47,7 @@ class Drive:
 
     def declare_lost(self, since: int) -> list[int]:
         records, _ = self.closures.revoke_since(self.keyframes[-1], since)
-        assert not any(record.accepted for record in records)
+        assert not any(record.accepted or record.inserted for record in records)
         return sorted(record.query_keyframe_id for record in records)
 
     def condense(self, query: int) -> None:

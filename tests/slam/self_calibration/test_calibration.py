@@ -173,6 +173,7 @@ def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed
     assert untold.odometry.translation_sigma == pytest.approx(0.05 * np.sqrt(range_m))
     assert untold.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
     assert untold.odometry.yaw_sigma_by_turn > told.odometry.yaw_sigma_by_turn
+    assert untold.evidence["pairs"] == 0
 
 
 def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
