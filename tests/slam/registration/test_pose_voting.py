@@ -9,12 +9,13 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, transform_from_xyz_yaw, yaw_rad
 from slam.registration.pose_voting import vote_for_poses
 
-QUERY = np.array([[-10.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+QUERY = np.array([[-10.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
+"""The last one is not matched."""
 
 
 def voted(T_map_query: FloatArray, count: int, weights: list[float] | None = None) -> FloatArray:
-    """Of one match a pose (C, 4, 4); cells are 1.5 m wide."""
-    references = np.concatenate([apply(T, QUERY) for T in T_map_query])
+    """Of one match a pose (C, 4, 4); cells are 1.4 m wide."""
+    references = np.concatenate([apply(T, QUERY[:2]) for T in T_map_query])
     given = np.ones(len(T_map_query)) if weights is None else np.array(weights)
     rows = np.arange(len(references)).reshape(-1, 2)
     matches = np.tile([0, 1], (len(rows), 1))

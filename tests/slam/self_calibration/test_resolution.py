@@ -47,13 +47,16 @@ def test_objects_that_are_detected_once_have_no_resolution(scans):
     assert find_resolution([]) == find_resolution(scans[:1]) == 0.0
 
 
-def test_pairs_of_objects_keep_their_offset(scans):
-    """Each has a neighbour to the east, at 0.3 m."""
+@pytest.mark.parametrize("share", [1.0, 0.2])
+def test_pairs_of_objects_keep_their_offset(scans, share):
+    """Each has a neighbour to the east, at 0.3 m, in that share of the scans; in the others it scatters."""
+    paired = round(share * len(scans))
     offsets = []
-    for scan in scans:
+    for scan in scans[:paired]:
         R = scan.T_odom_body[:3, :3]
         offsets.append(np.tile(R.T @ [0.3, 0.0, 0.0], (len(scan.labels), 1)))
-    assert find_resolution(with_others(scans, offsets)) == 0.0
+    both = with_others(scans[:paired], offsets) + scattered(scans[paired:], 0.1)
+    assert find_resolution(both) == 0.0
 
 
 @pytest.mark.parametrize("sigma_m", [0.5, 2.0])
