@@ -204,7 +204,7 @@ def test_pairs_that_compete_are_contested(seen: list[float], landmarks: list[flo
     assert plain_scene(seen, landmarks).assigned().is_contested is is_contested
 
 
-@pytest.mark.parametrize(("classes", "is_contested"), [(2, True), (50, False)])
+@pytest.mark.parametrize(("classes", "is_contested"), [(2, True), (10, True), (50, False)])
 def test_landmark_is_no_rival_if_its_label_excludes_it(classes: int, is_contested: bool) -> None:
     """Of many classes, a wrong label is seldom just that of the neighbour."""
     beliefs = np.eye(classes)[:2]

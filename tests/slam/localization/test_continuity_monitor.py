@@ -93,6 +93,7 @@ def test_a_kidnapping_is_noticed_within_a_sensor_range_and_dated(street):
 
 
 def test_a_drive_without_one_raises_no_alarm(street):
+    assert Street().monitor.kidnapping_probability == 0.0
     assert street.drive(150) is None
 
 

@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
-from slam.registration.registration import LevelPose, Pairs, Registration, RegistrationConfig, estimate, refine
+from slam.registration.registration import (
+    LevelPose,
+    Pairs,
+    Registration,
+    RegistrationConfig,
+    estimate,
+    refine,
+    registration_config,
+)
 from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.2
@@ -77,6 +86,13 @@ def nudged(T: FloatArray, query: FloatArray, offset: FloatArray, yaw_rad: float)
     turn = pose_at(yaw=yaw_rad)
     turn[:3, 3] = centre - turn[:3, :3] @ centre + offset
     return np.asarray(T @ turn)
+
+
+@pytest.mark.parametrize(("objects", "height_sigma_m"), [({}, 0.6), ({"height_sigma_m": 0.2}, 0.2)])
+def test_lengths_are_shares_of_the_sensor_range_unless_given(objects: dict[str, float], height_sigma_m: float) -> None:
+    calibration = {"detection": {"sensor_range_m": 60.0}, "objects": objects}
+    found = registration_config(Config.model_validate({"calibration": calibration}))
+    assert (found.height_sigma_m, found.search_radius_m) == pytest.approx((height_sigma_m, 6.0))
 
 
 def test_refinement_from_an_approximate_pose() -> None:

@@ -106,6 +106,8 @@ def test_a_tag_of_known_size(turned: float) -> None:
     np.testing.assert_allclose(position, center, atol=1e-9)
     assert sigma_along(covariance, center) > 5.0 * sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
     assert place_tag(PINHOLE, np.zeros((4, 2)), 0.16) is None
+    blurred, _ = place_tag(PINHOLE, project(square * [0.9, 1.1, 1.0] + center), 0.16)
+    np.testing.assert_allclose(blurred, center, rtol=1e-9)
 
 
 def boxes(stamp_ns: int = 100, frame: str = "camera") -> ImageDetections:
