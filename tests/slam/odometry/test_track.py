@@ -176,12 +176,12 @@ def jumped(T_jump: FloatArray, *, until: int = 108) -> tuple[OdometryTrack, Coun
 
 @pytest.mark.parametrize(
     ("T_jump", "first"),
-    [(jump(yaw=0.5), 106), (jump(y=1.0), 106), (jump(y=100.0), JUMP_STEP)],
+    [(jump(yaw=0.5), 106), (jump(y=1.0), 107), (jump(y=100.0), JUMP_STEP)],
     ids=["turn", "shift", "break"],
 )
 def test_correction_moves_the_track_from_its_time_or_from_a_break_before_it(T_jump: FloatArray, first: int) -> None:
     made, counters = jumped(T_jump)
-    made.correct(stamp_ns(105.5), Correction(invert(T_jump), VARIANCES), segment=0)
+    made.correct(stamp_ns(max(first, 106) - 0.5), Correction(invert(T_jump), VARIANCES), segment=0)
     straight, as_it_was = jumped(np.eye(4))[0], jumped(T_jump)[0]
     for step in (99, 102, 103, 105, 106, 107):
         found, expected = made.at(stamp_ns(step)), (straight if step >= first else as_it_was).at(stamp_ns(step))
