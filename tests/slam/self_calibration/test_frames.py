@@ -1,4 +1,4 @@
-"""Which way the sensor looks: found by which scans agree."""
+"""Which way the sensor looks, in which frame detections are, and in which unit lengths: by which scans agree."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.common.geometry import roll_pitch_yaw_deg
-from slam.self_calibration.frames import find_orientation
+from slam.common.calibration import Calibration, DetectionCalibration
+from slam.common.geometry import apply, invert, roll_pitch_yaw_deg
+from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.object_tracks import SurveyScan
-from tests.helpers.surveyed_drives import NOISE, SurveyedDrive
+from slam.self_calibration.scan_pairs import spacing_of
+from slam.self_calibration.survey import Survey, survey
+from slam.self_calibration.surveyed_log import SurveyedLog
+from tests.helpers.surveyed_drives import NOISE, SurveyedDrive, records_of
 
 RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL = (0, 0, 0), (180, 0, 0), (0, 0, 180), (0, 0, 90), (-90, 0, -90)
 
@@ -78,3 +82,108 @@ def test_objects_that_come_and_go_at_a_turn_hide_no_orientation(angles_deg):
 def test_a_sensor_that_is_turned_by_less_than_half_a_quarter_is_not_turned_by_one(drive, axis, angle_deg):
     R = Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix()
     np.testing.assert_array_equal(find_orientation(turned(drive.scans, R)), np.eye(3))
+
+
+# The frame of detections
+
+
+@pytest.fixture(scope="module")
+def shorter() -> SurveyedDrive:
+    return SurveyedDrive(0, NOISE, scans=400, objects=60)
+
+
+def fixed(scans: list[SurveyScan]) -> list[SurveyScan]:
+    """The scans with positions in the frame of the odometry."""
+    return [replace(scan, positions=apply(scan.T_odom_body, scan.positions)) for scan in scans]
+
+
+def surveyed(scans: list[SurveyScan], frame: str, detection: DetectionCalibration | None = None) -> Survey:
+    given = Calibration() if detection is None else Calibration(detection=detection)
+    found = survey([SurveyedLog.of(records_of(scans, frame))], given)
+    assert found is not None
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_fixed", [False, True])
+@pytest.mark.parametrize("frame", ["odom", "base_link"])
+def test_the_frame_in_which_objects_stand_still_is_found_whatever_messages_say(shorter, is_fixed, frame):
+    scans = fixed(shorter.scans) if is_fixed else shorter.scans
+    found = surveyed(scans, frame)
+    right = "odom" if is_fixed else "base_link"
+    setting = "assume_odometry_frame" if is_fixed else "assume_body_frame"
+    assert found.corrected == ({} if frame == right else {f"detection.{setting}": True})
+    assert found.max_range_m < 1.1 * shorter.range_m
+
+
+def test_a_frame_that_was_set_by_hand_is_kept(shorter):
+    by_hand = DetectionCalibration(assume_body_frame=True)
+    found = surveyed(fixed(shorter.scans), "base_link", by_hand)
+    assert "detection.assume_odometry_frame" not in found.corrected
+    assert found.max_range_m > 1.1 * shorter.range_m  # in the right frame it is less
+
+
+def test_objects_that_go_along_with_the_body_roughly_are_in_no_other_frame(shorter):
+    """As objects of a narrow view, of which another one is always ahead."""
+    rng, spacing_m = np.random.default_rng(0), spacing_of(shorter.scans)
+    ahead = [replace(scan, positions=shorter.scans[0].positions + rng.normal(scale=[[s, s, 0.0]], size=(1, 3)),
+                     labels=shorter.scans[0].labels) for scan in shorter.scans for s in [0.2 * spacing_m]]  # fmt: skip
+    fixed_ahead = [replace(scan, positions=apply(invert(scan.T_odom_body), scan.positions)) for scan in ahead]
+    assert better_frame(ahead, {"fixed": fixed_ahead}) is None
+    assert better_frame(ahead, {"fixed": [replace(e, positions=apply(invert(e.T_odom_body), shorter.scans[0].positions))
+                                          for e in ahead]}) == "fixed"  # fmt: skip
+
+
+def test_without_scans_no_frame_is_found():
+    assert better_frame([], {"fixed": []}) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turns", [False, True])
+def test_odometry_without_orientations_is_found_by_the_objects_that_do_not_stand_still(turns):
+    drive = SurveyedDrive(0, NOISE, scans=600, objects=80, turns=turns)
+    scans = [replace(scan, T_odom_body=np.eye(4)) for scan in drive.scans]
+    for scan, known in zip(scans, drive.scans, strict=True):
+        scan.T_odom_body[:3, 3] = known.T_odom_body[:3, 3]
+    assert surveyed(scans, "base_link").lacks_heading == turns
+    assert not surveyed(drive.scans, "base_link").lacks_heading
+
+
+# The unit of the odometry's lengths
+
+
+@pytest.fixture
+def scans(drive: SurveyedDrive) -> list[SurveyScan]:
+    return drive.scans
+
+
+def scaled(scans: list[SurveyScan], factor: float) -> list[SurveyScan]:
+    """With lengths of the odometry multiplied by a factor."""
+    T = [scan.T_odom_body * np.array([1.0, 1.0, 1.0, factor]) for scan in scans]
+    return [replace(scan, T_odom_body=np.vstack([each[:3], [0, 0, 0, 1]])) for scan, each in zip(scans, T, strict=True)]
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-2, 1e5])
+def test_the_octave_of_another_unit_is_found(scans, factor):
+    assert not is_unit_right(scaled(scans, factor))
+    assert 0.6 < find_unit(scaled(scans, factor)) * factor < 1.7
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.6, 1.7])
+def test_lengths_that_are_wrong_by_a_part_are_of_the_same_unit(scans, factor):
+    assert is_unit_right(scaled(scans, factor))
+
+
+def test_a_sensor_that_is_turned_tells_no_unit(scans):
+    assert find_unit(turned(scans, Rotation.from_euler("xyz", OPTICAL, degrees=True).as_matrix())) == 1.0
+
+
+def test_few_pairs_of_scans_tell_no_unit(scans):
+    assert find_unit(scaled(scans[:30], 1e3)) == 1.0
+
+
+def test_without_shared_objects_there_is_no_unit(scans):
+    rng = np.random.default_rng(0)
+    assert find_unit([replace(e, positions=rng.uniform(-15.0, 15.0, e.positions.shape)) for e in scans]) == 1.0
+    assert find_unit([]) == find_unit(scans[:1]) == 1.0
+    assert not is_unit_right(scans[:1])
