@@ -237,11 +237,12 @@ def test_last_message_counts_even_if_it_is_far_off() -> None:
     assert pose.segment == 1
 
 
-def test_break_before_a_past_pose() -> None:
+@pytest.mark.parametrize(("after", "before"), [(0, 2), (2, 1)], ids=["travel", "time"])
+def test_break_before_a_past_pose(after: int, before: int) -> None:
     made, _ = jumped(np.eye(4), until=JUMP_STEP)
     stamps_ns = [message(JUMP_STEP - steps).stamp_ns for steps in (3, 2, 1)]
     travel_m = [pose.travel_m for stamp_ns in stamps_ns if (pose := made.at(stamp_ns))]
-    assert made.break_after(travel_m[0], before_ns=stamps_ns[2]) == stamps_ns[1]
+    assert made.break_after(travel_m[after], before_ns=stamps_ns[before]) == stamps_ns[1]
     segments = [pose.segment for stamp_ns in stamps_ns if (pose := made.at(stamp_ns))]
     assert segments == [0, 1, 1]
     assert made.at(stamps_ns[1] - 1) is None
