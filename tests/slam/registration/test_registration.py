@@ -219,6 +219,21 @@ def test_objects_in_a_row_determine_yaw_the_better_the_longer_it_is() -> None:
     assert sigmas[0] == pytest.approx(10.0 * sigmas[1], rel=0.01)
 
 
+@pytest.mark.parametrize(("half_m", "is_found"), [(0.49, False), (0.54, True)])
+def test_heading_is_found_if_it_is_known_to_a_fifth_of_a_radian(half_m: float, is_found: bool) -> None:
+    """By four objects, whose differences err by 0.21 m; a fifth one, far off, is seen once."""
+    seen = np.array([[half_m, 0, 0], [half_m, 0, 0], [-half_m, 0, 0], [-half_m, 0, 0], [30.0, 40, 0]])
+    found = from_near(seen, np.arange(5), seen[:4], np.arange(4), np.eye(4))
+    assert (found.T_reference_query is not None) == is_found
+
+
+def test_gate_shrinks_until_objects_that_moved_are_outside() -> None:
+    moved = np.concatenate([CORNERS, [[5.0, 5, 0], [15.0, 5, 0]]])
+    found = one_to_one(moved, moved + [2.5, 0.0, 0.0] * (np.arange(8) > 5)[:, None], sigma_m=0.05)
+    assert len(found.pairs) == 6
+    np.testing.assert_allclose(found.T_reference_query, np.eye(4), atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("query", "reference", "labels", "reason"),
     [
