@@ -93,6 +93,15 @@ def test_each_pose_is_handed_out_once_as_reported() -> None:
     assert drive.counters["detections_used"] == 30
 
 
+def test_last_pose_is_handed_out_although_no_other_tells_whether_it_is_wild() -> None:
+    drive = Drive()
+    drive.drive(30)
+    restart(drive)
+    drive.drive(1)
+    assert len(drive.poses) < drive.step
+    drive.assert_each_once()
+
+
 def test_detections_that_come_twice_are_used_once() -> None:
     drive = Drive()
     drive.drive(5)

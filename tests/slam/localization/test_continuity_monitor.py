@@ -97,6 +97,11 @@ def test_a_drive_without_one_raises_no_alarm(street):
     assert street.drive(150) is None
 
 
+def test_kidnappings_are_sought_within_two_sensor_ranges(street):
+    first, *_, last = street.monitor._steps
+    assert last.travel_m - first.travel_m == 2.0 * RANGE_M
+
+
 def test_a_blind_sensor_is_no_kidnapping(street):
     assert street.drive(10, blind=True) is None
 
