@@ -24,9 +24,6 @@ from tests.helpers.short_drives import (
 
 pytestmark = pytest.mark.slow
 
-AS_GIVEN = Config(calibrate=False)
-"""Where nothing in the log could mislead a calibration."""
-
 
 @pytest.fixture(scope="module")
 def entries(noisy_drive: list[Entry]) -> list[Entry]:
@@ -39,23 +36,14 @@ def output(tmp_path: Path) -> Path:
     return tmp_path / "out.mcap"
 
 
-def mapped(entries: list[Entry], output: Path, config: Config | None = None) -> dict[str, int]:
+def mapped(entries: list[Entry], output: Path) -> dict[str, int]:
     """Counters of the final status, after a replay that must succeed and leave sound numbers."""
-    replay(write_log(output.with_name("in.mcap"), entries), output, config or Config())
+    replay(write_log(output.with_name("in.mcap"), entries), output, Config())
     (trajectory,) = records_of(output, "/slam/trajectory_stamped")
     (object_map,) = records_of(output, "/slam/map")
     assert np.isfinite(trajectory.T_map_body).all()
     assert np.isfinite(object_map.positions).all()
     return final_status(output).counters
-
-
-# Time
-
-
-@pytest.mark.parametrize(("there", "used", "outside"), [(range(20, 80), 60, 20), (range(1), 1, 79)])
-def test_detections_before_and_after_the_odometry_are_counted(entries, output, there, used, outside):
-    counters = mapped(change(entries, Odometry, lambda i, record: record if i in there else None), output, AS_GIVEN)
-    assert (counters["detections_used"], counters["detections_without_odometry"]) == (used, outside)
 
 
 # Poses

@@ -42,17 +42,14 @@ transforms = st.builds(make_transform, rotations, vectors)
 
 
 @given(transforms)
-def test_a_transform_and_its_inverse_cancel(T):
-    np.testing.assert_allclose(invert(T) @ T, np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(T @ invert(T), np.eye(4), atol=1e-9)
+def test_inverse_is_that_of_the_matrix(T):
     np.testing.assert_allclose(invert(T), np.linalg.inv(T), atol=1e-9)
 
 
-@given(transforms, transforms, st.lists(vectors, min_size=1, max_size=4).map(np.array))
-def test_to_apply_a_chain_is_to_apply_its_links(T_a_b, T_b_c, points_c):
-    np.testing.assert_allclose(apply(T_a_b @ T_b_c, points_c), apply(T_a_b, apply(T_b_c, points_c)), atol=1e-8)
-    homogeneous = np.concatenate([points_c, np.ones((len(points_c), 1))], axis=1)
-    np.testing.assert_allclose(apply(T_a_b, points_c), (homogeneous @ T_a_b.T)[:, :3], atol=1e-9)
+@given(transforms, st.lists(vectors, min_size=1, max_size=4).map(np.array))
+def test_points_are_transformed_as_by_the_matrix(T_a_b, points_b):
+    homogeneous = np.concatenate([points_b, np.ones((len(points_b), 1))], axis=1)
+    np.testing.assert_allclose(apply(T_a_b, points_b), (homogeneous @ T_a_b.T)[:, :3], atol=1e-9)
 
 
 @given(axes, angles, vectors)
@@ -105,7 +102,6 @@ def test_interpolation_is_scipys_slerp_and_a_straight_line(T_first, T_second, fr
     if rotation_angle_rad(invert(T_first) @ T_second) < np.pi - 1e-6:
         np.testing.assert_allclose(T[1, :3, :3], slerp(exact).as_matrix(), atol=1e-7)
     np.testing.assert_allclose(T[1, :3, 3], (1 - exact) * T_first[:3, 3] + exact * T_second[:3, 3], atol=1e-9)
-    np.testing.assert_allclose(T[1, :3, :3] @ T[1, :3, :3].T, np.eye(3), atol=1e-12)
 
 
 def test_interpolation_of_a_single_pose_and_at_no_time():

@@ -102,6 +102,16 @@ def test_last_pose_is_handed_out_although_no_other_tells_whether_it_is_wild() ->
     drive.assert_each_once()
 
 
+def test_detections_before_and_after_the_odometry_are_counted() -> None:
+    drive = Drive()
+    drive.frontend.add_detections(drive.detections(START_NS - STEP_NS))
+    drive.drive(5)
+    for step in (5, 9):
+        drive.frontend.add_detections(drive.detections(START_NS + step * STEP_NS))
+    drive.assert_each_once()
+    assert (drive.counters["detections_used"], drive.counters["detections_without_odometry"]) == (5, 3)
+
+
 def test_detections_that_come_twice_are_used_once() -> None:
     drive = Drive()
     drive.drive(5)

@@ -179,6 +179,7 @@ def test_the_probability_of_a_sighting_is_the_share_of_those_that_were_expected(
     assert visibility.probability(AHEAD) == 0.0
     visibility.learn(np.repeat(AHEAD, 4, axis=0), np.array([True, True, True, False]))
     assert visibility.probability(AHEAD) == 3.0 / (4.0 + PRIOR_EXPECTED)
+    assert visibility.probability(np.array([[8.0, 4.0]])) == visibility.probability(AHEAD)  # in the same cell
     assert visibility.probability(BEHIND) == 0.0
 
 

@@ -69,7 +69,7 @@ def test_fixes_far_from_the_map_come_first(is_driven: bool) -> None:
         known = SavedMap(
             known.objects, graph(np.arange(1), np.eye(4)[None]), {"georeference": Georeference(60.0, 25.0).to_json()}
         )
-    assert "km from the nearest object" in why_not_recognised(known, *driven(town()), SIGMA_M, fixes)
+    assert "are 4877 km from the nearest object" in why_not_recognised(known, *driven(town()), SIGMA_M, fixes)
 
 
 def test_landmarks_of_the_drive_alone_count_and_a_few_are_too_few() -> None:
