@@ -12,7 +12,6 @@ from logs.messages import (
     GroundTruthPose,
     ObjectMapRecord,
     SlamPose,
-    StatusRecord,
     Transform,
 )
 from slam.common.config import Config
@@ -21,12 +20,10 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.final_map import FinalMap
-from slam.simulation.config import KidnapConfig, SimulationConfig
 from slam.system import Slam
 from tests.helpers.short_drives import (
     Entry,
     block_world,
-    drive,
     keep_until,
     map_in_memory,
     odometry_of,
@@ -121,22 +118,6 @@ def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frame
             stamps_ns[update.parent_frame_id].append(update.stamp_ns)
     assert stamps_ns["pose"] == stamps_ns["odom"] == [o.stamp_ns for o in odometry_of(entries)]
     assert len(stamps_ns["map"]) == slam.counters["keyframes"]
-
-
-def test_kidnapping_is_reported_and_both_parts_are_mapped():
-    entries = drive(SimulationConfig(kidnap=KidnapConfig(from_m=60.0, to_m=100.0, gap_s=30.0)))
-    slam = Slam(Config())
-    told = [u for _, _, record in entries for u in slam.process(record) if isinstance(u, StatusRecord)]
-    # The second part may meet objects of the first: then it is told that the robot was relocalized, too.
-    assert [status.level for status in told][:2] == ["info", "warning"]
-    assert all(status.level == "info" for status in told[2:])
-    final = slam.finish()
-    assert final.status.counters["odometry_breaks"] == 1
-    assert final.graph.edge_kinds.count("discontinuity") == 1
-    assert "covariances_missing" not in final.status.counters
-    assert np.linalg.eigvalsh(final.object_map.covariances)[:, 0].min() > 0.0
-    assert len(final.trajectory.stamps_ns) == len(odometry_of(entries))
-    assert np.isfinite(final.trajectory.T_map_body).all()
 
 
 def test_nothing_at_all_cannot_be_mapped():

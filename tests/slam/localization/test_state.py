@@ -12,6 +12,7 @@ KEYFRAME = keyframe_at(np.eye(4), 7, travel_m=20.0)
 
 def update(state: LocalizationState, *, is_localized: bool, began: str = "") -> list[tuple[State, str]]:
     changes = state.update(KEYFRAME, is_localized=is_localized, began=began)
+    assert all(change.level == ("warning" if change.state is State.LOST else "info") for change in changes)
     return [(change.state, change.message) for change in changes]
 
 

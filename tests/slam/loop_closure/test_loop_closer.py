@@ -141,6 +141,7 @@ def test_loops_are_closed_across_a_break_of_the_odometry(tmp_path):
     kidnap = KidnapConfig(from_m=300.0, to_m=TWO_BLOCKS_ROUND_M, gap_s=30.0)
     outcome = replay_drive(tmp_path, two_blocks(), kidnap=kidnap)
     assert final_status(outcome.path).counters["odometry_breaks"] == 1
+    assert outcome.graph.edge_kinds.count("discontinuity") == 1
     assert outcome.closures["precision"] == 1.0
     assert outcome.closures["recall"] >= 0.9
     assert outcome.ate_m < 0.5
