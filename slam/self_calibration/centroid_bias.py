@@ -15,9 +15,9 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.self_calibration.corrections import CAUCHY, MIN_PAIRS, ROUNDS
 from slam.self_calibration.object_tracks import ObjectTracks
-from slam.self_calibration.scan_pairs import MIN_STANDARD_ERRORS
 from slam.self_calibration.variance_components import BLOCKS
 
+MIN_STANDARD_ERRORS = 4.0
 LEAST_VIEW_CHANGE = 0.1
 """Rays that differ less do not determine the bias."""
 

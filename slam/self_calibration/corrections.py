@@ -31,6 +31,7 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import view_change
 from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.sign_test import BLOCKS, is_beyond_chance
 
 TERMS = (
     "delay_s",
@@ -45,10 +46,6 @@ TERMS = (
     "near_m",
     "low_share",
 )
-BLOCKS = 14
-"""Stretches of the log that are held out one at a time."""
-CHANCE = 0.01
-"""Probability by which chance may seem to earn a correction."""
 MIN_GAIN = 0.03
 """Share of the held-out squared motion that a correction must explain."""
 MIN_PAIRS = 200
@@ -58,7 +55,6 @@ ROUNDS = 10
 CAUCHY = 2.0
 LAGS = (2, 4, 8, 16)
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
-_SIGNS = np.array(list(product((1.0, -1.0), repeat=BLOCKS)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,8 +192,7 @@ def _views(tracks: ObjectTracks) -> float:
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:
     """The share by which squared residuals (B,) of blocks are less, and whether that is more than chance."""
     gains = before - after
-    is_sure = bool(np.mean(_SIGNS @ gains >= gains.sum() * (1.0 - 1e-12)) <= CHANCE)
-    return float(gains.sum() / max(float(before.sum()), 1e-300)), is_sure
+    return float(gains.sum() / max(float(before.sum()), 1e-300)), is_beyond_chance(gains)
 
 
 def _lagged(tracks: ObjectTracks) -> tuple[IntArray, IntArray]:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
+from slam.self_calibration.sign_test import BLOCKS, is_beyond_chance
 
 MOVED_SPACINGS = 0.25
 """Between the scans of a pair, the body moves past its objects, by travel or turn, by that share of their spacing."""
@@ -20,9 +21,7 @@ MIN_PAIRS, FEW, MAX_DETECTIONS = 40, 300, 10_000
 many pairs by travel as by turn.
 """
 SAMPLED_SCANS = 600
-BLOCKS = 14
-"""Stretches of the log whose means are independent; on a way of fewer motions, the pairs have most of it in common."""
-MIN_STANDARD_ERRORS, ROUNDING = 4.0, 1e-9
+ROUNDING = 1e-9
 
 _Pairs = list[tuple[int, int]]
 
@@ -97,13 +96,13 @@ def is_better(distances: FloatArray, now: FloatArray, factor: float = 1.0) -> bo
 
 
 def is_positive(values: FloatArray) -> bool:
-    """Whether the mean of values (P,) is larger than 0 by more than rounding, and than chance by the means of blocks:
+    """Whether the sum of values (P,) is larger than 0 by more than rounding, and than chance by the sums of blocks:
     neighbours see the same objects, and overlap.
     """
     if len(values) < MIN_PAIRS:
         return False
-    means = np.array([np.mean(block) for block in np.array_split(values, BLOCKS)])
-    return bool(np.mean(means) > MIN_STANDARD_ERRORS * np.std(means, ddof=1) / np.sqrt(BLOCKS) + ROUNDING)
+    sums = np.array([np.sum(block) for block in np.array_split(values, BLOCKS)])
+    return float(np.mean(values)) > ROUNDING and is_beyond_chance(sums)
 
 
 def spacing_of(scans: Sequence[SurveyScan]) -> float:
@@ -151,7 +150,7 @@ def _path(steps: FloatArray) -> FloatArray:
 
 def _reached(way: FloatArray, least: float) -> _Pairs:
     """Pairs (i, j) with j the first scan after i to which the way from i is ``least``."""
-    if way[-1] < BLOCKS * least:
+    if way[-1] < BLOCKS * least:  # the pairs would have most of the way in common
         return []
     second = np.searchsorted(way, way + least)
     return [(first, int(after)) for first, after in enumerate(second) if first < after < len(way)]

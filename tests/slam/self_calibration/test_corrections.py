@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.self_calibration import corrections
-from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, estimate_corrections, find_change
+from slam.self_calibration import corrections, sign_test
+from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, _views, estimate_corrections, find_change
 from slam.self_calibration.object_tracks import ObjectTracks
 from tests.helpers.surveyed_drives import tracks_of
 
@@ -55,6 +55,21 @@ def test_a_correction_that_explains_almost_nothing_is_not_made():
     # Significant, 7 standard errors and more, but of a displacement that is noise in the main.
     for delay_s, noise_m in ((0.004, 0.2), (0.01, 0.1), (0.02, 0.2)):
         assert earned(tracks(motion, delay_s=delay_s, noise_m=noise_m), motion) == {}
+
+
+def test_few_views_of_objects_tell_nothing():
+    motion = weaving()
+    made = tracks(motion, delay_s=0.3)
+    assert estimate_corrections(made.of(made.track < 3), motion) == ()
+    assert estimate_corrections(made.of(made.track < 30), motion)[0].is_earned
+
+
+def test_views_are_tracks_and_their_changes_by_one_radian():
+    angles = np.linspace(0.0, np.pi, 20)
+    half_around = 5.0 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    offsets = np.concatenate([half_around, np.tile([3.0, 0.0], (20, 1))])
+    track, scan = np.repeat([0, 1], 20), np.tile(np.arange(20), 2)
+    assert _views(tracks_of(track, scan, offsets, offsets)) == pytest.approx(2.0 + np.pi)
 
 
 @pytest.mark.parametrize("term", ["pitch_rad", "roll_rad", "yaw_rad", "turn_share", "length_share"])
@@ -106,7 +121,7 @@ def test_change_near_an_end_of_the_log_is_found(first):
 
 
 def test_change_that_chance_may_explain_is_none(monkeypatch):
-    monkeypatch.setattr(corrections, "CHANCE", 0.0)
+    monkeypatch.setattr(sign_test, "CHANCE", 0.0)
     motion = weaving()
     assert find_change(changed("yaw_rad", motion, before=0.0, after=0.2), motion) is None
 

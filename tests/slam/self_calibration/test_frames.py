@@ -178,6 +178,15 @@ def test_a_sensor_that_is_turned_tells_no_unit(scans):
     assert find_unit(turned(scans, Rotation.from_euler("xyz", OPTICAL, degrees=True).as_matrix())) == 1.0
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_scans_that_share_objects_over_a_short_way_only_tell_no_unit(seed):
+    """Lengths that are twice too long choose scans of half the way, which share more of them."""
+    drive = SurveyedDrive(seed, NOISE, scans=600, objects=80)
+    labels = [drive.object[drive.scan == number] for number in np.unique(drive.scan)]
+    unique = [replace(scan, labels=each) for scan, each in zip(drive.scans, labels, strict=True)]
+    assert find_unit(narrow(unique, 0.15)) == 1.0
+
+
 def test_few_pairs_of_scans_tell_no_unit(scans):
     assert find_unit(scaled(scans[:30], 1e3)) == 1.0
 

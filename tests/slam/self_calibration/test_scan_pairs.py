@@ -78,9 +78,10 @@ CHANCE = np.random.default_rng(0).normal(size=(400, 2)) * [1.0, 0.0]
     ("distances", "now", "factor", "expected"),
     [
         pytest.param(CHANCE + 0.5 * NEARER, NONE, 1.0, True, id="more than chance"),
-        pytest.param(CHANCE + 0.1 * NEARER, NONE, 1.0, False, id="chance"),
+        pytest.param(CHANCE - CHANCE.mean(axis=0), NONE, 1.0, False, id="chance"),
+        pytest.param(np.repeat(CHANCE[:14] + 0.2 * NEARER[:14], 30, axis=0), NONE[:1], 1.0, False, id="neighbours"),
         pytest.param(NONE, NONE, 1.0, False, id="nothing"),
-        pytest.param(NEARER * (np.arange(400) % 2)[:, None], NONE, 1.0, False, id="in one half"),
+        pytest.param(1e-12 * NEARER, NONE, 1.0, False, id="rounding"),
         pytest.param(-NEARER[:, ::-1], NONE, 1.0, False, id="the inverse is worse only"),
         pytest.param(1.2 * NEARER, NEARER, 1.0, True, id="more"),
         pytest.param(1.2 * NEARER, NEARER, 1.25, False, id="not by the factor"),
@@ -114,7 +115,11 @@ def test_no_scan_is_paired_with_itself():
     """All objects in one place ask for no way at all between two scans."""
     assert _reached(np.zeros(5), 0.0) == []
     assert _reached(np.arange(4.0), 0.0) == []
-    assert _reached(np.arange(4.0), 2.0) == [(0, 2), (1, 3)]
+    assert _reached(np.arange(30.0), 2.0) == [(first, first + 2) for first in range(28)]
+
+
+def test_way_of_fewer_motions_than_blocks_gives_no_pairs():
+    assert _reached(np.arange(28.0), 2.0) == []
 
 
 def test_the_spacing_is_the_distance_of_the_nearest_of_its_class(drive):
