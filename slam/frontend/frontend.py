@@ -51,7 +51,6 @@ class Frontend:
         self._counters = counters
         self._waiting: deque[int] = deque()
         self._untold: list[tuple[Tracked, OdometryPose]] = []
-        self._is_broken = False
         self.placed: tuple[Tracked, OdometryPose] | None = None
         """The last scan that was mapped, and where the odometry had the body before that scan corrected it."""
 
@@ -94,7 +93,6 @@ class Frontend:
             yield from self._place(detections)
         overdue_ns = self.latest_ns - round(MAX_GAP_S * 1e9)
         if self._untold and self._untold[0][1].stamp_ns <= overdue_ns:
-            self._is_broken = True
             yield from self._map_untold()
         yield from self._poses_until(overdue_ns)
 
@@ -106,7 +104,6 @@ class Frontend:
         """
         self._waiting += [pose.stamp_ns for pose in self._track.finish()]
         yield from self.advance()
-        self._is_broken = True
         yield from self._map_untold()
         yield from self._poses_until(self.latest_ns)
         self._counters["detections_without_odometry"] += len(self._scans)
@@ -129,7 +126,7 @@ class Frontend:
         if scan is None:
             return
         segment = self._mapper.segment
-        if segment is None or pose.segment <= segment or self._is_broken or not self._tracker.is_tracking:
+        if segment is None or pose.segment <= segment or not self._tracker.is_tracking:
             yield from self._map(scan, pose)
             return
         tracked = self._tracker.rejoin(scan, pose, self._untold)
@@ -139,7 +136,6 @@ class Frontend:
             return
         self._untold.append((tracked, pose))
         if len(self._untold) == REJOINING_SCANS:
-            self._is_broken = True
             yield from self._map_untold()
 
     def _map_untold(self) -> Iterator[OdometryPose | DetectionAssociations]:
@@ -169,12 +165,8 @@ class Frontend:
 
     def _poses_until(self, stamp_ns: int) -> Iterator[OdometryPose]:
         while self._waiting and self._waiting[0] <= stamp_ns:
-            pose = self._track.at(self._waiting.popleft())
-            if pose is None:
-                continue
-            if self._mapper.segment is not None and pose.segment != self._mapper.segment:
-                self._is_broken = False
-            yield pose
+            if (pose := self._track.at(self._waiting.popleft())) is not None:
+                yield pose
 
     def _scan(self, detections: ObjectDetections, pose: OdometryPose) -> Scan | None:
         """The scan of detections made at ``pose``; None where they cannot be used."""

@@ -264,7 +264,8 @@ class Tracker:
 
     def _odometry_step(self, pose: OdometryPose) -> FloatArray:
         """Turn [rad] and length [m] of the step by the odometry since the last scan, (2,)."""
-        return np.zeros(2) if self._T_odom_body is None else _size(relative(self._T_odom_body, pose.T_odom_body))
+        assert self._T_odom_body is not None
+        return _size(relative(self._T_odom_body, pose.T_odom_body))
 
     def _slip(self, stamp_ns: int, step: FloatArray | float = 0.0) -> FloatArray:
         """Covariance (6, 6) of an error as large as the motion since the last scan, or as a step (2,)."""
