@@ -237,6 +237,7 @@ def _tilt_sigma(survey: Survey) -> float:
     certain = min(
         found.tilt_by_travel - CERTAIN * errors.tilt_by_travel,
         found.heading_by_travel - CERTAIN * errors.heading_by_travel,
+        np.pi**2 / survey.range_m,
     )
     return float(np.sqrt(max(certain, usual**2)))
 
@@ -279,7 +280,17 @@ def _components(survey: Survey) -> NoiseComponents:
     if estimate is not None:
         found, errors = estimate.variances, estimate.standard_errors
         names = NoiseComponents.__dataclass_fields__
-        return NoiseComponents(**{name: getattr(found, name) + getattr(errors, name) for name in names})
+        values = {name: getattr(found, name) + getattr(errors, name) for name in names}
+        # An odometry tells nothing that errs by the range after as much travel, or by half a turn after that, after
+        # turning by 1 rad, or within 1 s. Where the body stands, travel explains anything.
+        half_turn = np.pi**2
+        most = {
+            "translation_by_travel": survey.range_m,
+            "heading_by_travel": half_turn / survey.range_m,
+            "heading_by_turn": half_turn,
+            "heading_by_time": half_turn,
+        }
+        return NoiseComponents(**values | {name: min(values[name], limit) for name, limit in most.items()})
     prior, square = PRIOR_NOISE, survey.range_m**2
     return replace(
         prior,

@@ -17,7 +17,6 @@ from slam.self_calibration.corrections import CAUCHY, MIN_PAIRS, ROUNDS
 from slam.self_calibration.object_tracks import ObjectTracks
 from slam.self_calibration.variance_components import BLOCKS
 
-MIN_STANDARD_ERRORS = 4.0
 LEAST_VIEW_CHANGE = 0.1
 """Rays that differ less do not determine the bias."""
 
@@ -44,7 +43,7 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
         if len(parts) < BLOCKS // 2:
             continue
         error = np.sqrt((len(parts) - 1) / len(parts) * np.sum((np.array(parts) - np.mean(parts)) ** 2))
-        biases[label] = found if found > MIN_STANDARD_ERRORS * error else 0.0
+        biases[label] = found if found > 4.0 * error else 0.0
     return biases
 
 

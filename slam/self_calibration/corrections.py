@@ -31,7 +31,6 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import view_change
 from slam.self_calibration.object_tracks import ObjectTracks
-from slam.self_calibration.sign_test import BLOCKS, is_beyond_chance
 
 TERMS = (
     "delay_s",
@@ -46,6 +45,10 @@ TERMS = (
     "near_m",
     "low_share",
 )
+BLOCKS = 14
+"""Stretches of the log whose gains are independent; they are held out one at a time."""
+CHANCE = 0.01
+"""Probability by which chance, which gives each block's gain either sign, may gain as much."""
 MIN_GAIN = 0.03
 """Share of the held-out squared motion that a correction must explain."""
 MIN_PAIRS = 200
@@ -55,6 +58,7 @@ ROUNDS = 10
 CAUCHY = 2.0
 LAGS = (2, 4, 8, 16)
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
+_SIGNS = np.array(list(product((1.0, -1.0), repeat=BLOCKS)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,6 +191,11 @@ def _views(tracks: ObjectTracks) -> float:
     offsets = np.column_stack([tracks.offsets, np.zeros(len(tracks.offsets))])
     changes = view_change(offsets[before], offsets[before + 1])
     return len(np.unique(tracks.track)) + float(changes.sum())
+
+
+def is_beyond_chance(gains: FloatArray) -> bool:
+    """Whether the sum of the gains (BLOCKS,) is more than chance, by the sign-flip test."""
+    return bool(np.mean(_SIGNS @ gains >= gains.sum() * (1.0 - 1e-12)) <= CHANCE)
 
 
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+from slam.self_calibration.corrections import BLOCKS, is_beyond_chance
 from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
-from slam.self_calibration.sign_test import BLOCKS, is_beyond_chance
 
 MOVED_SPACINGS = 0.25
 """Between the scans of a pair, the body moves past its objects, by travel or turn, by that share of their spacing."""
@@ -21,7 +21,6 @@ MIN_PAIRS, FEW, MAX_DETECTIONS = 40, 300, 10_000
 many pairs by travel as by turn.
 """
 SAMPLED_SCANS = 600
-ROUNDING = 1e-9
 
 _Pairs = list[tuple[int, int]]
 
@@ -102,7 +101,7 @@ def is_positive(values: FloatArray) -> bool:
     if len(values) < MIN_PAIRS:
         return False
     sums = np.array([np.sum(block) for block in np.array_split(values, BLOCKS)])
-    return float(np.mean(values)) > ROUNDING and is_beyond_chance(sums)
+    return float(np.mean(values)) > 1e-9 and is_beyond_chance(sums)
 
 
 def spacing_of(scans: Sequence[SurveyScan]) -> float:

@@ -230,6 +230,15 @@ def test_a_robot_that_stands_still_has_finite_settings(surveyed, change):
     Config.model_validate_json(found.config.model_dump_json())
 
 
+def test_noise_by_travel_is_limited_where_the_robot_stands(surveyed):
+    names = "translation_by_travel", "heading_by_travel", "heading_by_turn", "heading_by_time", "tilt_by_travel"
+    found = calibrated(with_noise(surveyed, **dict.fromkeys(names, 1e12))).odometry
+    by_travel = np.pi / np.sqrt(surveyed.range_m)
+    assert found.translation_sigma == pytest.approx(np.sqrt(surveyed.range_m))
+    assert (found.yaw_sigma, found.tilt_sigma) == pytest.approx((by_travel, by_travel))
+    assert (found.yaw_sigma_by_turn, found.yaw_sigma_by_time) == pytest.approx((np.pi, np.pi))
+
+
 # Faults of the input
 
 

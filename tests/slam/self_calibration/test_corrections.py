@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.self_calibration import corrections, sign_test
+from slam.self_calibration import corrections
 from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, _views, estimate_corrections, find_change
 from slam.self_calibration.object_tracks import ObjectTracks
 from tests.helpers.surveyed_drives import tracks_of
@@ -121,7 +121,7 @@ def test_change_near_an_end_of_the_log_is_found(first):
 
 
 def test_change_that_chance_may_explain_is_none(monkeypatch):
-    monkeypatch.setattr(sign_test, "CHANCE", 0.0)
+    monkeypatch.setattr(corrections, "CHANCE", 0.0)
     motion = weaving()
     assert find_change(changed("yaw_rad", motion, before=0.0, after=0.2), motion) is None
 
