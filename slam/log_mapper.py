@@ -54,7 +54,7 @@ class LogMapper:
         """How long messages took on this machine: the median, the 99th percentile and the longest, in seconds."""
         if not self._seconds:
             return {}
-        median, most, longest = np.percentile(self._seconds, [50.0, 99.0, 100.0]).tolist()
+        median, most, longest = np.percentile(self._seconds, [50.0, 99.0, 100.0]).round(4).tolist()
         return {"p50": median, "p99": most, "max": longest}
 
     def _map(self, records: Iterable[Record], log_time_ns: int) -> None:
