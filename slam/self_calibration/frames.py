@@ -7,7 +7,7 @@ is the evidence for a frame. Scans that share no object are as far apart by both
 
 The same tells the unit of the odometry's lengths: with lengths that are too long by far, both motions are as wrong, and
 with lengths that are too short, scans that are a part of the spacing of the objects apart share no object. So the
-evidence has one maximum, at the right octave.
+evidence has one maximum, at the right octave, if scans that are so far apart share objects.
 """
 
 from __future__ import annotations
