@@ -45,7 +45,9 @@ def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequenc
     by_name = {name: distances(scans) for name, scans in found.items()}
     best = max(found, key=lambda name: float(np.sum(evidence(by_name[name]))))
     # Objects that go along with the body are twice as far apart by the inverse motion in the frame of the odometry.
-    is_sure = is_positive(evidence(by_name[best]) - np.log(2.0))
+    beyond = evidence(by_name[best]) - np.log(2.0)
+    # By four standard errors of all pairs: where the body stands there is no evidence, which is not chance.
+    is_sure = len(beyond) > 0 and np.mean(beyond) > 4.0 * np.std(beyond) / np.sqrt(len(beyond))
     return best if is_sure and is_better(by_name[best], distances(as_they_are), FACTOR) else None
 
 
