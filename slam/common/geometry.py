@@ -28,11 +28,6 @@ def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> FloatArray:
     """Transforms (..., 4, 4) that turn about z by ``yaw_rad`` (...) and move by ``xyz`` (..., 3)."""
     yaw, translation = np.asarray(yaw_rad, dtype=np.float64), np.asarray(xyz, dtype=np.float64)
-    if yaw.ndim == 0 and translation.ndim == 1:
-        (x, y, z), cosine, sine = translation.tolist(), math.cos(yaw), math.sin(yaw)
-        return np.array(
-            [[cosine, -sine, 0.0, x], [sine, cosine, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]],
-        )
     c, s = np.cos(yaw), np.sin(yaw)
     T = np.zeros((*np.broadcast_shapes(yaw.shape, translation.shape[:-1]), 4, 4))
     T[..., 0, 0] = T[..., 1, 1] = c
@@ -44,16 +39,6 @@ def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> Floa
 
 def invert(T_a_b: FloatArray) -> FloatArray:
     """``T_b_a`` of ``T_a_b`` (..., 4, 4), by transposing the rotation."""
-    if T_a_b.ndim == 2:  # plain numbers are sooner done than arrays of three
-        (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = T_a_b.tolist()
-        return np.array(
-            [
-                [a, d, g, -(a * x + d * y + g * z)],
-                [b, e, h, -(b * x + e * y + h * z)],
-                [c, f, i, -(c * x + f * y + i * z)],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     return make_transform(R_b_a, -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3]))
 
@@ -111,11 +96,10 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
 
     From the sine and the cosine together, so that it is exact near 0 and near pi, where arccos alone is not.
     """
-    if T.ndim == 2:
-        x, y, z, cosine = _single_axis_sine_and_cosine(T[:3, :3])
-        return np.asarray(math.atan2(math.hypot(x, y, z), cosine))
-    axis_sine, cosines = _axis_sine_and_cosine(T[..., :3, :3])
-    return np.asarray(np.arctan2(np.sqrt((axis_sine**2).sum(axis=-1)), cosines))
+    doubled_sine = np.hypot(
+        np.hypot(T[..., 2, 1] - T[..., 1, 2], T[..., 0, 2] - T[..., 2, 0]), T[..., 1, 0] - T[..., 0, 1]
+    )
+    return np.asarray(np.arctan2(doubled_sine, T[..., 0, 0] + T[..., 1, 1] + T[..., 2, 2] - 1.0))
 
 
 def rotation_of(vector: FloatArray) -> FloatArray:
@@ -123,23 +107,14 @@ def rotation_of(vector: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
-def _single_axis_sine_and_cosine(R: FloatArray) -> tuple[float, float, float, float]:
-    """The same of one rotation (3, 3), as plain numbers."""
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    return 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b), 0.5 * (a + e + i - 1.0)
-
-
-def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Axis times sine of the angle (..., 3), and its cosine (...), of rotations (..., 3, 3)."""
-    axis_sine = 0.5 * np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
-    )
-    return axis_sine, 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
-
-
 def yaw_rad(T: FloatArray) -> FloatArray:
     """Heading (...) of the x axis about z, in (-pi, pi], of transforms (..., 4, 4)."""
     return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
+
+
+def gravity_frame(T: FloatArray) -> FloatArray:
+    """``T`` (..., 4, 4), of a body whose frame has z up, upright: at the body, heading as it does."""
+    return transform_from_xyz_yaw(T[..., :3, 3], yaw_rad(T))
 
 
 def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:

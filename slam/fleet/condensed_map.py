@@ -18,9 +18,8 @@ from slam.backend.graph_record import make_graph_record
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import SUBMAP_RANGES, Config
-from slam.common.geometry import covariance_in_axes, invert
+from slam.common.geometry import covariance_in_axes, gravity_frame, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
-from slam.object_map.submap import gravity_frame
 
 
 def cell_length_m(config: Config) -> float:

@@ -22,10 +22,9 @@ from scipy.special import expit, logit
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
-from slam.common.geometry import invert
+from slam.common.geometry import gravity_frame, invert
 from slam.localization.pose_prior import failure_probability
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import gravity_frame
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 

@@ -18,7 +18,7 @@ from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
-from slam.common.geometry import invert
+from slam.common.geometry import gravity_frame, invert
 from slam.localization.continuity_monitor import ContinuityMonitor
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
@@ -27,7 +27,7 @@ from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
+from slam.object_map.submap import recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose

@@ -11,11 +11,11 @@ from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import covariance_in_axes, invert, yaw_rad
+from slam.common.geometry import covariance_in_axes, gravity_frame, invert, yaw_rad
 from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratios
-from slam.object_map.submap import Submap, gravity_frame
+from slam.object_map.submap import Submap
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION

@@ -13,7 +13,7 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.config import SUBMAP_RANGES
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
+from slam.common.geometry import apply, gravity_frame, invert
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
@@ -47,11 +47,6 @@ class Submap:
         )
 
 
-def gravity_frame(T_local_body: FloatArray) -> FloatArray:
-    """``T_local_gravity`` (..., 4, 4): at the body, heading as it does, but upright."""
-    return transform_from_xyz_yaw(T_local_body[..., :3, 3], yaw_rad(T_local_body))
-
-
 def recent_submap(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> Submap:
     """The confirmed landmarks of the last stretch of travel, in the gravity frame of a keyframe (the paper's QLSM)."""
     rows = _recent_rows(object_map, keyframe, calibration)
@@ -77,11 +72,6 @@ def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, ca
     return replace(_in_gravity_frame(object_map, rows, keyframe, calibration), existence=existence)
 
 
-def placed_submap(object_map: ObjectMap, rows: IntArray, centre_local: FloatArray, calibration: Calibration) -> Submap:
-    """The landmarks ``rows`` (N,) from a traversal near ``centre_local`` (3,), in the local frame."""
-    return _submap(object_map, rows, object_map.rows["position_local"][rows], centre_local, calibration)
-
-
 def _recent_rows(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> IntArray:
     landmarks, pose = object_map.rows, keyframe.odometry
     recent = landmarks["last_seen_travel_m"] > pose.travel_m - SUBMAP_RANGES * calibration.detection.sensor_range_m
@@ -91,12 +81,13 @@ def _recent_rows(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibra
 def _in_gravity_frame(object_map: ObjectMap, rows: IntArray, keyframe: Keyframe, calibration: Calibration) -> Submap:
     T_gravity_local = invert(gravity_frame(keyframe.T_local_body))
     positions = apply(T_gravity_local, object_map.rows["position_local"][rows])
-    return _submap(object_map, rows, positions, np.zeros(3), calibration)
+    return make_submap(object_map, rows, positions, np.zeros(3), calibration)
 
 
-def _submap(
+def make_submap(
     object_map: ObjectMap, rows: IntArray, positions: FloatArray, centre: FloatArray, calibration: Calibration
 ) -> Submap:
+    """The landmarks ``rows`` (N,) at ``positions`` (N, 3) m of a frame, from a traversal near ``centre`` (3,) in it."""
     distances = np.hypot(positions[:, 0] - centre[0], positions[:, 1] - centre[1])
     own_variances = np.trace(object_map.rows["covariance_local"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
     objects = calibration.objects

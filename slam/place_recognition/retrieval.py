@@ -14,7 +14,7 @@ from descriptors.registry import shipped_likelihood
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import Submap, placed_submap
+from slam.object_map.submap import Submap, make_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.landmark_pairs import Batch, make_landmark_pairs
@@ -182,4 +182,4 @@ class PlaceRetriever:
             & ~landmarks["is_active"]
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
-        return placed_submap(self._map, rows, centre, self._calibration)
+        return make_submap(self._map, rows, landmarks["position_local"][rows], centre, self._calibration)

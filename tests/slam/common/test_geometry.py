@@ -66,15 +66,6 @@ def test_yaw_goes_in_and_comes_out(xyz, yaw):
     np.testing.assert_allclose(T[:3, :3], Rotation.from_euler("z", yaw).as_matrix(), atol=1e-15)
 
 
-def test_one_and_many_are_treated_alike():
-    rng = np.random.default_rng(1)
-    T = make_transform(Rotation.random(6, random_state=rng).as_matrix(), rng.normal(size=(6, 3)))
-    batch = T.reshape(2, 3, 4, 4)
-    for function in (invert, rotation_angle_rad, yaw_rad):
-        each = np.array([function(one) for one in T])
-        np.testing.assert_allclose(function(batch).reshape(each.shape), each, atol=1e-15)
-
-
 def test_nothing_in_gives_nothing_out():
     none = np.zeros((0, 4, 4))
     for function in (invert, rotation_angle_rad, yaw_rad, travelled_m):

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, yaw_rad
+from slam.common.geometry import apply, covariance_in_axes, gravity_frame, invert, make_transform, yaw_rad
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure import verification
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
 from slam.loop_closure.verification import CLOSURE_SIGMA_RAD, Verifier
-from slam.object_map.submap import Submap, gravity_frame
+from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import Calibration, ObjectCalibration
-from slam.common.geometry import make_transform
+from slam.common.geometry import gravity_frame, make_transform
 from slam.object_map.landmarks import ObjectMap, RetirementReason
-from slam.object_map.submap import gravity_frame, placed_submap, recent_submap, recent_submap_with_unconfirmed
+from slam.object_map.submap import make_submap, recent_submap, recent_submap_with_unconfirmed
 from tests.helpers.poses import keyframe_at, pose_at
 
 CONFIG = Calibration(objects=ObjectCalibration(landmark_sigma_m=0.4, landmark_sigma_per_m=0.02))
@@ -48,7 +48,8 @@ def test_a_landmark_is_the_less_exact_the_farther_away(x_m):
     own = (0.3**2 + 0.5**2) / 2.0
     expected = np.sqrt(0.4**2 + (0.02 * x_m) ** 2 + own)
     near = recent_submap(objects((x_m, 99, 0, True)), HERE, CONFIG)
-    placed = placed_submap(objects((x_m + 5.0, 99, 0, True)), np.array([0]), np.array([5.0, 0.0, 0.0]), CONFIG)
+    at, centre = np.array([[x_m + 5.0, 0.0, 1.0]]), np.array([5.0, 0.0, 0.0])
+    placed = make_submap(objects((0.0, 99, 0, True)), np.array([0]), at, centre, CONFIG)
     np.testing.assert_allclose([near.sigmas[0], placed.sigmas[0]], expected)
 
 

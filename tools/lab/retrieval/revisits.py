@@ -24,12 +24,12 @@ from logs.topics import RecordKind
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.common.geometry import invert
+from slam.common.geometry import gravity_frame, invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.loop_closure.loop_closer import Outcome
-from slam.object_map.submap import gravity_frame, recent_submap
+from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.prepared_log import calibrate_logs
