@@ -11,6 +11,7 @@ from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.formats.trajectories import format_numbers, position_and_quaternion, write_lines
+from slam.object_map.map_validation import find_graph_fault
 
 
 def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord) -> None:
@@ -24,30 +25,25 @@ def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapR
       with their information, through ``PARAMS_SE3OFFSET 0``, the identity.
 
     Raises:
-        InputDataError: an id is unknown or used twice, or a covariance cannot be inverted.
+        InputDataError: an id is unknown or used twice, or a covariance is not positive definite.
         UnwritableLogError: the file cannot be written.
     """
-    keyframes = graph.keyframe_ids
-    known = {*keyframes.tolist()}
-    if len(known) != len(keyframes) or min(known, default=0) < 0:
-        raise InputDataError(f"{len(keyframes)} keyframes must have unique ids >= 0 to be vertices of a g2o file")
-    place_of = dict(zip(object_map.ids, object_map.positions, strict=True))
-    named = {*graph.edge_keyframe_ids.ravel().tolist(), *graph.observation_keyframe_ids.tolist()}
-    if unknown := [*(named - known), *({*graph.observation_landmark_ids} - place_of.keys())]:
-        raise InputDataError(f"edges or observations refer to {unknown[0]!r}, which the map does not hold")
-    lines = [*_landmark_lines(graph, place_of, max(known, default=-1) + 1)]
+    if fault := find_graph_fault(object_map, graph):
+        raise InputDataError(f"nothing was exported: {fault}")
+    keyframes, places = graph.keyframe_ids, dict(zip(object_map.ids, object_map.positions, strict=True))
+    lines = [*_landmark_lines(graph, places, max(keyframes.tolist(), default=-1) + 1)]
     for keyframe, row in zip(keyframes, position_and_quaternion(graph.T_map_body), strict=True):
         lines.append(f"VERTEX_SE3:QUAT {keyframe} {format_numbers(row)}")
     lines += [f"FIX {keyframe}" for keyframe in keyframes[:1]]
     order = np.array([3, 4, 5, 0, 1, 2])  # ours is rotation first
-    information = _invert(graph.edge_covariances, "edge")[:, order[:, None], order][:, *np.triu_indices(6)]
+    information = np.linalg.inv(graph.edge_covariances)[:, order[:, None], order][:, *np.triu_indices(6)]
     rows = np.hstack([position_and_quaternion(graph.edge_transforms), information])
     for (start, end), row in zip(graph.edge_keyframe_ids, rows, strict=True):
         lines.append(f"EDGE_SE3:QUAT {start} {end} {format_numbers(row)}")
     write_lines(path, lines)
 
 
-def _landmark_lines(graph: FactorGraphRecord, place_of: Mapping[str, FloatArray], first_vertex: int) -> Iterator[str]:
+def _landmark_lines(graph: FactorGraphRecord, places: Mapping[str, FloatArray], first_vertex: int) -> Iterator[str]:
     """Landmarks from ``first_vertex`` on, and their observations."""
     vertex_of = {
         name: vertex for vertex, name in enumerate(dict.fromkeys(graph.observation_landmark_ids), first_vertex)
@@ -56,18 +52,8 @@ def _landmark_lines(graph: FactorGraphRecord, place_of: Mapping[str, FloatArray]
         yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
     for name, vertex in vertex_of.items():
         yield f"# landmark {vertex} is {name!a}"
-        yield f"VERTEX_TRACKXYZ {vertex} {format_numbers(place_of[name])}"
-    information = _invert(graph.observation_covariances, "observation")[:, *np.triu_indices(3)]
+        yield f"VERTEX_TRACKXYZ {vertex} {format_numbers(places[name])}"
+    information = np.linalg.inv(graph.observation_covariances)[:, *np.triu_indices(3)]
     rows = np.hstack([graph.observation_positions, information])
     for keyframe, name, row in zip(graph.observation_keyframe_ids, graph.observation_landmark_ids, rows, strict=True):
         yield f"EDGE_SE3_TRACKXYZ {keyframe} {vertex_of[name]} 0 {format_numbers(row)}"
-
-
-def _invert(covariances: FloatArray, name: str) -> FloatArray:
-    try:
-        np.linalg.cholesky(covariances)
-    except np.linalg.LinAlgError as error:
-        raise InputDataError(
-            f"an {name} has a covariance that is not positive definite; nothing was exported"
-        ) from error
-    return np.asarray(np.linalg.inv(covariances))

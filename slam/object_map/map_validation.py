@@ -23,8 +23,13 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     """
     if not objects.ids or not len(graph.keyframe_ids):
         return "it has no landmarks or no keyframes, so no robot can be localized in it"
-    faults = chain(_faults_of_names(objects, graph), _faults_of_objects(objects), _faults_of_graph(graph))
-    return next(faults, "")
+    fault = find_graph_fault(objects, graph)
+    return fault or next(chain(_faults_of_objects(objects), _faults_of_connections(graph)), "")
+
+
+def find_graph_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
+    """The first error in the names and the noise of a graph of these landmarks, in one line; empty without one."""
+    return next(chain(_faults_of_names(objects, graph), _faults_of_noise(graph)), "")
 
 
 def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
@@ -45,6 +50,7 @@ def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iter
     named = {"landmark": objects.ids, "class": objects.vocabulary, "keyframe": keyframes}
     for what, names in named.items():
         yield from (f"{what} {name} is in it more than once" for name, count in Counter(names).items() if count > 1)
+    yield from (f"the number of keyframe {keyframe} is negative" for keyframe in keyframes if keyframe < 0)
     used = {
         "an edge of its graph ends at keyframe": set(graph.edge_keyframe_ids.ravel().tolist()) - set(keyframes),
         "its graph observes from keyframe": set(graph.observation_keyframe_ids.tolist()) - set(keyframes),
@@ -70,9 +76,8 @@ def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
         yield from (f"landmark {objects.ids[row]} {what}" for row in np.flatnonzero(wrong))
 
 
-def _faults_of_graph(graph: FactorGraphRecord) -> Iterator[str]:
-    ends = graph.edge_keyframe_ids
-    for first, second in ends[~_are_definite(graph.edge_covariances)]:
+def _faults_of_noise(graph: FactorGraphRecord) -> Iterator[str]:
+    for first, second in graph.edge_keyframe_ids[~_are_definite(graph.edge_covariances)]:
         yield f"edge {first} -> {second} of its graph has a covariance that is not positive definite"
     for row in np.flatnonzero(~_are_definite(graph.observation_covariances)):
         yield (
@@ -82,6 +87,10 @@ def _faults_of_graph(graph: FactorGraphRecord) -> Iterator[str]:
     inflations = graph.observation_redundancies
     if len(inflations) and (len(inflations) != len(graph.observation_covariances) or (inflations <= 0.0).any()):
         yield "its graph has an observation without a positive covariance inflation"
+
+
+def _faults_of_connections(graph: FactorGraphRecord) -> Iterator[str]:
+    ends = graph.edge_keyframe_ids
     for keyframe, _ in ends[np.asarray(ends[:, 0] == ends[:, 1])]:
         yield f"an edge of its graph leads from keyframe {keyframe} to itself"
     part = parts(graph, np.ones(len(graph.edge_kinds), dtype=np.bool_))

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -81,18 +80,9 @@ def test_g2o_of_landmarks(result: Result, tmp_path: Path) -> None:
     assert ["FIX", "0"] in lines
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("edge_covariances", 0.0, "positive definite"),
-        ("edge_keyframe_ids", 9999, "9999"),
-        ("keyframe_ids", 7, "unique"),
-        ("observation_landmark_ids", "none", "'none'.*, which the map does not hold"),
-    ],
-)
-def test_write_g2o_refuses_invalid_graph(result: Result, tmp_path: Path, name: str, value: Any, message: str) -> None:
+def test_write_g2o_refuses_invalid_graph(result: Result, tmp_path: Path) -> None:
     _, graph, object_map = result
-    wrong = replace(graph, **{name: np.full_like(getattr(graph, name), value, dtype=np.array(value).dtype)})
-    with pytest.raises(InputDataError, match=message):
+    wrong = replace(graph, edge_keyframe_ids=np.full_like(graph.edge_keyframe_ids, 9999))
+    with pytest.raises(InputDataError, match=r"nothing was exported: .* keyframe 9999"):
         write_g2o(tmp_path / "a.g2o", wrong, object_map)
     assert list(tmp_path.iterdir()) == []

@@ -47,6 +47,7 @@ OBJECT_FAULTS = {
 }
 GRAPH_FAULTS = {
     "keyframe 1 is in it more than once": ("keyframe_ids", 1),
+    "the number of keyframe -1 is negative": ("keyframe_ids", -1),
     "an edge of its graph ends at keyframe 4000": ("edge_keyframe_ids", [0, 4000]),
     "leads from keyframe 0 to itself": ("edge_keyframe_ids", [0, 0]),
     "observes from keyframe 4000": ("observation_keyframe_ids", 4000),
