@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import L, X
 
 from slam.backend.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import (
+    OBSERVATION_KERNEL_WIDTH,
     Edge,
     EdgeKind,
     Factor,
@@ -23,15 +24,22 @@ from slam.backend.factors import (
 )
 from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import DetectionCalibration
 
 
 class EditableGraph:
     """Factors by numbers that never change, each as a record and as a factor of the solver in use.
 
+    ``sensor_range_m``: of the detections; ``kernel_width``: of the observations' Cauchy kernel, in standard deviations;
     ``prior_sigma_m``: standard deviation of what is fixed.
     """
 
-    def __init__(self, kernel_width: float, *, sensor_range_m: float) -> None:
+    def __init__(
+        self,
+        *,
+        sensor_range_m: float = DetectionCalibration().sensor_range_m,
+        kernel_width: float = OBSERVATION_KERNEL_WIDTH,
+    ) -> None:
         self.prior_sigma_m = 1e-3 / 30.0 * sensor_range_m
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m

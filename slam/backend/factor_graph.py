@@ -14,12 +14,11 @@ from logs.messages import FactorGraphRecord
 from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.factors import OBSERVATION_KERNEL_WIDTH, PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
+from slam.backend.factors import PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.observation_sums import summed
 from slam.backend.solver import Optimization, gtsam_errors
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert
 
@@ -27,18 +26,7 @@ logger = logging.getLogger(__name__)
 
 
 class FactorGraph(EditableGraph):
-    """Incremental estimate during the drive, one batch solution at its end.
-
-    ``sensor_range_m``: of the detections; ``kernel_width``: of the observations' Cauchy kernel, in standard deviations.
-    """
-
-    def __init__(
-        self,
-        *,
-        sensor_range_m: float = DetectionCalibration().sensor_range_m,
-        kernel_width: float = OBSERVATION_KERNEL_WIDTH,
-    ) -> None:
-        super().__init__(kernel_width, sensor_range_m=sensor_range_m)
+    """Incremental estimate during the drive, one batch solution at its end."""
 
     @property
     def keyframe_variables(self) -> IntArray:

@@ -9,8 +9,7 @@ Landmarks differ: one of two signs beside each other has a landmark of its own i
 landmark has a detectability, the factor of that probability, constant in time, whose distribution is estimated from the
 fleet (MacKenzie et al., Occupancy Estimation and Modeling, chapter 4: detection that differs from site to site). So
 landmarks of few among many sessions are not reported as changes. The hazard, too, is estimated from all landmarks,
-by expectation maximisation, so that a fleet in which nothing changes reports no changes. Its iterations add up the
-evidence of each of some periods, so that their time does not grow with the number of sessions.
+by expectation maximisation, so that a fleet in which nothing changes reports no changes.
 """
 
 from __future__ import annotations
@@ -120,22 +119,16 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
         probabilities: (L, M) that it would have been seen, if it was there and as well detectable as most.
         stamps_ns: (M,) of the sessions, ascending.
     """
-    stamps_days = np.array(stamps_ns) / 86_400e9
-    days = np.diff(stamps_days)
+    days = np.diff(np.array(stamps_ns) / 86_400e9)
     span = max(float(days.sum()), 1.0)  # sessions of one day
     first_changes = 0.1  # of a landmark over the time of the fleet, with which the estimate begins
     hazard = first_changes / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
-    # The hazard needs no finer times than 32 periods.
-    begins = np.unique(np.linspace(0, len(stamps_days), 32, endpoint=False).astype(np.int64))
-    of_periods = [np.add.reduceat(each, begins, axis=1) for each in _log_ratios(seen, probabilities)]
-    between = np.diff(stamps_days[begins])
     for _ in range(12):
-        states, shares = _average(of_periods, between, hazard, weights)
-        there_days = states[:, :-1, PRESENT] @ between
+        states, shares = _average(_log_ratios(seen, probabilities), days, hazard, weights)
+        there_days = states[:, :-1, PRESENT] @ days
         hazard = (0.5 * float(_changed(states).sum()) + first_changes) / (float(there_days.sum()) + span)
         weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
-    states, shares = _average(_log_ratios(seen, probabilities), days, hazard, weights)
     return Presence(states, shares @ DETECTABILITIES, hazard)
 
 
