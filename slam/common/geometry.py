@@ -44,8 +44,8 @@ def invert(T_a_b: FloatArray) -> FloatArray:
 
 
 def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
-    """Points (N, 3) of frame b, in frame a: (N, 3); N = 0 gives (0, 3)."""
-    return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+    """Points (N, 3) of frame b, in frames a: (..., N, 3); N = 0 gives (..., 0, 3)."""
+    return points_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3]
 
 
 def skew(vectors: FloatArray) -> FloatArray:

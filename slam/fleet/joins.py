@@ -85,7 +85,7 @@ def find_joins(query_map: SavedMap, references: Sequence[SavedMap], config: Conf
             if isinstance(each, Candidate):
                 in_map[each.reference.odometry.segment].append(each)
         for number, candidates in in_map.items():
-            best, *rivals = suppress_non_maxima(candidates, sensor_range_m=config.sensor_range_m)
+            best, *rivals = suppress_non_maxima(candidates, config.sensor_range_m)
             log_rivals = np.logaddexp.reduce([0.0, *(each.score for each in rivals)])
             queries, rows = best.pairs.T
             join = Join(

@@ -22,7 +22,7 @@ from scipy.special import expit, logit
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
-from slam.common.geometry import gravity_frame, invert
+from slam.common.geometry import apply, gravity_frame, invert
 from slam.localization.pose_prior import failure_probability
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -50,12 +50,6 @@ class _Step:
     @property
     def travel_m(self) -> float:
         return self.keyframe.odometry.travel_m
-
-
-def _in_plane(T_gravity_local: FloatArray, positions: FloatArray) -> FloatArray:
-    """Points (N, 3) of the odometry's frame in the planes (..., N, 2) of bodies at (..., 4, 4)."""
-    R, shift = T_gravity_local[..., :2, :3], T_gravity_local[..., :2, 3]
-    return np.asarray(positions @ np.swapaxes(R, -1, -2) + shift[..., None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,8 +122,8 @@ class ContinuityMonitor:
 
     def _sides(self, landmarks: NDArray[np.void], times_m: FloatArray) -> _Sides:
         T_gravity_local = np.array([step.T_gravity_local for step in self._steps])
-        in_body = _in_plane(T_gravity_local, landmarks["position_local"])  # (S, N, 2)
-        shares = self._visibility.probability(in_body.reshape(-1, 2)).reshape(in_body.shape[:2])
+        in_body = apply(T_gravity_local, landmarks["position_local"])  # (S, N, 3)
+        shares = self._visibility.probability(in_body.reshape(-1, 3)).reshape(in_body.shape[:2])
         log_missed = np.log1p(-np.minimum(shares, 0.99))
         sums = np.concatenate([np.zeros((1, len(landmarks))), np.cumsum(log_missed, axis=0)])
         # A keyframe stands for the sightings since the one before it; the one that a time falls between does not count.
@@ -156,7 +150,7 @@ class ContinuityMonitor:
         there = landmarks["first_seen_travel_m"] <= step.travel_m
         there &= landmarks["last_seen_travel_m"] >= step.travel_m
         self._visibility.learn(
-            _in_plane(step.T_gravity_local, landmarks["position_local"][there]),
+            apply(step.T_gravity_local, landmarks["position_local"][there]),
             np.isin(rows[there], step.seen, assume_unique=True),
         )
         index = sides.seen.shape[1] // 2
@@ -177,14 +171,14 @@ class Visibility:
         self._seen = np.zeros(RANGE_CELLS * BEARING_CELLS + 1)
 
     def learn(self, positions: FloatArray, seen: BoolArray) -> None:
-        """Add landmarks at ``positions`` (N, 2) m in the frame of the body: which of them were seen (N,)."""
+        """Add landmarks at ``positions`` (N, 3) m in the frame of the upright body: which of them were seen (N,)."""
         cells = self._cells(positions)
         inside = cells < len(self._expected) - 1
         np.add.at(self._expected, cells[inside], 1.0)
         np.add.at(self._seen, cells[inside], seen[inside].astype(np.float64))
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """Probability (N,) that landmarks at ``positions`` (N, 2) m are seen; 0 out of range."""
+        """Probability (N,) that landmarks at ``positions`` (N, 3) m are seen; 0 out of range."""
         return np.asarray((self._seen / self._expected)[self._cells(positions)])
 
     def _cells(self, positions: FloatArray) -> IntArray:

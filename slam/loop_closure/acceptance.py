@@ -66,14 +66,16 @@ class Acceptance:
             verified: its candidates, or the reasons why there is none at a place.
         """
         refused = tuple(each for each in verified if isinstance(each, LoopClosureRecord))
-        candidates = self._distinct([each for each in verified if isinstance(each, Candidate)])
+        candidates = suppress_non_maxima(
+            [each for each in verified if isinstance(each, Candidate)], self._sensor_range_m
+        )
         if not candidates:
             return Decision(refused)
         best, *others = candidates
         rejected = (*refused, *(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others))
         log_odds, doubt = self._posterior_log_odds(candidates)[0], ""
         if log_odds >= self._least_log_odds:
-            rivals = self._distinct([*others, *self._verifier.rivals(query, best)])
+            rivals = suppress_non_maxima([*others, *self._verifier.rivals(query, best)], self._sensor_range_m)
             log_odds = self._posterior_log_odds([best, *rivals])[0]
             # It may be surer, where it can be true together with two that cannot.
             doubt = "ambiguous: another pose is likelier, " if rivals and rivals[0].score > best.score else ""
@@ -83,9 +85,6 @@ class Acceptance:
         fits = best.log_likelihood_ratio >= self._least_log_odds
         reason = f"{doubt}wrong with probability {expit(-log_odds):.2g}"
         return Decision((*rejected, best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)))
-
-    def _distinct(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        return suppress_non_maxima(candidates, sensor_range_m=self._sensor_range_m)
 
     def _posterior_log_odds(self, candidates: Sequence[Candidate]) -> FloatArray:
         """Log odds (K,) of each candidate against "somewhere new" and all that cannot be true together with it; those

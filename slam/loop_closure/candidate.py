@@ -132,7 +132,7 @@ def _record(
     )
 
 
-def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: float) -> list[Candidate]:
+def suppress_non_maxima(candidates: Sequence[Candidate], sensor_range_m: float) -> list[Candidate]:
     """Of the candidates of one query that agree on its pose, the one with the highest score; by falling score."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score):

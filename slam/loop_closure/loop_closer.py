@@ -102,7 +102,8 @@ class LoopCloser:
             record = query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")
             return Outcome([record], query.travel_m - self._sensor_range_m)
         if (propagated := self._confirmed(predicted)) is not None:
-            return Outcome([self._accept(propagated)])
+            self._seed = propagated
+            return Outcome([self.closures.add(propagated)])
         # 2. Elsewhere retrieval proposes places.
         if (alike := self._looked_up_alike(query)) is not None:
             refusal = query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")
@@ -244,7 +245,8 @@ class LoopCloser:
             candidate.reference.id,
             candidate.score,
         )
-        records, seed = [self._accept(candidate)], candidate
+        self._seed = seed = candidate
+        records = [self.closures.add(candidate)]
         for query in reversed(self._recent):
             if query.keyframe.id in self.closures.closed:
                 continue
@@ -252,8 +254,3 @@ class LoopCloser:
                 records.append(self.closures.add(propagated))
                 seed = propagated
         return records
-
-    def _accept(self, candidate: Candidate) -> LoopClosureRecord:
-        """Accept a closure, which predicts the next ones."""
-        self._seed = candidate
-        return self.closures.add(candidate)

@@ -31,8 +31,12 @@ class ClassBeliefs:
     def indices(self, labels: tuple[str, ...]) -> IntArray:
         """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
         for label in labels:
-            if label not in self._label_index:
-                self._add_class(label)
+            if label in self._label_index:
+                continue
+            if len(self._label_index) < self._config.max_classes - 1:
+                self._label_index[label] = len(self._label_index)
+            else:  # the last class that fits represents all later ones
+                self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
         if len(self._label_index) > self._label_counts.shape[1]:
             self.reserve(classes=2 * len(self._label_index))
         other = self._label_index.get(OTHER_CLASS, 0)
@@ -40,13 +44,6 @@ class ClassBeliefs:
         if self._config.max_classes > 1:
             self.unlisted += sum(label not in self._label_index for label in labels)
         return indices
-
-    def _add_class(self, label: str) -> None:
-        """The last class that fits represents all later ones."""
-        if len(self._label_index) < self._config.max_classes - 1:
-            self._label_index[label] = len(self._label_index)
-        else:
-            self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
 
     def reserve(self, *, rows: int = 0, classes: int = 0) -> None:
         """Make room for so many landmarks and classes at least."""

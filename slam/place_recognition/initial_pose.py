@@ -35,13 +35,10 @@ class InitialPose:
         if np.shape(self.position) != (2,) or not (np.isfinite(numbers).all() and self.sigma_m > 0.0):
             raise InputDataError(f"{self}: give x and y in metres, and a positive standard deviation")
 
-    def radius_m(self, travel_m: float) -> float:
-        """How far from ``position`` the robot can be after ``travel_m`` of the drive."""
-        return GATE_SIGMAS * self.sigma_m + abs(travel_m - self.at_travel_m)
-
     def allows(self, T_map_query: FloatArray, T_first_query: FloatArray, travel_m: float) -> bool:
         """Whether a robot that moved by ``T_first_query`` (4, 4) since the start can be at ``T_map_query`` (4, 4)."""
-        if np.hypot(*(T_map_query[:2, 3] - self.position)) > self.radius_m(travel_m):
+        reach_m = GATE_SIGMAS * self.sigma_m + abs(travel_m - self.at_travel_m)
+        if np.hypot(*(T_map_query[:2, 3] - self.position)) > reach_m:
             return False
         if self.yaw_rad is None:
             return True

@@ -212,14 +212,14 @@ def estimate(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> Regis
     ratio = pairs.squared_residuals(pose) / config.gate_sigma**2
     chosen = _assign(ratio, pairs.rows)
     if len(chosen) < config.min_inliers:
-        return _not_found(_too_few(len(chosen), config))
+        return _too_few(chosen, config)
     weights = np.zeros(len(ratio))
     weights[chosen] = 1.0 - ratio[chosen] ** 2
     fitted = pairs.least_squares(pose, weights)
     ratio = pairs.squared_residuals(fitted) / config.gate_sigma**2
     chosen = chosen[ratio[chosen] < 1.0]
     if len(chosen) < config.min_inliers:
-        return _not_found(_too_few(len(chosen), config))
+        return _too_few(chosen, config)
     information = _information(pairs, chosen, 1.0 - ratio[chosen] ** 2)
     # That of the heading alone, the translation marginalised. The linearisation holds up to a deviation of 0.2 rad.
     cross = information[2, 3:]
@@ -237,8 +237,8 @@ def _not_found(reason: str) -> Registration:
     return Registration(None, None, np.zeros((0, 2), np.int64), reason)
 
 
-def _too_few(count: int, config: RegistrationConfig) -> str:
-    return f"{count} pairs of objects agree on a pose, fewer than {config.min_inliers}"
+def _too_few(chosen: IntArray, config: RegistrationConfig) -> Registration:
+    return _not_found(f"{len(chosen)} pairs of objects agree on a pose, fewer than {config.min_inliers}")
 
 
 def _assign(ratio: FloatArray, rows: IntArray) -> IntArray:
