@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
-from slam.common.config_tree import load_tree
+from slam.common.config_tree import Branch, load_tree
 
 
-class _Branch(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+class _Branch(Branch):
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
 
 class DriveConfig(_Branch):
