@@ -41,15 +41,11 @@ seen there.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    """A keyframe, and the landmarks seen since the one before it."""
+    """The pose of a keyframe, and the landmarks seen since the one before it."""
 
-    keyframe: Keyframe
+    pose: OdometryPose
     T_gravity_local: FloatArray
     seen: IntArray
-
-    @property
-    def travel_m(self) -> float:
-        return self.keyframe.odometry.travel_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,21 +77,22 @@ class ContinuityMonitor:
 
     def update(self, keyframe: Keyframe, object_map: ObjectMap) -> float | None:
         """Add the newest keyframe; returns the travel [m] after which the robot was kidnapped, None if it was not."""
-        rows = self._recent(keyframe.odometry, object_map)
+        pose = keyframe.odometry
+        rows = self._recent(pose, object_map)
         landmarks = object_map.rows[rows]
-        if self._steps and self._steps[-1].keyframe.odometry.segment != keyframe.odometry.segment:
+        if self._steps and self._steps[-1].pose.segment != pose.segment:
             self._steps.clear()
         self.kidnapping_probability = float(np.exp(self._log_prior))
-        since_m = self._steps[-1].travel_m if self._steps else -np.inf
+        since_m = self._steps[-1].pose.travel_m if self._steps else -np.inf
         seen = rows[landmarks["last_seen_travel_m"] > since_m]
-        self._steps.append(_Step(keyframe, invert(gravity_frame(keyframe.T_local_body)), seen))
-        while self._steps[-1].travel_m - self._steps[0].travel_m > self._memory_m:
+        self._steps.append(_Step(pose, invert(gravity_frame(keyframe.T_local_body)), seen))
+        while self._steps[-1].pose.travel_m - self._steps[0].pose.travel_m > self._memory_m:
             self._steps.popleft()
         if len(self._steps) < 2 or not len(rows):
             return None
         # It happened after the last sighting of a landmark.
         times_m = np.unique(landmarks["last_seen_travel_m"])
-        times_m = times_m[(times_m >= self._steps[0].travel_m) & (times_m < self._steps[-1].travel_m)]
+        times_m = times_m[(times_m >= self._steps[0].pose.travel_m) & (times_m < self._steps[-1].pose.travel_m)]
         if not len(times_m):
             return None
         sides = self._sides(landmarks, times_m)
@@ -127,7 +124,7 @@ class ContinuityMonitor:
         log_missed = np.log1p(-np.minimum(shares, 0.99))
         sums = np.concatenate([np.zeros((1, len(landmarks))), np.cumsum(log_missed, axis=0)])
         # A keyframe stands for the sightings since the one before it; the one that a time falls between does not count.
-        steps_before = np.searchsorted([step.travel_m for step in self._steps], times_m, side="right")
+        steps_before = np.searchsorted([step.pose.travel_m for step in self._steps], times_m, side="right")
         before = sums[steps_before]
         after = sums[-1] - sums[np.minimum(steps_before + 1, len(self._steps))]
         known_before = landmarks["first_seen_travel_m"] <= times_m[:, None]
@@ -147,8 +144,8 @@ class ContinuityMonitor:
         """Region in which existing landmarks are observed, and the share of those in view that are observed."""
         middle = len(self._steps) // 2
         step = self._steps[middle]
-        there = landmarks["first_seen_travel_m"] <= step.travel_m
-        there &= landmarks["last_seen_travel_m"] >= step.travel_m
+        there = landmarks["first_seen_travel_m"] <= step.pose.travel_m
+        there &= landmarks["last_seen_travel_m"] >= step.pose.travel_m
         self._visibility.learn(
             apply(step.T_gravity_local, landmarks["position_local"][there]),
             np.isin(rows[there], step.seen, assume_unique=True),

@@ -101,7 +101,7 @@ def test_a_drive_without_one_raises_no_alarm(street):
 
 def test_kidnappings_are_sought_within_two_sensor_ranges(street):
     first, *_, last = street.monitor._steps
-    assert last.travel_m - first.travel_m == 2.0 * RANGE_M
+    assert last.pose.travel_m - first.pose.travel_m == 2.0 * RANGE_M
 
 
 def test_a_blind_sensor_is_no_kidnapping(street):
