@@ -62,15 +62,10 @@ class Fleet:
     maps: tuple[CityMap, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Joined:
-    """``parts`` that are left, with the reasons why those of one session are ``alone``, by its number; ``config``: by
-    which they were compared.
-    """
-
-    parts: list[Part]
-    alone: Mapping[int, str]
-    config: Config
+_Joined = tuple[list[Part], Mapping[int, str], Config]
+"""The parts that are left, the reasons why those of one session are alone, by its number, and by what they were
+compared.
+"""
 
 
 def map_fleet(
@@ -100,23 +95,24 @@ def map_fleet(
     mapped = _by_date(logs, sessions)
     tell(f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
-    joined = _join_sessions([session_folder(folder, digest, config) / MAP_NAME for digest in order], folder)
-    first = order[joined.parts[0].sessions[0]]
+    paths = [session_folder(folder, digest, config) / MAP_NAME for digest in order]
+    parts, alone, compared_by = _join_sessions(paths, folder)
+    first = order[parts[0].sessions[0]]
     georeference = georeference or _known_georeference(folder / MAP_NAME, first)
     maps = []
-    for rank, part in enumerate(joined.parts, start=1):
+    for rank, part in enumerate(parts, start=1):
         stamps_ns = [mapped[number].first_ns for number in part.sessions]
         seen, distances_m = find_passes(part)
         presence = estimate_presence(seen, seen_probabilities(seen, distances_m), stamps_ns)
         file = "map.mcap" if rank == 1 else f"map_{rank}.mcap" if len(stamps_ns) > 1 else ""
         place = georeference if rank == 1 else None
         source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}
-        is_written = file and _save(folder / file, part, presence, joined.config, place, source)
+        is_written = file and _save(folder / file, part, presence, compared_by, place, source)
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
     changes = maps[0].changes
     places = np.array([change.position for change in changes]).reshape(-1, 3)
     write_points(folder / "changes.geojson", places, map(asdict, changes), georeference)
-    return Fleet(tuple(logs), sessions, order, joined.alone, tuple(maps))
+    return Fleet(tuple(logs), sessions, order, alone, tuple(maps))
 
 
 def _by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
@@ -137,9 +133,9 @@ def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:
     known = dict[str, Part]()
     for end, kept in blocks[done:]:
         if not are_saved(kept):
-            joined = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
-            cell_m = cell_length_m(joined.config)
-            save_parts(kept, [replace(part, saved=condense_map(part.saved, cell_m=cell_m)) for part in joined.parts])
+            parts, _, config = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
+            cell_m = cell_length_m(config)
+            save_parts(kept, [replace(part, saved=condense_map(part.saved, cell_m=cell_m)) for part in parts])
         known = {f"{kept.name}/{rank}": part for rank, part in enumerate(load_parts(kept))}
     return _join(known, _loaded(paths, range(count, len(paths))), folder)
 
@@ -169,7 +165,7 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
         for number, part in enumerate(parts)
         if part.sessions in are_alone
     }
-    return _Joined(joined, alone, config)
+    return joined, alone, config
 
 
 def _config_of(maps: Sequence[SavedMap]) -> Config:

@@ -66,7 +66,9 @@ class Presence:
     @property
     def changed(self) -> FloatArray:
         """Probability (L, M - 1, 2) that it appeared, and that it went, between one session and the next."""
-        return _changed(self.states)
+        # It appears once and goes once.
+        steps = np.diff(self.states, axis=1)
+        return np.stack([-steps[..., NOT_YET], steps[..., GONE]], axis=-1)
 
     @property
     def appeared(self) -> FloatArray:
@@ -126,10 +128,11 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
     for _ in range(12):
         states, shares = _average(_log_ratios(seen, probabilities), days, hazard, weights)
-        there_days = states[:, :-1, PRESENT] @ days
-        hazard = (0.5 * float(_changed(states).sum()) + first_changes) / (float(there_days.sum()) + span)
+        presence = Presence(states, shares @ DETECTABILITIES, hazard)
+        there_days = float((states[:, :-1, PRESENT] @ days).sum())
+        hazard = (0.5 * float(presence.changed.sum()) + first_changes) / (there_days + span)
         weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
-    return Presence(states, shares @ DETECTABILITIES, hazard)
+    return presence
 
 
 def _log_ratios(seen: BoolArray, probabilities: FloatArray) -> Iterator[FloatArray]:
@@ -140,12 +143,6 @@ def _log_ratios(seen: BoolArray, probabilities: FloatArray) -> Iterator[FloatArr
     for detectability in DETECTABILITIES.tolist():
         detected = detectability * probabilities
         yield np.log(np.where(seen, detected / 1e-3, 1.0 - detected))
-
-
-def _changed(states: FloatArray) -> FloatArray:
-    """As :attr:`Presence.changed`: each landmark appears once and goes once, so these are differences of ``states``."""
-    steps = np.diff(states, axis=1)
-    return np.stack([-steps[..., NOT_YET], steps[..., GONE]], axis=-1)
 
 
 def _average(
