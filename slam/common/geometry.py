@@ -117,6 +117,16 @@ def gravity_frame(T: FloatArray) -> FloatArray:
     return transform_from_xyz_yaw(T[..., :3, 3], yaw_rad(T))
 
 
+def polar_cells(points: FloatArray, range_m: float, rings: int, sectors: int) -> tuple[IntArray, IntArray]:
+    """Ring and sector (N,) of points (N, 2 or more) m in the plane: ``rings`` of equal width reach up to ``range_m``,
+    points beyond it have higher numbers.
+    """
+    x, y = points[:, 0], points[:, 1]
+    ring = (np.hypot(x, y) / range_m * rings).astype(np.int64)
+    sector = ((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * sectors).astype(np.int64)
+    return ring, sector % sectors
+
+
 def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
     """Angles (3,) about the fixed axes x, y, z, in this order."""
     with warnings.catch_warnings():

@@ -22,7 +22,7 @@ from scipy.special import expit, logit
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
-from slam.common.geometry import apply, gravity_frame, invert
+from slam.common.geometry import apply, gravity_frame, invert, polar_cells
 from slam.localization.pose_prior import failure_probability
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -179,8 +179,5 @@ class Visibility:
         return np.asarray((self._seen / self._expected)[self._cells(positions)])
 
     def _cells(self, positions: FloatArray) -> IntArray:
-        ranges = np.hypot(positions[:, 0], positions[:, 1])
-        bearings = np.arctan2(positions[:, 1], positions[:, 0])
-        ring = (ranges / self._range_m * RANGE_CELLS).astype(np.int64)
-        sector = ((bearings + np.pi) / (2.0 * np.pi) * BEARING_CELLS).astype(np.int64) % BEARING_CELLS
+        ring, sector = polar_cells(positions, self._range_m, RANGE_CELLS, BEARING_CELLS)
         return np.where(ring < RANGE_CELLS, ring * BEARING_CELLS + sector, RANGE_CELLS * BEARING_CELLS)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import polar_cells
 
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
@@ -115,10 +116,8 @@ class _FieldOfView:
         return np.asarray(self._densities[self._cells(positions)])
 
     def _cells(self, positions: FloatArray) -> tuple[IntArray, IntArray]:
-        x, y = self.project(positions).T
-        rings = (np.hypot(x, y) / self._range_m * RINGS).astype(np.int64)
-        sectors = ((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
-        return np.minimum(rings, RINGS - 1), np.minimum(sectors, SECTORS - 1)
+        rings, sectors = polar_cells(self.project(positions), self._range_m, RINGS, SECTORS)
+        return np.minimum(rings, RINGS - 1), sectors
 
 
 def _thinned(indices: IntArray, most: int) -> IntArray:
