@@ -61,11 +61,15 @@ class AcceptedClosures:
 
     def add(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one nearby represents it."""
-        nearest = min(self._factors, key=lambda each: abs(each.candidate.travel_m - candidate.travel_m), default=None)
-        if nearest is None or abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m:
+        travel_m = candidate.query.odometry.travel_m
+        apart_m = {
+            each.represented_by: abs(each.candidate.query.odometry.travel_m - travel_m) for each in self._factors
+        }
+        nearest = min(apart_m, key=apart_m.__getitem__, default=None)
+        if nearest is None or apart_m[nearest] >= self._insert_travel_m:
             accepted = Accepted(candidate, candidate.query.id, self._insert(candidate))
         else:
-            accepted = Accepted(candidate, nearest.candidate.query.id)
+            accepted = Accepted(candidate, nearest)
         self._accepted.append(accepted)
         self.closed[candidate.query.id] = candidate.reference.id
         seed = candidate.place.predicted_by
@@ -80,8 +84,8 @@ class AcceptedClosures:
         revoked closures, and whether the robot was kidnapped.
         """
         segment = keyframe.odometry.segment
-        connecting = [each.travel_m for each in self._across_breaks if each.query.odometry.segment == segment]
-        connected_m = min(connecting, default=-np.inf)
+        poses = [each.query.odometry for each in self._across_breaks]
+        connected_m = min((pose.travel_m for pose in poses if pose.segment == segment), default=-np.inf)
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
@@ -94,7 +98,7 @@ class AcceptedClosures:
     def settled_before_m(self, travel_m: float) -> float:
         """Closures before the returned travel are not revoked any more, now that the robot has come to ``travel_m``."""
         trusted_m = travel_m - self._trusted_after_m
-        return -np.inf if any(each.travel_m > trusted_m for each in self._across_breaks) else trusted_m
+        return -np.inf if any(each.query.odometry.travel_m > trusted_m for each in self._across_breaks) else trusted_m
 
     def forget_condensed(self) -> None:
         """Forget the closures whose factors were condensed, and those that they represent: they are part of the map.

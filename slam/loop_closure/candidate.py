@@ -47,11 +47,6 @@ class Candidate:
     posterior_log_odds: float | None = None
 
     @property
-    def travel_m(self) -> float:
-        """Travel up to the query."""
-        return self.query.odometry.travel_m
-
-    @property
     def crosses_break(self) -> bool:
         """Whether the odometry breaks between its keyframes."""
         return self.reference.odometry.segment != self.query.odometry.segment
@@ -99,11 +94,6 @@ class Query:
     submap: Submap
     T_local_gravity: FloatArray
     before_m: float
-
-    @property
-    def travel_m(self) -> float:
-        """Travel up to the keyframe."""
-        return self.keyframe.odometry.travel_m
 
     @property
     def T_gravity_body(self) -> FloatArray:

@@ -99,7 +99,7 @@ class LoopCloser:
         predicted = self._predict(self._seed, query)
         if self._has_prior_map and predicted is not None and self._is_contradicted(query, predicted):
             record = query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")
-            return Outcome([record], query.travel_m - self._sensor_range_m)
+            return Outcome([record], query.keyframe.odometry.travel_m - self._sensor_range_m)
         if (propagated := self._confirmed(predicted)) is not None:
             self._seed = propagated
             return Outcome([self.closures.add(propagated)])
@@ -145,13 +145,16 @@ class LoopCloser:
         is_new = self._map.rows["first_seen_travel_m"][around.rows] >= before_m
         query = Query(keyframe, around.of(is_new), gravity_frame(keyframe.T_local_body), before_m)
         self._recent.append(query)
-        while self._recent[0].travel_m < pose.travel_m - self._config.propagation_distance_m:
+        while self._recent[0].keyframe.odometry.travel_m < pose.travel_m - self._config.propagation_distance_m:
             self._recent.popleft()
         return query
 
     def _predict(self, seed: Candidate | None, query: Query) -> Predicted | None:
         """What a closure predicts for a query; None without one that is near enough."""
-        if seed is None or abs(query.travel_m - seed.travel_m) > self._config.propagation_distance_m:
+        if seed is None:
+            return None
+        apart_m = abs(query.keyframe.odometry.travel_m - seed.query.odometry.travel_m)
+        if apart_m > self._config.propagation_distance_m:
             return None
         place = self._verifier.predict(seed, query)
         return None if place is None else Predicted(place, self._verifier.verify(query, place))
@@ -174,7 +177,7 @@ class LoopCloser:
             ratios = self._verifier.unmatched(query, predicted.place)
         landmarks = self._map.rows[query.submap.rows]
         is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
-            landmarks["first_seen_travel_m"] <= query.travel_m - self._sensor_range_m
+            landmarks["first_seen_travel_m"] <= query.keyframe.odometry.travel_m - self._sensor_range_m
         )
         failed = failure_probability(self._config.localization.failures_per_km, self._sensor_range_m)
         return bool(ratios[~is_old].sum() < np.log(failed))
@@ -196,8 +199,8 @@ class LoopCloser:
         common = len(np.intersect1d(query.submap.rows, last.submap.rows, assume_unique=True))
         all_of_both = len(query.submap) + len(last.submap) - common
         is_alike = common > 0.8 * all_of_both
-        is_near = query.travel_m - last.travel_m < self._config.propagation_distance_m
-        return last if is_alike and is_near else None
+        since_m = query.keyframe.odometry.travel_m - last.keyframe.odometry.travel_m
+        return last if is_alike and since_m < self._config.propagation_distance_m else None
 
     def _look_up(self, query: Query) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
         """The query that was asked last, and the candidates at the proposed places, or the reasons why there is none.
@@ -234,7 +237,7 @@ class LoopCloser:
             return True
         first = next(each for each in self._keyframes if not each.is_prior)
         T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
-        return self.initial_pose.allows(place.T_local_query, T_first_query, query.travel_m)
+        return self.initial_pose.allows(place.T_local_query, T_first_query, query.keyframe.odometry.travel_m)
 
     def _accept_with_those_before(self, candidate: Candidate) -> list[LoopClosureRecord]:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""

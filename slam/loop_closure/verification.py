@@ -146,7 +146,7 @@ class Verifier:
             T_predicted = invert(self._pose(since)) @ self._pose(query.keyframe.id)
             T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(query.T_gravity_body))
         drift_m, drift_rad = self.track.drift_sigmas(*sorted((since, query.keyframe.id)))
-        travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
+        travel_m = abs(query.keyframe.odometry.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
             T_local_query,
             float(np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m)),

@@ -63,7 +63,7 @@ class Parts(Patterns):
 
     # Verifier.
     def predict(self, seed: Candidate, query: Query) -> Place | None:
-        travel_m = query.travel_m - LOOP_M
+        travel_m = query.keyframe.odometry.travel_m - LOOP_M
         return Place(pose_at(travel_m), travel_m, 0, "prediction", predicted_by=seed.query.id)
 
     def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
@@ -74,7 +74,7 @@ class Parts(Patterns):
         found = make_candidate(
             query=query.keyframe,
             reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
-            T_local_query=pose_at(query.travel_m - LOOP_M + self.off_m),
+            T_local_query=pose_at(query.keyframe.odometry.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
         )
         return replace(found, place=place)

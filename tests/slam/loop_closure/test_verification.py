@@ -244,7 +244,7 @@ def along_street(*, bent_m: float = 0.0) -> Verifier:
 def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure():
     verifier = along_street(bent_m=5.0)
     followed = verifier._prior(LATEST, PLACE, STREET[3])
-    np.testing.assert_allclose(followed.T_local_query, pose_at(LATEST.travel_m + 5.0), atol=1e-12)
+    np.testing.assert_allclose(followed.T_local_query, pose_at(STREET[-1].odometry.travel_m + 5.0), atol=1e-12)
     predicted = verifier._prior(LATEST, replace(PLACE, predicted_by=20), STREET[3])
     np.testing.assert_array_equal(predicted.T_local_query, PLACE.T_local_query)
 
@@ -260,5 +260,5 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(since):
     ):
         assert prior.sigma_m == pytest.approx(np.hypot(SLIP_INFLATION * sigma_m, landmark_sigma_m))
         assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))
-        travel_m = LATEST.travel_m - STEP_M * since
+        travel_m = STREET[-1].odometry.travel_m - STEP_M * since
         assert prior.failure_probability == failure_probability(CONFIG.localization.failures_per_km, travel_m)
