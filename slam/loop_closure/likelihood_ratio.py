@@ -23,6 +23,7 @@ a wrong pose on a parallel street matches most of a row; the density along it is
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import logsumexp
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import apply, yaw_rad
@@ -36,6 +37,8 @@ CLUTTER_RANGES = 1.0 / 6.0
 """Landmarks of the same class within that distance count as clutter, in sensor ranges, ..."""
 ALONG_TRACK_RANGES, CROSS_TRACK_RANGES = 1.5, 0.7 / 30.0
 """... and those along the direction of travel within the first, with the second as standard deviation across it."""
+PRIOR_OBJECTS, GRID = 10.0, 200
+"""Weight, in objects, of the prior of P_D of a single place, and steps of the integral over it."""
 LEAST_COUNT = 0.01
 """Least density of a class: so many objects in a square with sides of ``COVERAGE_RANGES`` sensor ranges."""
 
@@ -70,6 +73,21 @@ def compute_log_likelihood_ratios(
     in_map = DETECTION_PROBABILITY * query.existence
     ratios = 1.0 - in_map + in_map * likelihoods / densities
     return np.where(expected, np.log(ratios), 0.0)
+
+
+def changed_log_likelihood_ratio(per_object: FloatArray) -> float:
+    """The LLR of objects (N,) in a place that may have changed since it was mapped [nats].
+
+    It is the logarithm of the product of their likelihood ratios, integrated over the P_D that all of them share, with
+    a beta prior of mean ``DETECTION_PROBABILITY`` and the weight of ``PRIOR_OBJECTS`` objects (beta-binomial).
+    ``per_object`` are the LLR_i with that P_D; those that expect no match are zero.
+    """
+    ratios = np.maximum(np.expm1(per_object) / DETECTION_PROBABILITY, -1.0)  # N(...) / lambda_i - 1
+    shares = (np.arange(GRID) + 0.5) / GRID
+    a, b = PRIOR_OBJECTS * DETECTION_PROBABILITY, PRIOR_OBJECTS * (1.0 - DETECTION_PROBABILITY)
+    log_prior = (a - 1.0) * np.log(shares) + (b - 1.0) * np.log1p(-shares)
+    log_likelihoods = np.log1p(shares[:, None] * ratios).sum(axis=1)
+    return float(logsumexp(log_prior + log_likelihoods) - logsumexp(log_prior))
 
 
 def _clutter_densities(

@@ -24,6 +24,7 @@ from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import recent_submap, recent_submap_with_unconfirmed
@@ -180,7 +181,7 @@ class LoopCloser:
             landmarks["first_seen_travel_m"] <= query.keyframe.odometry.travel_m - self._sensor_range_m
         )
         failed = failure_probability(self._config.localization.failures_per_km, self._sensor_range_m)
-        return bool(ratios[~is_old].sum() < np.log(failed))
+        return bool(changed_log_likelihood_ratio(ratios[~is_old]) < np.log(failed))
 
     def _is_elsewhere(self, predicted: Predicted, candidate: Candidate) -> bool:
         """Whether a candidate is farther than registration reaches from a predicted place."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import betaln
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert
@@ -14,6 +15,7 @@ from slam.loop_closure.likelihood_ratio import (
     COVERAGE_RANGES,
     DETECTION_PROBABILITY,
     LEAST_COUNT,
+    changed_log_likelihood_ratio,
     compute_log_likelihood_ratios,
 )
 from slam.object_map.submap import Submap
@@ -173,3 +175,24 @@ def test_the_matched_object_is_no_clutter_of_its_own():
     seen = DETECTION_PROBABILITY
     expected = np.log(1.0 - seen + seen / (2.0 * np.pi * 2.0 * 0.35**2) / clutter)
     np.testing.assert_allclose(ratios, expected)
+
+
+# A place that may have changed
+
+
+def test_objects_without_a_match_are_a_beta_binomial():
+    missed = np.log1p(-0.85)
+    for count in (1, 6, 20):
+        expected = betaln(8.5, 1.5 + count) - betaln(8.5, 1.5)
+        assert changed_log_likelihood_ratio(np.full(count, missed)) == pytest.approx(expected, abs=0.01)
+    assert changed_log_likelihood_ratio(np.zeros(9)) == pytest.approx(0.0)
+
+
+def test_matches_among_many_changed_objects_count():
+    """Four of 32 objects match: against the place if all are independent, not if the place has changed."""
+    ratios = np.full(32, np.log1p(-0.85))
+    ratios[:4] = 6.0
+    assert ratios.sum() < -20.0
+    expected = betaln(12.5, 29.5) - betaln(8.5, 1.5) + 4.0 * np.log((np.exp(6.0) - 0.15) / 0.85)
+    assert changed_log_likelihood_ratio(ratios) == pytest.approx(expected, abs=0.1)
+    assert expected > 0.0
