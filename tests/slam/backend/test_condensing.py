@@ -11,27 +11,21 @@ from slam.backend.attached_keyframes import AttachedKeyframes
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, relative, transform_from_xyz_yaw
+from slam.common.geometry import invert, relative
 from tests.helpers.graphs import PLAIN, chained, observed_from
 from tests.helpers.poses import pose_at
 from tests.logs.examples import random_covariance
+from tests.slam.backend import graphs
+from tests.slam.backend.graphs import KEYFRAMES, LANDMARKS, SEEN_COVARIANCE, true_landmarks
 
-ROUND, LANDMARKS = 12, 15
+ROUND = KEYFRAMES
 STEP_COVARIANCE = np.diag(np.repeat([0.02**2, 0.05**2], 3))
-SEEN_COVARIANCE = 0.02**2 * np.eye(3)
 
 
 def true_poses(rounds: int) -> FloatArray:
-    """On a circle of 8 m, each round a little beside the one before, and looking elsewhere."""
-    number = np.arange(rounds * ROUND)
-    around, lap = 2 * np.pi * number / ROUND, number // ROUND
-    radius = 8.0 + 0.3 * lap
-    xyz = np.stack([radius * np.sin(around), -radius * np.cos(around), 0.1 * lap], axis=1)
-    return transform_from_xyz_yaw(xyz, around + 0.4 * lap)
-
-
-def true_landmarks() -> FloatArray:
-    return np.random.default_rng(0).uniform([-14, -14, -1], [14, 14, 3], (LANDMARKS, 3))
+    """Each round is a little beside the one before, and looks elsewhere."""
+    aside = [pose_at(0.0, -0.3 * lap, z=0.1 * lap, yaw=0.4 * lap) for lap in range(rounds)]
+    return np.concatenate([graphs.true_poses() @ T for T in aside])
 
 
 def driven(rounds: int) -> FactorGraph:
