@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass
 
 from logs.errors import UnreadableLogError
 
@@ -13,34 +13,27 @@ class ReadingLimits:
     """What goes beyond is left out and counted, or refused where nothing would be left; the error names the setting
     that all are in proportion to, ``memory_mb``.
 
-    ``chunk_mb``: of one chunk, decompressed; ``message_mb``: of one message that is decoded; ``waiting_mb``: of
-    the messages that wait because chunks overlap in time; ``metadata_mb``: of all metadata; ``channels``: of channels
-    and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in characters.
+    ``chunk_bytes``: of one chunk, decompressed; ``message_bytes``: of one message that is decoded; ``waiting_bytes``:
+    of the messages that wait because chunks overlap in time; ``metadata_bytes``: of all metadata; ``channels``: of
+    channels and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in characters.
     """
 
-    chunk_mb: float = 64.0
-    message_mb: float = 16.0
-    waiting_mb: float = 64.0
-    metadata_mb: float = 8.0
+    chunk_bytes: int = 64_000_000
+    message_bytes: int = 16_000_000
+    waiting_bytes: int = 64_000_000
+    metadata_bytes: int = 8_000_000
     channels: int = 4096
     objects: int = 5000
     name_length: int = 1000
 
     def scaled(self, factor: float) -> ReadingLimits:
-        """Limits that are all so many times as large; counts are one at least."""
-        values = {each.name: factor * getattr(self, each.name) for each in fields(self)}
-        counts = {name: max(round(values[name]), 1) for name in ("channels", "objects", "name_length")}
-        return ReadingLimits(**(values | counts))
+        """Limits that are all so many times as large, one at least."""
+        return ReadingLimits(*(max(round(factor * limit), 1) for limit in astuple(self)))
 
     @property
-    def chunk_bytes(self) -> int:
-        """``chunk_mb`` in bytes."""
-        return round(1e6 * self.chunk_mb)
-
-    @property
-    def message_bytes(self) -> int:
-        """``message_mb`` in bytes."""
-        return round(1e6 * self.message_mb)
+    def chunk_mb(self) -> float:
+        """The setting ``memory_mb`` that has these limits."""
+        return self.chunk_bytes / 1e6
 
     @property
     def input_bytes(self) -> int:
@@ -75,5 +68,5 @@ class ReadingLimits:
         return f"if you trust the file, --set memory_mb={math.ceil(self.chunk_mb * times)}"
 
 
-RESULT_LIMITS = ReadingLimits(chunk_mb=1000.0, message_mb=1000.0, waiting_mb=1000.0)
+RESULT_LIMITS = ReadingLimits(chunk_bytes=10**9, message_bytes=10**9, waiting_bytes=10**9)
 """Of logs that a replay wrote: a map and a graph are one message each."""

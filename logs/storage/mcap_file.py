@@ -100,7 +100,7 @@ class McapFile(McapIndex):
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name; of several under one name the last. What goes beyond the limits is left out."""
         found: dict[str, dict[str, str]] = {}
-        left = round(1e6 * self._limits.metadata_mb)
+        left = self._limits.metadata_bytes
         for offset in self.metadata_offsets:
             try:
                 self._stream.seek(offset)
@@ -137,8 +137,8 @@ class McapFile(McapIndex):
         return []
 
     def _check_held(self, held_bytes: int) -> None:
-        if held_bytes > 1e6 * self._limits.waiting_mb:
+        if held_bytes > self._limits.waiting_bytes:
             raise UnreadableLogError(
-                f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
+                f"{self._name}: chunks that overlap in time hold more than {1e-6 * self._limits.waiting_bytes:g} MB of messages "
                 "until they are read; write the log again in the order of time, or raise memory_mb"
             )

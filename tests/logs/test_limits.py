@@ -96,7 +96,7 @@ def test_topic_with_endless_name_is_refused(tmp_path):
 
 
 def test_large_messages_are_left_out(file, tmp_path, caplog):
-    limits = ReadingLimits(message_mb=0.004, objects=5)
+    limits = ReadingLimits(message_bytes=4000, objects=5)
     large = replace(file.messages[4], data=b"x" * 5000)
     altered = McapFile(file.schemas, file.channels, [*file.messages[:4], large, *file.messages[5:]])
     assert read(tmp_path, altered, limits=limits) == (29, {"invalid_messages": 1})
@@ -118,12 +118,12 @@ def test_what_waits_for_its_turn_is_limited(file, tmp_path):
     times = {"message_start_time": 0, "message_end_time": 100}
     assert read(tmp_path, file, chunk=times)[0] == 30
     with pytest.raises(UnreadableLogError, match=r"overlap in time.*memory_mb"):
-        read(tmp_path, file, limits=ReadingLimits(waiting_mb=0.001), chunk=times)
+        read(tmp_path, file, limits=ReadingLimits(waiting_bytes=1000), chunk=times)
 
 
 def test_metadata_beyond_the_limit_is_left_out(tmp_path, caplog):
     path = write_records(tmp_path / "log.mcap", (), small={"a": "1"}, large={"a": "1" * 100_000})
-    with LogReader(path, ReadingLimits(metadata_mb=0.05)) as reader:
+    with LogReader(path, ReadingLimits(metadata_bytes=50_000)) as reader:
         assert reader.metadata() == {"small": {"a": "1"}}
     assert "metadata of 0.1 MB is more than" in caplog.text
 
