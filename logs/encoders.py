@@ -31,8 +31,7 @@ def encode(record: m.Record) -> Message:
     Raises:
         InvalidRecordError: no record of ``logs.messages``, or a string that is not valid Unicode.
     """
-    codec = CODECS.get(type(record))
-    encoder = codec.encode if codec is not None else _ENCODERS.get(type(record))
+    encoder = _ENCODERS.get(type(record))
     if encoder is None:
         raise InvalidRecordError(f"{type(record).__name__} is no record; give Odometry, ObjectDetections, ...")
     try:
@@ -112,6 +111,7 @@ def _log_message(r: m.LogMessage) -> Message:
 
 
 _ENCODERS: dict[type, Callable[[Any], Message]] = {
+    **{record: codec.encode for record, codec in CODECS.items()},
     m.Odometry: _odometry,
     m.GroundTruthPose: lambda r: _pose_in_frame(r.stamp_ns, r.frame_id, r.T_world_body),
     m.SlamPose: lambda r: _pose_in_frame(r.stamp_ns, "map", r.T_map_body),

@@ -15,11 +15,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs.messages import FloatArray, IntArray, SceneLines, SceneMarkers, ScenePoints
 
-_POINT_FIELDS = (
-    *((axis, "<f4", PackedElementField.FLOAT32) for axis in "xyz"),
-    *((color, "u1", PackedElementField.UINT8) for color in ("red", "green", "blue", "alpha")),
-)
-_POINT = np.dtype([(name, kind) for name, kind, _ in _POINT_FIELDS])
+_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *((color, "u1") for color in ("red", "green", "blue", "alpha"))])
+_FIELD_TYPES = {np.dtype("<f4"): PackedElementField.FLOAT32, np.dtype("u1"): PackedElementField.UINT8}
 
 CLASS_COLORS = (
     *("#2f8f2f", "#9467bd", "#8c564b", "#e377c2", "#9a9b1c", "#00a6fb"),
@@ -69,15 +66,16 @@ def encode_lines(lines: SceneLines) -> Message:
 def encode_points(points: ScenePoints) -> Message:
     """``points`` as a cloud of float32 metres and one byte a colour."""
     columns = np.hstack([points.positions, np.rint(255.0 * points.colors)])
-    rows = np.zeros(len(columns), dtype=_POINT)
-    cloud = PointCloud(timestamp=timestamp(points.stamp_ns), frame_id=points.frame_id, point_stride=_POINT.itemsize)
+    rows = np.rec.fromarrays(columns.T, dtype=_POINT)
+    cloud = PointCloud(
+        timestamp=timestamp(points.stamp_ns),
+        frame_id=points.frame_id,
+        point_stride=_POINT.itemsize,
+        data=rows.tobytes(),
+    )
     cloud.pose.orientation.w = 1.0
-    offset = 0
-    for column, (name, kind, type_) in zip(columns.T, _POINT_FIELDS, strict=True):
-        rows[name] = column
-        cloud.fields.add(name=name, offset=offset, type=type_)
-        offset += np.dtype(kind).itemsize
-    cloud.data = rows.tobytes()
+    for name, (kind, offset, *_) in (_POINT.fields or {}).items():
+        cloud.fields.add(name=name, offset=offset, type=_FIELD_TYPES[kind])
     return cloud
 
 

@@ -32,12 +32,8 @@ def draw_map(given: Sequence[TrainingMap], own_share: float, *, rng: np.random.G
     """A street, a forest, superimposed patterns, or, with the probability ``own_share``, a piece of a given map."""
     if given and rng.random() < own_share:
         return piece_of(given[int(rng.integers(len(given)))], rng=rng)
-    kind = rng.integers(3)
-    if kind == 0:
-        return draw_street(rng=rng)
-    if kind == 1:
-        return draw_forest(rng=rng)
-    return draw_patterns(rng=rng)
+    draw = (draw_street, draw_forest, draw_patterns)[rng.integers(3)]
+    return draw(rng=rng)
 
 
 def with_classes_of(drawn: TrainingMap, vocabulary_size: int, *, rng: np.random.Generator) -> TrainingMap:

@@ -15,7 +15,8 @@ class ReadingLimits:
 
     ``chunk_bytes``: of one chunk, decompressed; ``message_bytes``: of one message that is decoded; ``waiting_bytes``:
     of the messages that wait because chunks overlap in time; ``metadata_bytes``: of all metadata; ``channels``: of
-    channels and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in characters.
+    channels and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in
+    characters.
     """
 
     chunk_bytes: int = 64_000_000

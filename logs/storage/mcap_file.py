@@ -139,6 +139,6 @@ class McapFile(McapIndex):
     def _check_held(self, held_bytes: int) -> None:
         if held_bytes > self._limits.waiting_bytes:
             raise UnreadableLogError(
-                f"{self._name}: chunks that overlap in time hold more than {1e-6 * self._limits.waiting_bytes:g} MB of messages "
-                "until they are read; write the log again in the order of time, or raise memory_mb"
+                f"{self._name}: chunks that overlap in time hold more than {1e-6 * self._limits.waiting_bytes:g} MB of "
+                "messages until they are read; write the log again in the order of time, or raise memory_mb"
             )

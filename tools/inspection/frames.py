@@ -46,13 +46,8 @@ def find_faults(summary: LogSummary) -> list[str]:
 
 def _connected(topics: Sequence[TopicSummary], bodies: set[str]) -> set[str]:
     """The frames that a chain of transforms connects with those of the body."""
-    neighbours = defaultdict[str, set[str]](set)
-    for topic in topics:
-        for parent, child in topic.frame_edges:
-            neighbours[parent].add(child)
-            neighbours[child].add(parent)
-    found, waiting = set(bodies), set(bodies)
-    while waiting:
-        waiting = {each for frame in waiting for each in neighbours[frame]} - found
-        found |= waiting
+    edges = [edge for topic in topics for edge in topic.frame_edges]
+    found = set(bodies)
+    while beside := {frame for edge in edges if not found.isdisjoint(edge) for frame in edge} - found:
+        found |= beside
     return found

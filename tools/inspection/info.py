@@ -41,6 +41,7 @@ def info(
     """
     from logs.container.json_text import plain
     from logs.summary import summarize
+    from slam.object_map.map_io import IMPORTED
 
     limits = None
     if settings:
@@ -50,18 +51,19 @@ def info(
     summary = summarize(log, parse_topics(topics), limits)
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     wanted = closures or keyframe is not None
-    is_map = saved_map.METADATA in summary.metadata
+    about_map = summary.metadata.get(saved_map.METADATA)
+    saved = None if about_map is None else saved_map.describe(log, is_imported=about_map.get("kind") == IMPORTED)
     if json:
         told = {each.name: getattr(summary, each.name) for each in fields(summary) if each.name != "closure_candidates"}
         told |= {"selection": _selected(summary), "duration_s": summary.duration_s}
-        told |= {"map": saved_map.describe(log)} if is_map else {}
+        told |= {} if saved is None else {"map": saved}
         if wanted:
             told["closure_candidates"] = [{"time_s": _time_s(summary, each), **plain(each)} for each in candidates]
         console.show_json(told)
         return
     if keyframe is None:
         head = f"{summary.path}: {summary.duration_s:.1f} s, {summary.size_bytes / 1e6:.2f} MB"
-        rows = {**_rows(summary), **(saved_map.rows(log) if is_map else {})}
+        rows = {**_rows(summary), **(saved_map.rows(log, saved) if saved else {})}
         console.show(head, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows))
     if closures and keyframe is None:
         decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)

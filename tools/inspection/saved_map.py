@@ -11,19 +11,15 @@ METADATA = "dslam_map"
 """What makes a log a saved map."""
 
 
-def describe(path: Path) -> dict[str, Any]:
+def describe(path: Path, *, is_imported: bool) -> dict[str, Any]:
     """The map for JSON: its summary, or why it cannot be used."""
-    from logs.reader import LogReader
     from slam.common.errors import SavedMapError
-    from slam.object_map.map_io import IMPORTED, load_map
+    from slam.object_map.map_io import load_map
     from slam.object_map.map_summary import summarize_map
 
-    with LogReader(path) as reader:
-        is_imported = reader.metadata().get(METADATA, {}).get("kind") == IMPORTED
     try:
-        return {"usable": True, "fault": ""} | (
-            _describe_imported(path) if is_imported else summarize_map(load_map(path))
-        )
+        described = _describe_imported(path) if is_imported else summarize_map(load_map(path))
+        return {"usable": True, "fault": "", **described}
     except SavedMapError as error:
         return {"usable": False, "fault": str(error)}
 
@@ -47,13 +43,12 @@ def _describe_imported(path: Path) -> dict[str, Any]:
     }
 
 
-def rows(path: Path) -> dict[str, str]:
+def rows(path: Path, described: dict[str, Any]) -> dict[str, str]:
     """What a saved map is, and the commands that use it."""
-    plain = describe(path)
-    if not plain["usable"]:
-        return {"saved map": f"cannot be used: {plain['fault']}"}
+    if not described["usable"]:
+        return {"saved map": f"cannot be used: {described['fault']}"}
     return {
-        **console.texts({name: value for name, value in plain.items() if type(value) in (int, float)}),
+        **console.texts({name: value for name, value in described.items() if type(value) in (int, float)}),
         "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
         "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
     }
