@@ -63,26 +63,20 @@ def train(
 
     Example: dslam train out/lr --maps town.csv
     """
+    from descriptors.registry import LEARNED, shipped_weights
     from descriptors.training.trainer import WEIGHTS, Recipe, best_of
     from descriptors.training.trainer import train as train_recipe
     from tools import console
 
     if anew and not maps:
         raise typer.BadParameter("use it with --maps.", param_hint="--anew")
-    start = _shipped(network) if maps and not anew else None
+    start = shipped_weights(network) if maps and not anew and network in LEARNED else None
     config = _config(network, epochs, seed, is_further=start is not None)
     recipe = Recipe(config, [_load_map(path) for path in maps or ()], start, device=device)
     with console.progress_bar(f"training {network}") as move:
         history = train_recipe(recipe, folder, threads=threads, on_progress=move)
     figures = {"weights": folder / WEIGHTS, "best": best_of(history), "epochs": history[-1]["epoch"]}
     console.report(figures, as_json=json)
-
-
-def _shipped(network: str) -> Path | None:
-    """The shipped weights of a network; None where there are none."""
-    from descriptors.registry import LEARNED, shipped_weights
-
-    return shipped_weights(network) if network in LEARNED else None
 
 
 def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) -> ContrastTraining:

@@ -85,7 +85,12 @@ class McapFile(McapIndex):
                         for message in messages
                     )
                     heapq.heappush(heap, (messages[-1].log_time_ns, block.chunk_start_offset, messages))
-                    self._check_held(held_bytes.total() if len(heap) > 1 else 0)
+                    if len(heap) > 1 and held_bytes.total() > self._limits.waiting_bytes:
+                        raise UnreadableLogError(
+                            f"{self._name}: chunks that overlap in time hold more than "
+                            f"{1e-6 * self._limits.waiting_bytes:g} MB of messages until they are read; write the log "
+                            "again in the order of time, or raise memory_mb"
+                        )
             if not heap:
                 continue
             _, offset, messages = heap[0]
@@ -135,10 +140,3 @@ class McapFile(McapIndex):
             messages.sort(key=lambda message: -message.log_time_ns)
             return messages
         return []
-
-    def _check_held(self, held_bytes: int) -> None:
-        if held_bytes > self._limits.waiting_bytes:
-            raise UnreadableLogError(
-                f"{self._name}: chunks that overlap in time hold more than {1e-6 * self._limits.waiting_bytes:g} MB of "
-                "messages until they are read; write the log again in the order of time, or raise memory_mb"
-            )

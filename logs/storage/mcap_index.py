@@ -188,7 +188,11 @@ class McapIndex:
                 if end > start:
                     self._index(start, end)
         else:
-            self._take_summary(summary)
+            for definition in (*summary[mcap_records.Schema], *summary[mcap_records.Channel]):
+                self._add(definition)
+            self.message_counts.update(summary[mcap_records.Statistics][0].channel_message_counts)
+            self.metadata_offsets = [each.offset for each in summary[mcap_records.MetadataIndex]]
+            self.blocks = summary[ChunkIndex]
         self.blocks.sort(key=lambda block: (block.message_start_time, block.chunk_start_offset))
 
     @contextmanager
@@ -219,13 +223,6 @@ class McapIndex:
     def _note_oversized(self, offset: int, size: int) -> None:
         self.oversized[offset] = size
         self.report("a chunk", size)
-
-    def _take_summary(self, summary: Summary) -> None:
-        for definition in (*summary[mcap_records.Schema], *summary[mcap_records.Channel]):
-            self._add(definition)
-        self.message_counts.update(summary[mcap_records.Statistics][0].channel_message_counts)
-        self.metadata_offsets = [each.offset for each in summary[mcap_records.MetadataIndex]]
-        self.blocks = summary[ChunkIndex]
 
     def _walk(self) -> Iterator[tuple[int, int]]:
         """Begin and end of each block, up to the end of the data or to where the records stop making sense."""

@@ -1,6 +1,7 @@
 """Whatever is wrong with a file: a prefix of its records and a count, or one clear error, and nothing else."""
 
 import struct
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -37,13 +38,6 @@ def stamps(path, selection=ODOMETRY):
         return found, reader.counters
 
 
-def chunk_offsets(data, tmp_path):
-    path = tmp_path / "for_offsets.mcap"
-    path.write_bytes(data)
-    with open(path, "rb") as stream:
-        return McapIndex("", stream, ReadingLimits()).blocks
-
-
 @pytest.mark.parametrize("cut", [8, 60, 300_001, -1, -30])
 def test_truncated_log_gives_a_prefix_of_its_records(whole, tmp_path, cut):
     path = tmp_path / "cut.mcap"
@@ -66,7 +60,7 @@ def test_a_log_without_its_summary_is_read_whole(whole, tmp_path):
 
 @pytest.mark.parametrize("with_summary", [True, False])
 def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(whole, tmp_path, with_summary):
-    chunk = chunk_offsets(whole, tmp_path)[1]
+    chunk = McapIndex("", BytesIO(whole), ReadingLimits()).blocks[1]
     damaged = bytearray(whole)
     damaged[chunk.chunk_start_offset + 33] ^= 0xFF  # in the stored checksum: 9 bytes of header, two times, the size
     path = tmp_path / "log.mcap"

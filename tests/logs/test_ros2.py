@@ -12,7 +12,6 @@ from logs.decoders.decode import decode
 from logs.errors import InvalidRecordError
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
-from logs.summary import summarize
 from logs.topics import RawMessage
 from tests.helpers.data import NAV2, needs_nav2
 from tests.helpers.ros2_logs import encoded, header, tf, vector
@@ -124,11 +123,3 @@ def test_real_robot_log() -> None:
     assert (len(odometry), len(amcl), len(from_tf) > 1000) == (2639, 135, True)
     assert [e.log_time_ns for e in entries] == sorted(e.log_time_ns for e in entries)
     assert {o.frame_id for o in odometry} == {"odom"}
-    summary = summarize(NAV2)
-    odom = next(topic for topic in summary.topics if topic.topic == "/odom")
-    assert (odom.message_count, odom.duplicate_stamps, odom.out_of_order_stamps) == (2639, 0, 0)
-    assert odom.rate_hz == pytest.approx(27.28, abs=0.01)
-    assert odom.frames == ("base_link", "odom")
-    assert odom.length_m == pytest.approx(34.32, abs=0.01)
-    assert summary.selection is None
-    assert "no topic gives detections" in summary.obstacle

@@ -80,7 +80,9 @@ def test_output_that_is_a_link_to_itself_is_replaced(dslam: Run, tmp_path: Path)
 
 def test_log_without_an_estimate(dslam: Run, mapped: Path, tmp_path: Path) -> None:
     assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
-    assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
+    assert_refused(
+        dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no poses of the estimate", "'dslam replay' finished"
+    )
     assert_refused(dslam("export", SAMPLE), "--tum")
     reference = write_drive(tmp_path / "reference.mcap")
     assert_refused(dslam("evaluate", mapped, "--reference", reference), "the reference holds no truth")

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from slam.evaluation.inputs.synchronization import PoseSeries
 
 
+_REMEDY = "give a log that 'dslam replay' finished"
+
+
 class Track(StrEnum):
     """Which poses of a drive."""
 
@@ -59,6 +62,7 @@ def export(
     if not any(outputs):
         raise typer.BadParameter("nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv or --geojson.")
     check_outputs(outputs, [log])
+    from slam.common.errors import InputDataError
     from slam.evaluation.inputs.records import read_records
     from slam.formats import landmark_tables as tables
     from slam.formats import trajectories as text
@@ -88,7 +92,7 @@ def export(
             console.show(f"{path}: {len(objects.ids)} landmarks")
     if g2o:
         if records.graph is None or records.object_map is None:
-            raise _no_result(log)
+            raise InputDataError(f"{log} has no final map and graph; {_REMEDY}")
         write_g2o(g2o, records.graph, records.object_map)
         count = len(records.graph.edge_kinds)
         console.show(f"{g2o}: {count} edges, without robust kernels, which g2o cannot hold")
@@ -104,8 +108,7 @@ def _choose_track(log: Path, records: EvaluationRecords, of: Track) -> PoseSerie
         Track.TRUTH: records.true_path,
     }[of]
     if not path:
-        missing = InputDataError(f"{log} has no poses of the {of}; choose another with --of")
-        raise _no_result(log) if of == Track.ESTIMATE else missing
+        raise InputDataError(f"{log} has no poses of the {of}; {_REMEDY}, or choose other poses by --of")
     return path
 
 
@@ -123,9 +126,3 @@ def _find_georeference(log: Path, origin: str | None) -> Georeference:
             if "georeference" in values:
                 return Georeference.from_json(values["georeference"])
     raise InputDataError(f"{log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
-
-
-def _no_result(log: Path) -> Exception:
-    from slam.common.errors import InputDataError
-
-    return InputDataError(f"{log} has no final trajectory, map and graph; give one that 'dslam replay' finished")

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +52,9 @@ class KnownMap:
 
     saved: PriorMap
     positions: FloatArray
-    T_map_body: FloatArray
-    T_world_body_gt: FloatArray
-    ate_m: float
+    T_map_body: FloatArray = field(default_factory=lambda: np.eye(4)[None])
+    T_world_body_gt: FloatArray = field(default_factory=lambda: np.eye(4)[None])
+    ate_m: float = 0.0
 
     def to_world(self, T_map_body: FloatArray, T_world_near: FloatArray) -> FloatArray:
         """A pose (4, 4) of the map in the world, by the pose of the mapping drive that is nearest to ``T_world_near``.
@@ -104,7 +104,7 @@ def benchmark_relocalization(
     begin_ns = int(truth.stamps_ns[0])
     with threadpool_limits(1):
         if isinstance(given, ImportedMap):
-            known, reach_m = known_imported(given), config.sensor_range_m
+            known, reach_m = KnownMap(given, given.positions.astype(np.float64)), config.sensor_range_m
         else:
             begin_ns += round(1e9 * given)
             known, reach_m = map_drive(_between(records, 0, begin_ns), config), Protocol().revisit_distance_m
@@ -129,12 +129,6 @@ def benchmark_relocalization(
         "outcomes": outcomes[: len(inside)],
         "elsewhere": outcomes[len(inside) :],
     }
-
-
-def known_imported(imported: ImportedMap) -> KnownMap:
-    """An imported map, whose frame is that of the world."""
-    frame = np.eye(4)[None]
-    return KnownMap(imported, imported.positions.astype(np.float64), frame, frame, 0.0)
 
 
 def map_drive(records: Iterable[Record], config: Config) -> KnownMap:
