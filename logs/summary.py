@@ -180,8 +180,8 @@ class _Gathering:
         self.topics: dict[tuple[str, str], _TopicGathering] = defaultdict(_TopicGathering)
 
     def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
-        self.start_ns = raw.log_time_ns if self.start_ns is None else self.start_ns
-        self.end_ns = raw.log_time_ns
+        self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
+        self.end_ns = max(self.end_ns, raw.log_time_ns)
         topic = self.topics[raw.topic, raw.channel.schema_name]
         is_stamped = bool(records) and not isinstance(records[0], m.Transform)
         topic.times_ns.append(records[0].stamp_ns if is_stamped else raw.log_time_ns)

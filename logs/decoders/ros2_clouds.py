@@ -25,15 +25,15 @@ def labelled_scan(message: Any, context: Context) -> Records:
     if point_step < 1:
         raise Refusal("lengths disagree", f"points of {point_step} bytes")
     order = ">" if message.is_bigendian else "<"
-    fields = [field for field in message.fields if field.count == 1 and field.datatype in _TYPES]
-    names, formats = [field.name for field in fields], [order + _TYPES[field.datatype] for field in fields]
-    offsets = [field.offset for field in fields]
+    numbers = [field for field in message.fields if field.count == 1 and field.datatype in _TYPES]
+    fields = {field.name: (order + _TYPES[field.datatype], field.offset) for field in numbers}
     try:
-        kind = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
+        formats, offsets = zip(*fields.values(), strict=True) if fields else ((), ())
+        kind = np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": point_step})
     except (ValueError, TypeError) as error:
         raise Refusal("fields of the points are invalid", str(error)) from error
     points = image_rows(message, int(message.row_step), int(message.width) * point_step).view(kind).ravel()
     try:
-        return (LabelledScan(*place, labelled_cloud({name: points[name] for name in names}, "cloud").finite()),)
+        return (LabelledScan(*place, labelled_cloud({name: points[name] for name in fields}, "cloud").finite()),)
     except DatasetError as error:
         raise Refusal("cloud without labels", str(error)) from error

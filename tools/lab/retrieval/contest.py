@@ -32,7 +32,7 @@ from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.registration import registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
-from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
+from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right, rank_of
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
 
 
@@ -186,7 +186,7 @@ def _answer(
     verified = time.process_time()
     found = T_verified is not None and bool(is_right(T_verified[None], truth)[0])
     return {
-        "rank": np.flatnonzero(is_right(poses, truth)).min(initial=RECALL_AT[-1]),
+        "rank": rank_of(poses, truth),
         "right": found,
         "wrong": is_accepted and not found,
         "propose_ms": 1e3 * (proposed - started),

@@ -51,3 +51,8 @@ def is_right(poses: FloatArray, truth: FloatArray) -> BoolArray:
     T_error = invert(truth)[None] @ poses[:, None]
     is_near = Protocol().is_true(np.linalg.norm(T_error[..., :3, 3], axis=2), rotation_angle_rad(T_error))
     return np.asarray(is_near.any(axis=1))
+
+
+def rank_of(poses: FloatArray, truth: FloatArray) -> int:
+    """How many poses (H, 4, 4) stand before the first right one; the last of :data:`RECALL_AT` if none is."""
+    return int(np.flatnonzero(is_right(poses, truth)).min(initial=RECALL_AT[-1]))

@@ -22,7 +22,6 @@ from slam.scan_localization import ScanLocalizer
 from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
 
-MAP_SIGMA_M = 0.05
 NOISE_PER_M = 0.08
 """Of a noisy query's positions by range, along any axis: 0.1 / sqrt(3) from its error, and as much from the scale."""
 
@@ -83,7 +82,7 @@ def localizer_config(method: str, *, noisy: bool = False) -> Config:
     """
     config = Config()
     per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
-    config = config.calibrated({"objects.landmark_sigma_m": MAP_SIGMA_M, "objects.landmark_sigma_per_m": per_m})
+    config = config.calibrated({"objects.landmark_sigma_m": 0.05, "objects.landmark_sigma_per_m": per_m})
     closing = config.loop_closure.model_copy(update={"descriptor": method})
     return config.model_copy(update={"loop_closure": closing})
 

@@ -34,7 +34,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.prepared_log import calibrate_logs
 from slam.system import Slam
-from tools.lab.retrieval.labelled_map import RECALL_AT, is_right
+from tools.lab.retrieval.labelled_map import RECALL_AT, rank_of
 
 
 def measure_revisits(
@@ -130,7 +130,7 @@ class _AskingSlam(Slam):
             places = retriever.propose(submap, before_m=before_m)
             seconds = time.perf_counter() - started
             poses = np.array([place.T_local_query for place in places]).reshape(-1, 4, 4)
-            rank = np.flatnonzero(is_right(poses, T_local_query_gt)).min(initial=RECALL_AT[-1])
+            rank = rank_of(poses, T_local_query_gt)
             self.answers.append({"descriptor": name, "rank": rank, "seconds": seconds})
 
     def _true_poses(self, keyframe: Keyframe) -> FloatArray:
