@@ -78,17 +78,11 @@ def gather_constellations(
     if len(labels) and (labels.min() < 0 or labels.max() >= len(vocabulary)):
         raise DescriptorError(f"labels {labels.min()} to {labels.max()} of a vocabulary of {len(vocabulary)} classes")
     chosen = np.arange(len(positions)) if centres is None else centres
-    if len(chosen) == 0:
-        empty = np.zeros(0, dtype=np.int64)
-        nowhere = np.zeros((0, 3))
-        return Constellations(nowhere, empty, empty, np.zeros(1, dtype=np.int64), tuple(vocabulary), nowhere)
-    tree = cKDTree(positions[:, :2])
-    found = tree.query_ball_point(positions[chosen, :2], radius_m, return_sorted=True)
-    around = [np.asarray(near, dtype=np.int64) for near in found]
-    owners = np.repeat(np.arange(len(chosen)), [len(near) for near in around])
-    neighbours = np.concatenate(around)
-    others = neighbours != chosen[owners]
-    owners, neighbours = owners[others], neighbours[others]
+    plane = cKDTree(positions[:, :2])
+    near = cKDTree(positions[chosen, :2]).sparse_distance_matrix(plane, radius_m, output_type="ndarray")
+    near = near[np.lexsort((near["j"], near["i"]))]
+    near = near[near["j"] != chosen[near["i"]]]
+    owners, neighbours = near["i"], near["j"]
     offsets = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=len(chosen)))])
     return Constellations(
         positions[neighbours] - positions[chosen[owners]],

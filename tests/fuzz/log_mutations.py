@@ -56,10 +56,9 @@ def _change_messages(file: McapFile, rng: np.random.Generator) -> None:
                 replace(each, data=_mutate_data(file, each.channel, each.data, np.random.default_rng((seed, number))))
                 for each, number in zip(some, [0] * len(some) if is_same else range(len(some)), strict=True)
             ]
-    gone, at = {*rows}, int(rng.choice([rows[0], 0, len(file.messages)], p=[0.6, 0.2, 0.2]))
-    kept = [[each for i, each in enumerate(file.messages) if i not in gone and (i < at) is is_before]
-            for is_before in (True, False)]  # fmt: skip
-    file.messages = [*kept[0], *some, *kept[1]]
+    others = [each for i, each in enumerate(file.messages) if i not in rows]
+    at = int(rng.choice([rows[0], 0, len(others)], p=[0.6, 0.2, 0.2]))
+    file.messages = [*others[:at], *some, *others[at:]]
 
 
 def _mutate_data(file: McapFile, channel: int, data: bytes, rng: np.random.Generator) -> bytes:
