@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from logs.messages import ObjectDetections, Odometry, Record
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.calibrated_odometry import CalibratedOdometry
@@ -55,64 +55,53 @@ class SurveyedDrive:
         speed = np.where(phase < 30.0, 1.5, 0.0)
         turn = np.where(phase < 30.0, 0.15 * np.sin(phase / 3.0), np.where(phase < 45.0, 0.0, 0.7))
         self.true_headings = np.cumsum(turn * INTERVAL_S) * turns
-        ahead = np.stack([np.cos(self.true_headings), np.sin(self.true_headings)], axis=1)
-        self.true_positions = np.cumsum(speed[:, None] * INTERVAL_S * ahead, axis=0)
+        self._true_places = np.cumsum(speed * INTERVAL_S * np.exp(1j * self.true_headings))
         self.times_s = INTERVAL_S * np.arange(count)
 
     def _odometry(self) -> None:
         """Poses with noise: random walks by travel, turn and time, and jitter."""
-        steps = np.diff(self.true_positions, axis=0, prepend=self.true_positions[:1])
+        steps = np.diff(self._true_places, prepend=self._true_places[:1])
         turns = np.diff(self.true_headings, prepend=self.true_headings[:1])
-        length, turn = np.linalg.norm(steps, axis=1), np.abs(turns)
-        noise, count = self.noise, len(steps)
+        length, turn, noise, count = np.abs(steps), np.abs(turns), self.noise, len(steps)
         heading_variances = (
             noise.heading_by_travel * length + noise.heading_by_turn * turn + noise.heading_by_time * INTERVAL_S
         )
         shift_variances = noise.translation_by_travel * length + noise.translation_by_time * INTERVAL_S
         drift = np.cumsum(self._rng.normal(size=count) * np.sqrt(heading_variances))
-        c, s = np.cos(drift), np.sin(drift)
-        turned = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
-        shifts = self._rng.normal(size=(count, 2)) * np.sqrt(shift_variances)[:, None]
-        jitter = self._rng.normal(size=(count, 2)) * np.sqrt(noise.jitter)
-        self.positions = np.cumsum(turned + shifts, axis=0) + jitter
+        shifts = _plane(self._rng.normal(size=(count, 2))) * np.sqrt(shift_variances)
+        jitter = _plane(self._rng.normal(size=(count, 2))) * np.sqrt(noise.jitter)
+        self._places = np.cumsum(np.exp(1j * drift) * steps + shifts) + jitter
         self.headings = self.true_headings + drift + self._rng.normal(size=count) * np.sqrt(noise.heading_jitter)
 
     def _see(self, count: int) -> None:
         """Detections in the body frame, by scan and object."""
-        low, high = self.true_positions.min(axis=0) - 12.0, self.true_positions.max(axis=0) + 12.0
-        places = self._rng.uniform(low, high, (count, 2))
-        offsets = places[None] - self.true_positions[:, None]
-        ranges = np.linalg.norm(offsets, axis=2)
-        self.scan, self.object = np.nonzero((ranges < self.range_m) & (ranges > 1.0))
-        offset, r = offsets[self.scan, self.object], ranges[self.scan, self.object]
-        along = offset / r[:, None]
-        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        noise, normal = self.noise, self._rng.normal
+        way = _xy(self._true_places)
+        places = _plane(self._rng.uniform(way.min(axis=0) - 12.0, way.max(axis=0) + 12.0, (count, 2)))
+        offsets = places - self._true_places[:, None]
+        self.scan, self.object = np.nonzero((np.abs(offsets) < self.range_m) & (np.abs(offsets) > 1.0))
+        offset, noise, normal = offsets[self.scan, self.object], self.noise, self._rng.normal
+        r = np.abs(offset)
         radial = normal(size=len(r)) * np.sqrt(noise.radial + noise.radial_by_range * r**2)
         tangential = normal(size=len(r)) * np.sqrt(noise.tangential + noise.tangential_by_range * r**2)
-        seen = offset + along * radial[:, None] + across * tangential[:, None] + self._view_noise(offset)
-        c, s = np.cos(self.true_headings[self.scan]), np.sin(self.true_headings[self.scan])
-        self.in_body = np.stack([c * seen[:, 0] + s * seen[:, 1], -s * seen[:, 0] + c * seen[:, 1]], axis=1)
+        seen = offset + offset / r * (radial + 1j * tangential) + self._view_noise(offset)
+        self._in_body = seen * np.exp(-1j * self.true_headings[self.scan])
 
-    def _view_noise(self, offset: FloatArray) -> FloatArray:
-        """(S, 2): of each object the sum of two random walks, along the direction that it is seen from, where it is
+    def _view_noise(self, offset: ComplexArray) -> ComplexArray:
+        """(S,): of each object the sum of two random walks, along the direction that it is seen from, where it is
         closed, and along the logarithm of the range.
         """
-        bearing = np.arctan2(offset[:, 1], offset[:, 0])
-        log_range = np.log(np.linalg.norm(offset, axis=1))
+        bearing, log_range = np.angle(offset), np.log(np.abs(offset))
         steps = self._rng.normal(size=(2, VIEWS, self.object.max() + 1, 2)) * np.sqrt(self.noise.view / VIEWS)
         closed = steps[0] - steps[0].mean(axis=0)
         by_bearing, by_range = np.cumsum([np.sqrt(2.0 * np.pi) * closed, np.sqrt(np.ptp(log_range)) * steps[1]], axis=1)
         shares = bearing / (2.0 * np.pi) % 1.0, (log_range - log_range.min()) / np.ptp(log_range)
         rows = [np.minimum((share * VIEWS).astype(np.int64), VIEWS - 1) for share in shares]
-        return np.asarray(by_bearing[rows[0], self.object] + by_range[rows[1], self.object])
+        return _plane(by_bearing[rows[0], self.object] + by_range[rows[1], self.object])
 
     @property
     def motion(self) -> Motion:
         """As a survey has it, from the odometry."""
-        travel_m = np.cumsum(
-            np.linalg.norm(np.diff(self.true_positions, axis=0, prepend=self.true_positions[:1]), axis=1)
-        )
+        travel_m = np.cumsum(np.abs(np.diff(self._true_places, prepend=self._true_places[:1])))
         return Motion(self.scale * travel_m, self.true_headings, self.times_s, np.zeros_like(travel_m))
 
     @property
@@ -121,24 +110,34 @@ class SurveyedDrive:
         order = np.lexsort((self.scan, self.object))
         scan, number = self.scan[order], self.object[order]
         begins = (np.diff(number, prepend=-1) != 0) | (np.diff(scan, prepend=-9) != 1)
-        c, s = np.cos(self.headings[scan]), np.sin(self.headings[scan])
-        x, y = self.in_body[order].T
-        offsets = self.scale * np.stack([c * x - s * y, s * x + c * y], axis=1)
-        points = offsets + self.scale * self.positions[scan]
-        return tracks_of(np.cumsum(begins) - 1, scan, offsets, points)
+        offsets = self.scale * self._in_body[order] * np.exp(1j * self.headings[scan])
+        points = offsets + self.scale * self._places[scan]
+        return tracks_of(np.cumsum(begins) - 1, scan, _xy(offsets), _xy(points))
 
     @cached_property
     def scans(self) -> list[SurveyScan]:
         """The scans, without labels or association, at height zero."""
         found = []
-        for k, (position, heading) in enumerate(zip(self.positions, self.headings, strict=True)):
-            xy = self.scale * self.in_body[self.scan == k]
-            T = transform_from_xyz_yaw(np.array([*(self.scale * position), 0.0]), float(heading))
-            xyz = np.column_stack([xy, np.zeros(len(xy))])
-            labels = np.zeros(len(xy), dtype=np.int64)
-            if len(xy):
-                found.append(SurveyScan(round(self.times_s[k] * 1e9), T, xyz, labels, np.full(len(xy), np.nan)))
+        T_odom_body = transform_from_xyz_yaw(_xyz(self.scale * self._places), self.headings)
+        for k in np.unique(self.scan).tolist():
+            xyz = _xyz(self.scale * self._in_body[self.scan == k])
+            labels, variances = np.zeros(len(xyz), dtype=np.int64), np.full(len(xyz), np.nan)
+            found.append(SurveyScan(round(self.times_s[k] * 1e9), T_odom_body[k], xyz, labels, variances))
         return found
+
+
+def _plane(xy: FloatArray) -> ComplexArray:
+    """x + iy (N,) of places (N, 2)."""
+    return np.asarray(xy[:, 0] + 1j * xy[:, 1])
+
+
+def _xy(places: ComplexArray) -> FloatArray:
+    return np.column_stack([places.real, places.imag])
+
+
+def _xyz(places: ComplexArray) -> FloatArray:
+    """At height zero."""
+    return np.column_stack([_xy(places), np.zeros(len(places))])
 
 
 def tracks_of(
