@@ -51,13 +51,13 @@ def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float
     positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
     wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
     labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
-    clutter = rng.poisson(rng.uniform(0.0, 0.3) * len(seen))
+    clutter = rng.poisson(rng.uniform(0.0, 0.3) * len(seen))  # none where nothing is seen
     middle = path[rng.integers(len(path), size=clutter)]
     at = middle + range_m * np.sqrt(rng.random(clutter))[:, None] * _directions(clutter, rng=rng)
     like = rng.integers(max(len(seen), 1), size=clutter)
     return View(
-        np.vstack([positions, np.column_stack([at, positions[like, 2] if len(seen) else np.zeros(clutter)])]),
-        np.concatenate([labels, labels[like] if len(seen) else np.zeros(clutter, np.int64)]),
+        np.vstack([positions, np.column_stack([at, positions[like, 2]])]),
+        np.concatenate([labels, labels[like]]),
         np.concatenate([seen, np.full(clutter, CLUTTER)]),
         sigma_m,
     )

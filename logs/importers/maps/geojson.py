@@ -52,18 +52,23 @@ def read_geojson(path: Path) -> MapObjects:
             f"{path}: not a GeoJSON FeatureCollection ({place}: {first['msg'][:200]}); it may be truncated, export the "
             "layer again"
         ) from error
-    found = [(i, each, each.geometry) for i, each in enumerate(collection.features, start=1)]
-    points = [(i, each, point) for i, each, point in found if isinstance(point, _Point)]
-    others = Counter("without geometry" if g is None else g.type for _, _, g in found if not isinstance(g, _Point))
+    coordinates, properties, names, others = [], list[dict[str, Any]](), [], Counter[str]()
+    for i, feature in enumerate(collection.features, start=1):
+        if isinstance(feature.geometry, _Point):
+            longitude, latitude, *altitude = feature.geometry.coordinates
+            coordinates.append((latitude, longitude, *(altitude or [0.0])))
+            properties.append(feature.properties or {})
+            names.append(str(feature.id or properties[-1].get("id") or i))
+        else:
+            others[feature.geometry.type if feature.geometry else "without geometry"] += 1
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
-    if others and not points:
+    if others and not coordinates:
         raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
-    geodetic = np.array([(p.coordinates[1], p.coordinates[0], *p.coordinates[2:], 0.0)[:3] for _, _, p in points])
-    check_degrees(str(path), geodetic.reshape(-1, 3))
-    labels = find_labels(_table(str(path), [each.properties or {} for _, each, _ in points]))
-    ids = distinct(str(each.id or (each.properties or {}).get("id") or i) for i, each, _ in points)
+    geodetic = np.array(coordinates).reshape(-1, 3)
+    check_degrees(str(path), geodetic)
+    labels = find_labels(_table(str(path), properties))
     notes = (f"{others.total()} features that are not points were ignored ({kinds})",) if others else ()
-    return MapObjects(str(path), geodetic, labels, ids, True, source.sha256, notes)
+    return MapObjects(str(path), geodetic, labels, distinct(names), True, source.sha256, notes)
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> Table:

@@ -77,10 +77,8 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
 def _class_of(node: osmium.osm.Node, wanted: Mapping[str, frozenset[str]]) -> str:
     for key in sorted(wanted):
         value = node.tags.get(key)
-        if value is not None and ANY in wanted[key]:
-            return key
-        if value is not None and value in wanted[key]:
-            return str(value)
+        if value is not None and not wanted[key].isdisjoint((value, ANY)):
+            return key if ANY in wanted[key] else str(value)
     return ""
 
 

@@ -28,11 +28,12 @@ def find_drives(folder: Path, names: Sequence[str] = ()) -> dict[str, Path]:
             f"{folder} holds no drives; expected folders with odometry.tum(.gz), detections.csv(.gz) and, for the "
             "errors, groundtruth.tum(.gz)"
         )
-    chosen = {name: [each for each in drives if f"{each}/".startswith(f"{name}/")] for name in names}
-    for name, of_name in chosen.items():
+    wanted = set[str]()
+    for name in names:
+        of_name = {each for each in drives if f"{each}/".startswith(f"{name}/")}
         if not of_name:
             raise InputDataError(f"{folder} holds no drive {name!r}; it holds {', '.join(drives)}")
-    wanted = {each for of_name in chosen.values() for each in of_name}
+        wanted |= of_name
     return {name: each for name, each in drives.items() if name in wanted or not names}
 
 

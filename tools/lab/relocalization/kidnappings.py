@@ -20,7 +20,7 @@ from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, S
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.topics import RecordKind
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.common.geometry import invert, yaw_rad
@@ -165,15 +165,14 @@ def find_starts(
     begins = np.unique(np.searchsorted(travelled_m, np.arange(0.0, travelled_m[-1], Protocol().query_spacing_m)))
     begins = begins[truth.stamps_ns[begins] >= begin_ns]
 
-    def starts(length_m: float, is_start: Callable[[FloatArray], bool]) -> IntArray:
+    def starts(length_m: float, is_wrong: BoolArray) -> IntArray:
+        """Where no pose over the next ``length_m`` of travel is wrong."""
         rows = begins[travelled_m[begins] + length_m <= travelled_m[-1]]
         ends = np.searchsorted(travelled_m, travelled_m[rows] + length_m) + 1
-        return np.array([row for row, end in zip(rows, ends, strict=True) if is_start(apart_m[row:end])], np.int64)
+        wrong_before = np.append(0, np.cumsum(is_wrong))
+        return np.asarray(rows[wrong_before[ends] == wrong_before[rows]])
 
-    return (
-        starts(RECOVERED_WITHIN_M, lambda stretch_m: bool(np.all(stretch_m <= reach_m))),
-        starts(MAX_TRAVEL_M, lambda stretch_m: bool(np.all(stretch_m > far_m))),
-    )
+    return starts(RECOVERED_WITHIN_M, apart_m > reach_m), starts(MAX_TRAVEL_M, apart_m <= far_m)
 
 
 def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict[str, Any]:
