@@ -6,7 +6,7 @@ import os
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -131,7 +131,7 @@ class _TopicGathering:
 
     def add(self, record: m.Record) -> None:
         """Note the frames that a record names and connects, and how far an odometry has moved."""
-        names = [getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES]
+        names = [getattr(record, name).lstrip("/") for name in _FRAMES if hasattr(record, name)]
         if len(self._frames) < 100:
             self._frames |= {*names} - {""}
             self._edges |= {(names[0], names[1])} if len(names) == 2 and all(names) else set()

@@ -84,18 +84,18 @@ def relocalize(
     if json:
         console.show_json({"output": str(output), "found": is_found, **asdict(summary)})
     else:
-        counters = Counter(summary.counters)
-        rows = {
-            **describe(summary),
+        counters, rows = Counter(summary.counters), describe(summary)
+        shown = {
+            "found": rows.get("found", "never: no place of the map was recognised"),
             "recognised": f"{counters['keyframes_recognised']} of {counters['keyframes']} keyframes",
             "tracked": f"{100 * summary.tracked_ratio:.0f} % of the online poses were in the map frame",
             "kidnapped": f"detected {counters['kidnappings_detected']} times; "
             f"{counters['relocalizations_revoked']} relocalizations revoked",
+            "warnings": rows["warnings"],
+            "final status": summary.final_status,
             "written": str(output) + (f", {picture}" if picture and is_found else ""),
         }
-        shown = ("found", "recognised", "tracked", "kidnapped", "warnings", "final status", "written")
-        found = {"found": "never: no place of the map was recognised"} | rows
-        console.show(console.pairs({name: found[name] for name in shown if name in found}))
+        console.show(console.pairs(shown))
     if not is_found:
         raise typer.Exit(1)
 

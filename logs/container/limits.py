@@ -41,32 +41,17 @@ class ReadingLimits:
         """Of one message of measurements: parsed, it may take a hundred times as much."""
         return self.objects * 512
 
-    def check_channels(self, file: str, count: int) -> None:
-        """Refuse a file with so many channels, or schemas.
+    def check(self, file: str, count: int, what: str, most: int) -> None:
+        """Refuse a file with so many of something; ``most`` is one of these limits.
 
         Raises:
-            UnreadableLogError: there are more than ``channels``.
+            UnreadableLogError: there are more than ``most``; with the setting that allows them.
         """
-        if count > self.channels:
+        if count > most:
+            memory_mb = math.ceil(self.chunk_mb * count / most)
             raise UnreadableLogError(
-                f"{file} has more than {self.channels} channels or schemas; {self._remedy(count / self.channels)}"
+                f"{file}: {count} {what}, more than {most}; if you trust the file, --set memory_mb={memory_mb}"
             )
-
-    def check_name(self, file: str, what: str, name: str) -> None:
-        """Refuse a file with so long a name of ``what``.
-
-        Raises:
-            UnreadableLogError: it has more than ``name_length`` characters.
-        """
-        if len(name) > self.name_length:
-            raise UnreadableLogError(
-                f"{file}: the name of {what} has {len(name)} characters, more than {self.name_length}; "
-                + self._remedy(len(name) / self.name_length)
-            )
-
-    def _remedy(self, times: float) -> str:
-        """How a file is read that needs so many times what is allowed."""
-        return f"if you trust the file, --set memory_mb={math.ceil(self.chunk_mb * times)}"
 
 
 RESULT_LIMITS = ReadingLimits(chunk_bytes=10**9, message_bytes=10**9, waiting_bytes=10**9)

@@ -283,10 +283,10 @@ class McapIndex:
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
         if isinstance(definition, mcap_records.Schema):
-            self._limits.check_name(self._name, "a schema", definition.name)
+            self._check_name("a schema", definition.name)
             self.schemas[definition.id] = Schema(definition.id, definition.name, definition.encoding, definition.data)
         else:
-            self._limits.check_name(self._name, "a topic", definition.topic)
+            self._check_name("a topic", definition.topic)
             self.channels[definition.id] = Channel(
                 definition.id,
                 definition.topic,
@@ -294,4 +294,8 @@ class McapIndex:
                 self.schemas.get(definition.schema_id),
                 definition.metadata,
             )
-        self._limits.check_channels(self._name, max(len(self.schemas), len(self.channels)))
+        count = max(len(self.schemas), len(self.channels))
+        self._limits.check(self._name, count, "channels or schemas", self._limits.channels)
+
+    def _check_name(self, what: str, name: str) -> None:
+        self._limits.check(self._name, len(name), f"characters in the name of {what}", self._limits.name_length)
