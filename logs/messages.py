@@ -27,6 +27,9 @@ from logs.record_checks import check_objects, check_pose
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+FRAME_FIELDS = ("frame_id", "parent_frame_id", "child_frame_id")
+"""Fields of records that name a frame."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:

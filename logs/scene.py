@@ -81,8 +81,9 @@ def encode_points(points: ScenePoints) -> Message:
 
 def timestamp(stamp_ns: int) -> Timestamp:
     """``stamp_ns`` as protobuf has times."""
-    seconds, nanos = divmod(int(stamp_ns), 1_000_000_000)
-    return Timestamp(seconds=seconds, nanos=nanos)
+    found = Timestamp()
+    found.FromNanoseconds(int(stamp_ns))
+    return found
 
 
 def _place(pose: Message, x: float, y: float, z: float) -> None:

@@ -67,9 +67,9 @@ class Selection:
         """The topics that play the part ``kind``, in that part alone."""
         return Selection(dict.fromkeys(self.topics_of(kind), (kind,)), self.mappings)
 
-    def without(self, kind: RecordKind) -> Selection:
-        """The same without the part ``kind``."""
-        rest = {topic: tuple(k for k in kinds if k != kind) for topic, kinds in self.kinds.items()}
+    def without(self, *gone: RecordKind) -> Selection:
+        """The same without these parts."""
+        rest = {topic: tuple(kind for kind in kinds if kind not in gone) for topic, kinds in self.kinds.items()}
         return Selection({topic: kinds for topic, kinds in rest.items() if kinds}, self.mappings)
 
     def topics_of(self, kind: str) -> tuple[str, ...]:

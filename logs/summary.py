@@ -22,8 +22,6 @@ MAX_CLASSES = 20_000
 """More are too many to count each; the rarest are counted as one."""
 OTHER_CLASSES = "(other classes)"
 
-_FRAMES = ("frame_id", "parent_frame_id", "child_frame_id")
-
 
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
@@ -131,7 +129,7 @@ class _TopicGathering:
 
     def add(self, record: m.Record) -> None:
         """Note the frames that a record names and connects, and how far an odometry has moved."""
-        names = [getattr(record, name).lstrip("/") for name in _FRAMES if hasattr(record, name)]
+        names = [getattr(record, name).lstrip("/") for name in m.FRAME_FIELDS if hasattr(record, name)]
         if len(self._frames) < 100:
             self._frames |= {*names} - {""}
             self._edges |= {(names[0], names[1])} if len(names) == 2 and all(names) else set()

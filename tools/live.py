@@ -89,9 +89,9 @@ def _at_speed(reader: LogReader, config: Config, topics: dict[str, str] | None, 
     from logs.topics import RecordKind
     from slam.prepared_log import prepare_log
 
-    selection = prepare_log(reader, config, topics=topics, copy=(), is_surveyed=False).selection
-    for kind in (RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH):
-        selection = selection.without(kind)
+    prepared = prepare_log(reader, config, topics=topics, copy=(), is_surveyed=False)
+    truths = RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH
+    selection = prepared.selection.without(*truths)
     started, first_ns = time.monotonic(), None
     for item in reader.items(selection):
         first_ns = item.raw.log_time_ns if first_ns is None else first_ns

@@ -40,7 +40,7 @@ class LearnedDescriptor:
             DescriptorError: more classes than the embedding has rows.
         """
         labels = np.concatenate([constellations.labels, constellations.centre_labels])
-        if labels.min(initial=0) < 0 or labels.max(initial=0) >= self._architecture.vocabulary_size:
+        if labels.max(initial=0) >= self._architecture.vocabulary_size:
             raise DescriptorError(
                 f"labels {labels.min()} to {labels.max()} in a network for {self._architecture.vocabulary_size} "
                 "classes: merge rare classes of the vocabulary, or train with a larger vocabulary_size"

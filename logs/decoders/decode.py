@@ -12,7 +12,7 @@ from logs.decoders import protobuf, ros2
 from logs.decoders.field_mapping import FieldMapping
 from logs.decoders.parts import Context, MessageDecoder, Records
 from logs.errors import InvalidRecordError
-from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
+from logs.messages import FRAME_FIELDS, ImageDetections, ObjectDetections, Record
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.validation import LAST_NS, Refusal
 
@@ -23,13 +23,6 @@ _LARGE = frozenset(
     {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH, RecordKind.DEPTH}
 )  # each a whole result, or an image, in one message
 _CLOUD = "sensor_msgs/msg/PointCloud2"
-_NAMES = {
-    ObjectDetections: ("frame_id", "labels"),
-    ImageDetections: ("frame_id", "labels"),
-    LabelledScan: ("frame_id",),
-    Odometry: ("frame_id", "child_frame_id"),
-    Transform: ("parent_frame_id", "child_frame_id"),
-}
 # What fields of other types than usual lead to; a log brings its own definitions.
 _OTHER_FIELDS = (
     *(AttributeError, TypeError, ValueError, LookupError, OverflowError, MemoryError, RecursionError),
@@ -111,13 +104,11 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         raise Refusal("time is not a whole number", f"{record.stamp_ns!r:.40} ns")
     if not 0 <= record.stamp_ns <= LAST_NS:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
-    names: list[str] = []
-    for field in _NAMES.get(type(record), ()):
-        value = getattr(record, field)
-        values = value if isinstance(value, tuple) else (value,)
-        if len(values) > limits.objects:
-            raise Refusal("too many objects for memory_mb", f"{len(values)}, more than {limits.objects}")
-        names += values
+    names = [getattr(record, field) for field in FRAME_FIELDS if hasattr(record, field)]
+    if isinstance(record, ObjectDetections | ImageDetections):
+        if len(record.labels) > limits.objects:
+            raise Refusal("too many objects for memory_mb", f"{len(record.labels)}, more than {limits.objects}")
+        names += record.labels
     if any(type(name) is not str for name in names):
         raise Refusal("name is not text")
     if max(map(len, names), default=0) > limits.name_length:

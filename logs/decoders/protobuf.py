@@ -82,9 +82,9 @@ def _with_text_for_time(values: dict[str, Any]) -> Any:
     """A time in numbers as protobuf's JSON writes it; other values as they are."""
     if not values or not values.keys() <= _SECONDS | _NANOSECONDS:
         return values
-    total_ns = sum(int(value) * (10**9 if name in _SECONDS else 1) for name, value in values.items())
-    seconds, nanos = divmod(total_ns, 10**9)
-    return Timestamp(seconds=seconds, nanos=nanos).ToJsonString()
+    found = Timestamp()
+    found.FromNanoseconds(sum(int(value) * (10**9 if name in _SECONDS else 1) for name, value in values.items()))
+    return found.ToJsonString()
 
 
 def _frame_transforms(message: Any, context: Context) -> Records:
