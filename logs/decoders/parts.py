@@ -17,6 +17,7 @@ from logs.validation import (
     MAX_COORDINATE_M,
     FloatArray,
     Refusal,
+    flat_array,
     stamp_ns,
     transform_from_quaternion,
     usable_covariance,
@@ -53,13 +54,16 @@ class MessageDecoder(NamedTuple):
     """Of protobuf; None of ROS."""
 
 
+UNKNOWN_COVARIANCE = np.zeros((3, 3))
+
+
 class Detection(NamedTuple):
     """One object: position (3,) m, covariance (3, 3) m^2."""
 
     position: tuple[float, float, float]
     label: str
     score: float = 1.0
-    covariance: FloatArray | None = None
+    covariance: FloatArray = UNKNOWN_COVARIANCE
 
 
 def xyz(vector: Any) -> tuple[float, float, float]:
@@ -136,9 +140,7 @@ def fix_records(message: Any, context: Context) -> Records:
         raise Refusal("not a valid latitude and longitude", f"latitude {latitude}, longitude {longitude}")
     P = None
     if message.position_covariance_type:
-        if len(message.position_covariance) != 9:
-            raise Refusal("lengths disagree", f"covariance of {len(message.position_covariance)} numbers, expected 9")
-        P = usable_covariance(np.array(message.position_covariance, np.float64).reshape(3, 3), context.counters)
+        P = usable_covariance(flat_array(message.position_covariance, (3, 3), "covariance"), context.counters)
     place = place_of(message, context)
     return (GeodeticFix(*place, latitude, longitude, altitude_m if abs(altitude_m) <= MAX_COORDINATE_M else 0.0, P),)
 
@@ -151,13 +153,12 @@ def detection_records(scans: Mapping[Place, Sequence[Detection]], counters: Coun
 
 def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str]) -> ObjectDetections:
     n = len(found)
-    covariances = [np.zeros((3, 3)) if each.covariance is None else each.covariance for each in found]
     record = ObjectDetections(
         *place,
         np.array([each.position for each in found], dtype=np.float64).reshape(n, 3),
         tuple(each.label for each in found),
         np.array([each.score for each in found], dtype=np.float64),
-        np.array(covariances).reshape(n, 3, 3),
+        np.array([each.covariance for each in found]).reshape(n, 3, 3),
     )
     return usable_detections(record, counters)
 

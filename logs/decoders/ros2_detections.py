@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.decoders.parts import Context, Detection, Place, Records, detection_records, place_of, xyz
+from logs.decoders.parts import UNKNOWN_COVARIANCE, Context, Detection, Place, Records, detection_records, place_of, xyz
 from logs.validation import FloatArray
 
 
@@ -34,7 +34,7 @@ def detections_3d(message: Any, context: Context) -> Records:
             Detection(
                 position,
                 *hypothesis_of(best),
-                covariance=None if best is None else position_covariance(best.pose.covariance),
+                covariance=UNKNOWN_COVARIANCE if best is None else position_covariance(best.pose.covariance),
             )
         )
     return detection_records(scans, context.counters)
@@ -52,7 +52,7 @@ def autoware_objects(message: Any, context: Context) -> Records:
                 xyz(placed.pose.position),
                 "" if best is None else _class_name(best),
                 seen.existence_probability,
-                covariance=position_covariance(placed.covariance) if is_known else None,
+                covariance=position_covariance(placed.covariance) if is_known else UNKNOWN_COVARIANCE,
             )
         )
     return detection_records({place_of(message, context): found}, context.counters)
@@ -89,14 +89,12 @@ def hypothesis_of(result: Any) -> tuple[str, float]:
     return (str(hypothesis.id) if label is None else label), hypothesis.score
 
 
-def position_covariance(values: Any) -> FloatArray | None:
-    """``(3, 3)`` m^2 of the 36 numbers of ROS; None where they are zero.
+def position_covariance(values: Any) -> FloatArray:
+    """``(3, 3)`` m^2 of the 36 numbers of ROS.
 
     A coordinate whose row is zero while others are not was not estimated: it gets the largest variance of the others.
     """
     P = np.array(values, dtype=np.float64).reshape(6, 6)[:3, :3]
     empty = ~(P.any(axis=0) | P.any(axis=1))
-    if empty.all():
-        return None
     P[empty, empty] = np.diagonal(P).max()
     return P
