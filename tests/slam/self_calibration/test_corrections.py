@@ -18,7 +18,8 @@ SEEN = 40
 """Scans that an object is seen in."""
 
 
-def weaving() -> BodyMotion:
+@pytest.fixture(scope="module")
+def motion() -> BodyMotion:
     """To the left and to the right, now faster, now slower."""
     time_s = PERIOD_S * np.arange(SCANS)
     headings = 1.5 * np.sin(0.5 * time_s)
@@ -45,20 +46,17 @@ def earned(tracks: ObjectTracks, motion: BodyMotion) -> dict[str, float]:
     return {each.term: each.value for each in estimate_corrections(tracks, motion) if each.is_earned}
 
 
-def test_nothing_is_corrected_where_nothing_is_wrong():
-    motion = weaving()
+def test_nothing_is_corrected_where_nothing_is_wrong(motion):
     assert earned(tracks(motion), motion) == {}
 
 
-def test_a_correction_that_explains_almost_nothing_is_not_made():
-    motion = weaving()
+def test_a_correction_that_explains_almost_nothing_is_not_made(motion):
     # Significant, 7 standard errors and more, but of a displacement that is noise in the main.
     for delay_s, noise_m in ((0.004, 0.2), (0.01, 0.1), (0.02, 0.2)):
         assert earned(tracks(motion, delay_s=delay_s, noise_m=noise_m), motion) == {}
 
 
-def test_few_views_of_objects_tell_nothing():
-    motion = weaving()
+def test_few_views_of_objects_tell_nothing(motion):
     made = tracks(motion, delay_s=0.3)
     assert estimate_corrections(made.of(made.track < 3), motion) == ()
     assert estimate_corrections(made.of(made.track < 30), motion)[0].is_earned
@@ -73,8 +71,8 @@ def test_views_are_tracks_and_their_changes_by_one_radian():
 
 
 @pytest.mark.parametrize("term", ["pitch_rad", "roll_rad", "yaw_rad", "turn_share", "length_share"])
-def test_each_error_is_told_from_the_others(term):
-    motion, made = weaving(), tracks(weaving())
+def test_each_error_is_told_from_the_others(motion, term):
+    made = tracks(motion)
     heights = np.random.default_rng(5).uniform(-2.0, 2.0, made.track.max() + 1)[made.track]
     heights = heights + np.random.default_rng(6).normal(0.0, 0.02, len(heights))
     level = replace(made, heights=heights)
@@ -96,16 +94,14 @@ def changed(
 
 @pytest.mark.parametrize("term", ["yaw_rad", "turn_share", "length_share", "delay_s"])
 @pytest.mark.parametrize("before", [0.0, 0.1])
-def test_change_of_an_error_is_told_from_the_others(term, before):
-    motion = weaving()
+def test_change_of_an_error_is_told_from_the_others(motion, term, before):
     change = find_change(changed(term, motion, before=before, after=before + 0.2), motion)
     assert change is not None
     assert (change.term, change.value) == (term, pytest.approx(0.2, abs=0.05))
     assert abs(change.scan - SCANS // 2) < SCANS // corrections.BLOCKS
 
 
-def test_error_that_stays_or_explains_almost_nothing_is_no_change():
-    motion = weaving()
+def test_error_that_stays_or_explains_almost_nothing_is_no_change(motion):
     assert find_change(tracks(motion), motion) is None
     assert find_change(changed("yaw_rad", motion, before=0.2, after=0.2), motion) is None
     # Significant, but 1.5 % of a displacement that is noise in the main.
@@ -113,24 +109,21 @@ def test_error_that_stays_or_explains_almost_nothing_is_no_change():
 
 
 @pytest.mark.parametrize("first", [100, SCANS - 150])
-def test_change_near_an_end_of_the_log_is_found(first):
-    motion = weaving()
+def test_change_near_an_end_of_the_log_is_found(motion, first):
     change = find_change(changed("yaw_rad", motion, before=0.0, after=0.2, first=first), motion)
     assert change is not None
     assert abs(change.scan - first) < SCANS // corrections.BLOCKS
 
 
-def test_change_that_chance_may_explain_is_none(monkeypatch):
+def test_change_that_chance_may_explain_is_none(motion, monkeypatch):
     monkeypatch.setattr(corrections, "CHANCE", 0.0)
-    motion = weaving()
     assert find_change(changed("yaw_rad", motion, before=0.0, after=0.2), motion) is None
 
 
-def test_turns_are_corrected_after_many_of_them():
+def test_turns_are_corrected_after_many_of_them(motion):
     """The heading is up to 60 rad then, which would multiply the noise of offsets."""
-    weaved = weaving()
-    rate = weaved.turn_rates + 1.0
-    motion = replace(weaved, headings=np.cumsum(rate) * PERIOD_S, turn_rates=rate)
+    rate = motion.turn_rates + 1.0
+    motion = replace(motion, headings=np.cumsum(rate) * PERIOD_S, turn_rates=rate)
     exact = tracks(motion, noise_m=0.0)
     wrong = exact.points + 0.3 * _effects(exact, motion)[:, :2, TERMS.index("turn_share")]
     noise_m = np.random.default_rng(7).normal(0.0, 0.05, wrong.shape)
@@ -139,16 +132,16 @@ def test_turns_are_corrected_after_many_of_them():
     assert (first.term, first.value) == ("turn_share", pytest.approx(-0.3, abs=0.02))
 
 
-def test_term_that_has_the_other_sign_alone_is_earned_after_what_hides_it_is_corrected():
-    motion, made = replace(weaving(), headings=weaving().headings + 1.0), tracks(weaving())
+def test_term_that_has_the_other_sign_alone_is_earned_after_what_hides_it_is_corrected(motion):
+    motion, made = replace(motion, headings=motion.headings + 1.0), tracks(motion)
     yaw, turn = (_effects(made, motion)[:, :2, TERMS.index(term)] for term in ("yaw_rad", "turn_share"))
     turned = replace(made, points=made.points - 0.05 * yaw)
     assert set(earned(replace(turned, points=turned.points + 0.2 * turn), motion)) == {"turn_share"}
     assert earned(turned, motion) == {"yaw_rad": pytest.approx(0.05, abs=0.01)}
 
 
-def test_turn_that_errs_more_near_objects_is_estimated_without_a_shift_of_the_sensor():
-    motion, made = weaving(), tracks(weaving())
+def test_turn_that_errs_more_near_objects_is_estimated_without_a_shift_of_the_sensor(motion):
+    made = tracks(motion)
     forward = np.stack([np.cos(motion.headings), np.sin(motion.headings)], axis=1)
     ranges_m = np.linalg.norm(made.offsets, axis=1)
     seen = made.of(np.sum(forward[made.scan] * made.offsets, axis=1) > 0.85 * ranges_m)
@@ -181,22 +174,21 @@ def test_a_term_whose_value_alone_predicts_worse_is_not_earned():
     assert earned(seen, motion) == {}
 
 
-def test_an_error_of_one_part_of_the_log_does_not_predict_the_others():
+def test_an_error_of_one_part_of_the_log_does_not_predict_the_others(motion):
     """The stamps of one stretch alone are wrong."""
-    motion, made, late = weaving(), tracks(weaving()), tracks(weaving(), delay_s=0.3)
+    made, late = tracks(motion), tracks(motion, delay_s=0.3)
     in_part = (made.scan > 200) & (made.scan < 240)
     assert earned(replace(made, points=np.where(in_part[:, None], late.points, made.points)), motion) == {}
 
 
-def test_few_tracks_tell_nothing():
-    motion, made = weaving(), changed("yaw_rad", weaving(), before=0.1, after=0.3)
+def test_few_tracks_tell_nothing(motion):
+    made = changed("yaw_rad", motion, before=0.1, after=0.3)
     few = made.of(made.track < 1)
     assert estimate_corrections(few, motion) == ()
     assert find_change(few, motion) is None
 
 
-def test_pairs_of_a_long_log_are_thinned_out_all_over_it(monkeypatch):
-    motion = weaving()
+def test_pairs_of_a_long_log_are_thinned_out_all_over_it(motion, monkeypatch):
     made = tracks(motion, delay_s=0.3)
     monkeypatch.setattr(corrections, "MAX_PAIRS", 1000)
     first, second = corrections._lagged(made)
@@ -205,8 +197,7 @@ def test_pairs_of_a_long_log_are_thinned_out_all_over_it(monkeypatch):
     assert earned(made, motion)["delay_s"] == pytest.approx(0.3, abs=0.02)
 
 
-def test_a_few_wild_points_do_not_matter():
-    motion = weaving()
+def test_a_few_wild_points_do_not_matter(motion):
     made = tracks(motion, delay_s=0.3)
     wild: FloatArray = made.points.copy()
     wild[::50] += 30.0
