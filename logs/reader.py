@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import heapq
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -91,11 +91,10 @@ class LogReader:
 
     def topics(self) -> list[TopicInfo]:
         """What the log holds, by topic name; a topic with two schemas appears twice."""
-        groups: dict[tuple[str, str, str], list[tuple[McapFile, Channel]]] = {}
+        groups = defaultdict[tuple[str, str, str], list[tuple[McapFile, Channel]]](list)
         for file in self._open:
             for channel in file.channels.values():
-                key = channel.topic, channel.schema_name, channel.message_encoding
-                groups.setdefault(key, []).append((file, channel))
+                groups[channel.topic, channel.schema_name, channel.message_encoding].append((file, channel))
         topics = []
         for (topic, schema_name, encoding), there in sorted(groups.items()):
             times_ns = [time_ns for file, channel in there for time_ns in file.span_ns(channel.id)]

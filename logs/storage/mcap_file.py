@@ -136,7 +136,5 @@ class McapFile(McapIndex):
                     data = content[begin + MESSAGE_HEADER.size : end]
                     messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
             self._timeless_messages += timeless
-            messages.reverse()
-            messages.sort(key=lambda message: -message.log_time_ns)
-            return messages
+            return sorted(messages, key=lambda message: message.log_time_ns)[::-1]
         return []
