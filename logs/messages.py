@@ -15,14 +15,14 @@ Odometry, detections, transforms and true poses refuse other shapes, types and m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.record_checks import check_objects, check_pose
+from logs.records import check_objects, check_pose, frozen
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -31,7 +31,7 @@ FRAME_FIELDS = ("frame_id", "parent_frame_id", "child_frame_id")
 """Fields of records that name a frame."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Odometry:
     """Pose of the body in the smooth, drifting ``odom`` frame."""
 
@@ -44,7 +44,7 @@ class Odometry:
         check_pose(self, "T_odom_body", ("frame_id", "child_frame_id"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ObjectDetections:
     """Objects seen in one sensor frame: ``positions`` (N, 3) m in ``frame_id``, a label and a score in [0, 1] each.
 
@@ -62,7 +62,7 @@ class ObjectDetections:
         check_objects(self)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ImageDetections:
     """Objects seen in an image: ``boxes`` (N, 4) px, centre u, v, width, height; ``corners`` (N, 4, 2) px of square
     tags, from the lower left counterclockwise as the tag stands; ``frame_id``: the camera's.
@@ -76,7 +76,7 @@ class ImageDetections:
     corners: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class CameraModel:
     """How a camera projects: ``K`` (3, 3) px; ``distortion`` (D,), coefficients of ``model`` as ROS names it."""
 
@@ -87,7 +87,7 @@ class CameraModel:
     model: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class DepthImage:
     """``depths`` (H, W) float32, metres along the axis of the camera, NaN where unknown."""
 
@@ -96,7 +96,7 @@ class DepthImage:
     depths: NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LabelledScan:
     """One scan of a LiDAR, in ``frame_id``."""
 
@@ -105,7 +105,7 @@ class LabelledScan:
     cloud: LabelledCloud
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Transform:
     """Pose of frame ``child_frame_id`` in frame ``parent_frame_id``."""
 
@@ -118,7 +118,7 @@ class Transform:
         check_pose(self, "T_parent_child", ("parent_frame_id", "child_frame_id"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class GeodeticFix:
     """Where satellites see the robot: latitude and longitude [deg] and altitude [m] on WGS 84.
 
@@ -133,7 +133,7 @@ class GeodeticFix:
     covariance: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class GroundTruthPose:
     """True pose of the body. The estimator never reads it."""
 
@@ -145,7 +145,7 @@ class GroundTruthPose:
         check_pose(self, "T_world_body", ("frame_id",))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class DetectionTruth:
     """True object id of each detection of the ObjectDetections message with the same stamp; "" for a false positive."""
 
@@ -153,7 +153,7 @@ class DetectionTruth:
     object_ids: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ObjectMapRecord:
     """All landmarks of an object map at one time, or, on a truth topic, the true objects.
 
@@ -221,7 +221,7 @@ class ObjectMapRecord:
         return tuple(self.vocabulary[i] for i in self.classes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class DetectionAssociations:
     """Landmark id to which each detection of the ObjectDetections with the same stamp was assigned; "" for none.
 
@@ -233,7 +233,7 @@ class DetectionAssociations:
     created: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SlamPose:
     """Estimated pose as it was known at that time."""
 
@@ -241,7 +241,7 @@ class SlamPose:
     T_map_body: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class TrajectoryRecord:
     """The final trajectory, one pose for each odometry message: stamps_ns (N,), T_map_body (N, 4, 4)."""
 
@@ -251,7 +251,7 @@ class TrajectoryRecord:
     T_map_body: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class FactorGraphRecord:
     """The optimised graph: keyframes, the edges between them, and the observations of landmarks from them.
 
@@ -286,7 +286,7 @@ PROPOSERS = ("descriptor", "map index", "prediction")
 odometry carries on."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LoopClosureRecord:
     """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
 
@@ -320,7 +320,7 @@ class LoopClosureRecord:
     proposer: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class StatusRecord:
     """State of the system and why it is in it; ``counters``: what was done and what was dropped since the start."""
 
@@ -331,7 +331,7 @@ class StatusRecord:
     counters: dict[str, int] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LocalizationRecord:
     """How well the robot knows where it is, at a scan; ``state`` is that of StatusRecord.
 
@@ -348,7 +348,7 @@ class LocalizationRecord:
     covariance: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SceneMarkers:
     """Objects as a viewer shows them: shapes of one class share a colour and a text.
 
@@ -364,7 +364,7 @@ class SceneMarkers:
     ids: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SceneLines:
     """Polylines (n, 3) m in ``frame_id`` as a viewer shows them; they take the place of all that were shown before.
 
@@ -377,7 +377,7 @@ class SceneLines:
     color: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ScenePoints:
     """Points as a viewer shows them, in the place of all that were shown before.
 
@@ -390,7 +390,7 @@ class ScenePoints:
     colors: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class FrameTree:
     """All frames that are known at one time."""
 
@@ -398,7 +398,7 @@ class FrameTree:
     transforms: tuple[Transform, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LogMessage:
     """A line of text for viewers. ``level``: "info" | "warning" | "error"."""
 

@@ -8,7 +8,6 @@ import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from logs.container.limits import ReadingLimits
 from logs.decoders.decode import RecordDecoder, kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
+from logs.records import frozen
 from logs.selection import Selection
 from logs.storage.mcap_file import McapFile
 from logs.storage.opening import find_files, open_file
@@ -30,7 +30,7 @@ class LogEntry(NamedTuple):
     record: Record
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LogItem:
     """One message as it stands in the file, and its records: () where its topic is only copied, or it is unfit."""
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from logs.records import frozen
+
 
 class RecordKind(StrEnum):
     """The part that a topic plays. One schema may serve several: a pose is odometry or ground truth by its topic."""
@@ -55,7 +57,7 @@ class Channel:
         return self.schema.name if self.schema else ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class RawMessage:
     """One message as it stands in the file, undecoded; times are integer nanoseconds."""
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.errors import DatasetError
+from logs.records import frozen
 
 _PREFIX = "scalar_"
 """CloudCompare puts it before the names of fields."""
@@ -21,7 +21,7 @@ field is that. So they are in Paris-Lille-3D ("class", "label"; Roynard et al., 
 TerraMobilita ("class", "id"; Vallet et al., Computers & Graphics 2015)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LabelledCloud:
     """positions (N, 3) m; classes (N,); instances (N,), 0: none, or None where the cloud tells no instances.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,9 +13,10 @@ from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_side
 from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
+from logs.records import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class CloudObjects:
     """N objects in the frame of the cloud.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from logs.errors import DatasetError
 from logs.importers.stamps import read_stamps
 from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections
+from logs.records import frozen
 
 BODY_FRAME = "base_link"
 
@@ -20,7 +21,7 @@ BODY_FRAME = "base_link"
 _SCORES = ("score", "confidence", "probability")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class DetectionTable:
     """The detections of each scan, each followed by its truth where that is known, in the order of the stamps.
 

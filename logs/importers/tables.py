@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from logs.errors import DatasetError
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray
+from logs.records import frozen
 
 LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
@@ -47,7 +48,7 @@ class Column:
     scale: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Table:
     """The cells (R,) of each column as text, and the ``lines`` (R,) of the rows in the file ``name``.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from heapq import merge
 from pathlib import Path
 
@@ -15,9 +14,10 @@ from logs.importers.tables import read_table
 from logs.importers.text_files import describe_sources, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
 from logs.messages import GroundTruthPose, Odometry
+from logs.records import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class TextLog:
     """A validated drive. ``notes``: what a user should know of it."""
 

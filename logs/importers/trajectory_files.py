@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -15,6 +14,7 @@ from logs.importers.stamps import UNIT_REMEDY, read_stamps
 from logs.importers.tables import LENGTH_UNITS, Table, first_row, is_number, read_table
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray, IntArray
+from logs.records import frozen
 from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE
 
 _TUM = ("stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -33,7 +33,7 @@ class TrajectoryFormat(StrEnum):
     CSV = "csv"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Trajectory:
     """Poses (N, 4, 4) of the body, metres, at strictly increasing stamps (N,)."""
 

@@ -41,7 +41,6 @@ def info(
     """
     from logs.container.json_text import plain
     from logs.summary import summarize
-    from slam.object_map.map_io import IMPORTED
 
     limits = None
     if settings:
@@ -52,7 +51,7 @@ def info(
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     wanted = closures or keyframe is not None
     about_map = summary.metadata.get(saved_map.METADATA)
-    saved = None if about_map is None else saved_map.describe(log, is_imported=about_map.get("kind") == IMPORTED)
+    saved = None if about_map is None else saved_map.describe(log, about_map)
     if json:
         told = {each.name: getattr(summary, each.name) for each in fields(summary) if each.name != "closure_candidates"}
         told |= {"selection": _selected(summary), "duration_s": summary.duration_s}

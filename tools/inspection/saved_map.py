@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,14 @@ METADATA = "dslam_map"
 """What makes a log a saved map."""
 
 
-def describe(path: Path, *, is_imported: bool) -> dict[str, Any]:
-    """The map for JSON: its summary, or why it cannot be used."""
+def describe(path: Path, about: Mapping[str, str]) -> dict[str, Any]:
+    """The map for JSON: its summary, or why it cannot be used; ``about``: its metadata."""
     from slam.common.errors import SavedMapError
-    from slam.object_map.map_io import load_map
+    from slam.object_map.map_io import IMPORTED, load_map
     from slam.object_map.map_summary import summarize_map
 
     try:
+        is_imported = about.get("kind") == IMPORTED
         described = _describe_imported(path) if is_imported else summarize_map(load_map(path))
         return {"usable": True, "fault": "", **described}
     except SavedMapError as error:

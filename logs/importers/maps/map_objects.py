@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from logs.errors import DatasetError
 from logs.messages import FloatArray
+from logs.records import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class MapObjects:
     """``positions`` (N, 3): x, y, z in metres, or, where ``is_geodetic``, latitude and longitude in degrees and
     altitude in metres; ``labels`` (N,) classes; ``ids`` (N,) names in the source.

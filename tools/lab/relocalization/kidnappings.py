@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.selection import select_topics
 from logs.topics import RecordKind
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -42,7 +43,7 @@ _KINDS = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
 _Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class KnownMap:
     """A map; ``positions`` (P, 3) m in the world are those of the robot that made it, else of its landmarks.
 

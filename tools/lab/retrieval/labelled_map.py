@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from logs.messages import ObjectMapRecord
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
@@ -16,7 +15,7 @@ RECALL_AT = (1, 5, 25)
 """Numbers of proposals among which a right pose is looked for."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LabelledMap:
     """Objects (M, 3) m with labels (M,) in ``vocabulary``."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
@@ -35,7 +36,7 @@ class Scenario:
 SCENARIOS = (Scenario("self"), Scenario("fewer objects", radius_m=20.0), Scenario("added noise", noisy=True))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LocalQuery:
     """Objects seen from one pose.
 

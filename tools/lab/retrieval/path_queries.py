@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
 from scipy.spatial import cKDTree
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import SUBMAP_RANGES
 from slam.common.errors import SimulationError
@@ -48,7 +49,7 @@ def parse_scenario(text: str) -> Scenario:
         raise SimulationError(f"query {text!r}: give NAME=NUMBER of {names}, e.g. objects=20,missing=0.3") from error
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PathQuery:
     """``submap`` in the frame of the robot, and where it is, ``T_map_query_gt`` (4, 4)."""
 

@@ -1,16 +1,25 @@
-"""What a program may get wrong in the records that it makes: shapes, types and transforms.
+"""How records are made: frozen, and checked for what a program may get wrong: shapes, types and transforms.
 
 Positions and scores that are not finite pass: such objects are left out, as those of a log.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
 from logs.errors import InvalidRecordError
 from logs.validation import ROTATION_TOLERANCE, rotation_errors
+
+_T = TypeVar("_T")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def frozen(data: type[_T]) -> type[_T]:
+    """A dataclass that nothing changes; two are equal only if they are one, as arrays compare by their elements."""
+    return dataclass(frozen=True, slots=True, eq=False)(data)
 
 
 def check_pose(record: Any, name: str, frames: tuple[str, ...] = ()) -> None:
