@@ -1,7 +1,5 @@
 """The documents: links lead somewhere, commands are ones that the program takes, and the site is built."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex

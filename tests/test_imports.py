@@ -1,7 +1,5 @@
 """The import rules of the packages, read from the source."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

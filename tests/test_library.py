@@ -1,7 +1,5 @@
 """The public library: every name of it, and its examples."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The script that makes drives of many kinds of robots."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

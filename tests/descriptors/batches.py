@@ -1,7 +1,5 @@
 """Batches of padded constellations as tensors."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

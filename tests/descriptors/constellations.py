@@ -1,7 +1,5 @@
 """Scattered objects for the tests of descriptors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The handcrafted baseline counts what loops over objects count."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from descriptors.baselines.gosmatch import BINS, GosmatchVertex

@@ -1,7 +1,5 @@
 """Constellations: whoever is within the horizontal radius, relative to the centre, and nobody else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

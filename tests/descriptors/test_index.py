@@ -1,7 +1,5 @@
 """The index of vectors finds what brute force finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The paper's network: what it may not depend on, and its parts against loops that follow the equations."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor, nn

@@ -1,7 +1,5 @@
 """A descriptor of a user's own: the page's example, and what is refused."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Every name stands for a descriptor and an index that keep the same rules."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The trainer: it learns, and the same recipe gives the same weights."""
 
-from __future__ import annotations
-
 import csv
 import importlib.metadata
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What networks learn from: simulated maps and views of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """``python -m tests.fuzz.bombs``: files that are much larger inside than outside, and what ``dslam info`` says."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Mutations that know nothing of a format, and the values that numbers are set to."""
 
-from __future__ import annotations
-
 import numpy as np
 
 INTEGERS = (0, 1, -1, 2**7, 2**8 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31, -(2**31), 2**32 - 1, 2**32, 2**53 + 1, 2**60,

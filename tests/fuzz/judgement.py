@@ -1,7 +1,5 @@
 """What is wrong with the outcome of a command: an empty list where nothing is."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

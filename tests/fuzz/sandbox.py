@@ -1,7 +1,5 @@
 """Runs one command line in a child process with limits on time, memory and the size of files."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Loop-closure candidates for the tests of acceptance and insertion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Real data, which lie beside the repository or where DSLAM_DATA says; tests that need them are skipped without."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

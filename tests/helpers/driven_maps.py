@@ -1,7 +1,5 @@
 """Maps as drives along parts of a tour would leave them behind, without a replay."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord

@@ -1,7 +1,5 @@
 """Commands that are run in many forks of one process, in which all that they need is imported already."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pkgutil

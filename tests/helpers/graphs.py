@@ -1,7 +1,5 @@
 """Factor graphs of drives whose truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

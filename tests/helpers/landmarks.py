@@ -1,7 +1,5 @@
 """Landmarks and detections of them, without a drive."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first streets of a generated town as a map of labelled objects."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.common.arrays import FloatArray

@@ -1,7 +1,5 @@
 """Short drives with and without loops, replayed and measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Poses of bodies that stand upright, and keyframes there."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.common.arrays import FloatArray

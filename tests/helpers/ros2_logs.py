@@ -1,7 +1,5 @@
 """ROS 2 recordings for tests: messages from plain values, and bags of every kind, written by ``rosbags``."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings of a robot that is larger or smaller."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

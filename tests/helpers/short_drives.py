@@ -1,7 +1,5 @@
 """Short drives for the tests of the estimator: simulated, altered by a test, replayed and read back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Drives past objects with noise of known size, as a survey sees them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Arrays attached to a log: mapped into memory, aligned, and checked where that is asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Detections in messages of other schemas, by the names of their fields."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Values that the libraries under the readers do not take, each refused in one line or left out."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

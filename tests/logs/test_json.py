@@ -1,7 +1,5 @@
 """Foxglove's messages, and our own, as JSON."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

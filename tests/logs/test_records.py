@@ -1,7 +1,5 @@
 """Records refuse what a program may get wrong, when they are made."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pipes, devices, sockets and files that unpack to anything: no reader waits for them or fills memory or disk."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Callable

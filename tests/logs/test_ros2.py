@@ -1,7 +1,5 @@
 """Poses and frames in ROS 2 messages, definitions in IDL, and the log of a real robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recordings of rosbag2: folders, several files, and those that are converted before."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sqlite3

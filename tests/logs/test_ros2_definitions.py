@@ -1,7 +1,5 @@
 """Definitions that ask for more than a message can need are refused, once."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

@@ -1,7 +1,5 @@
 """Objects in ROS messages of every kind."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

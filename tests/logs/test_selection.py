@@ -1,7 +1,5 @@
 """Which topic plays which part."""
 
-from __future__ import annotations
-
 import pytest
 
 from logs.decoders.decode import kinds_of

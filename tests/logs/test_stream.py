@@ -1,7 +1,5 @@
 """Messages of a log as a stream of bytes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """The distributions that this one needs, as installed, and their licences."""
 
-from __future__ import annotations
-
 import re
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 

@@ -1,7 +1,5 @@
 """No library with a licence that would pass on to this package is imported."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from importlib.metadata import packages_distributions

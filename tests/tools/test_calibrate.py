@@ -1,7 +1,5 @@
 """dslam calibrate, and what uses its file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

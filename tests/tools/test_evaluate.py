@@ -1,7 +1,5 @@
 """One log, and sweeps."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

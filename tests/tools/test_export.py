@@ -1,7 +1,5 @@
 """What other programs get: read back by their own readers, or by ours where there is none."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

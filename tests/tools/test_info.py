@@ -1,7 +1,5 @@
 """dslam info: detections that cannot be placed, and maps without a trajectory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

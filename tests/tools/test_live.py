@@ -1,7 +1,5 @@
 """dslam live."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys

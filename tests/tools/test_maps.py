@@ -1,7 +1,5 @@
 """Saved maps by the command line: made, described, found oneself in, and refused."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """``dslam`` as a process: streams that are closed or full, locales without umlauts, signals."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What the command line refuses: one line on standard error, exit code 2, nothing written."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

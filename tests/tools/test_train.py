@@ -1,7 +1,5 @@
 """dslam train, as it is typed; the trainings behind it are tiny, or none."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """Help, version and wrong usage."""
 
-from __future__ import annotations
-
 import pytest
 import typer
 from typer.main import get_command

@@ -1,7 +1,5 @@
 """The wheel, built and installed as a user does."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import sysconfig

@@ -1,7 +1,5 @@
 """Commands and programs of a user, run in the environment where the wheel is installed."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 What single readers refuse is tested with these; here is what only the whole program notices.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

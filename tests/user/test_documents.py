@@ -1,7 +1,5 @@
 """Every command and program of README and guides, run with the wheel where the files of its page are."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Wheel and source distribution: built, installed beside packages of our folders' names, and used."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tarfile

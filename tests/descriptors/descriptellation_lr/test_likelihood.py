@@ -1,7 +1,5 @@
 """The learned likelihood ratio: numpy computes what torch was trained to."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import numpy as np

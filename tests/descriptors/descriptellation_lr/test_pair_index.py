@@ -1,7 +1,5 @@
 """The index of pairs: bit-sliced sums are sums, and a view finds its pairs again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pairs of objects and what is around them."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

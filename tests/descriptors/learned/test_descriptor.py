@@ -1,7 +1,5 @@
 """Descriptors by networks: one vector for each constellation, whatever else is described with it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict
 

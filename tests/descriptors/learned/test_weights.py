@@ -1,7 +1,5 @@
 """Files of weights: what was written comes back, and what does not fit is refused by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path

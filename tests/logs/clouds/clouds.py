@@ -1,7 +1,5 @@
 """Labelled clouds for tests: poles and boxes of which a sensor sees one side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

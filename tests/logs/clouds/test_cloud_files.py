@@ -1,7 +1,5 @@
 """Labelled clouds in PLY files: their fields, the maps they become, and what is wrong with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which landmarks detections are associated with: how certain each is, how long it is kept, and which two are one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

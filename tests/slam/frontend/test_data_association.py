@@ -1,7 +1,5 @@
 """The assignment of detections to landmarks, against brute force and on cases whose answer is plain."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Whether landmarks exist, by what was seen of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """From messages to placed scans: which poses are handed out, when, and as what."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

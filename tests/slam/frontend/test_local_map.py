@@ -1,7 +1,5 @@
 """The invariant EKF: against least squares over the whole drive, against dense formulas, and against truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From scans to landmarks and factors, one small scene at a time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

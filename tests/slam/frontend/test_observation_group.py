@@ -1,7 +1,5 @@
 """ObservationGroup: the sum of a group is the information-weighted mean in the frame of its last keyframe."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """PendingObservations: what waits, what goes into the graph, and what never does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modes of the pose at one scan, on scenes in which the right one is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag

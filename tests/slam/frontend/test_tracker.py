@@ -1,7 +1,5 @@
 """Tracking of a drive among landmarks whose odometry is right, jumps, slips or starts anew."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The drive that the files of this folder share."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.helpers.surveyed_drives import NOISE, SurveyedDrive

@@ -1,7 +1,5 @@
 """What is wrong with the time and the axes of detections, and with the climb of the odometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Settings from a survey: what is derived, what is left alone, and what is assumed where a log tells nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Centroids that lie on the near side of objects: by how much is found from views that change, class by class."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How densely detections lie that are of no object."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Systematic errors of the input from tracks that have them, and from those that have none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

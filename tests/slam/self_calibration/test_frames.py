@@ -1,7 +1,5 @@
 """Which way the sensor looks, in which frame detections are, and in which unit lengths: by which scans agree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How far labels can be trusted, from objects that are followed by their positions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Objects followed from scan to scan, as far as that is unambiguous."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How near to one another detections of one object are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pairs of scans: which there are, and how near the motion of the body brings their detections to one another."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What the beginning of a log tells: ranges, spacing, motion and noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

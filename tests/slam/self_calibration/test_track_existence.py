@@ -1,7 +1,5 @@
 """Tracks of objects told from those of false detections."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

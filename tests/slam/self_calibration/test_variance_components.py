@@ -1,7 +1,5 @@
 """Noise of odometry and detections: simulated with known size, and estimated."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, replace
 
 import numpy as np

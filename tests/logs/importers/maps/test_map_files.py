@@ -1,7 +1,5 @@
 """Maps of open data: tables, GeoJSON and OpenStreetMap, and what is wrong with them in one line."""
 
-from __future__ import annotations
-
 import gzip
 import json
 from pathlib import Path

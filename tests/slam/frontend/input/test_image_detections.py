@@ -1,7 +1,5 @@
 """Objects in images, placed by depth, on the ground, or by the size of tags."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

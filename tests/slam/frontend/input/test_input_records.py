@@ -1,7 +1,5 @@
 """Which scans of a log are mapped."""
 
-from __future__ import annotations
-
 from logs.messages import ObjectDetections, Odometry
 from slam.common.config import Config
 from slam.frontend.input.input_records import InputRecords

@@ -1,7 +1,5 @@
 """Renaming, merging and dropping classes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A message of detections made ready: limits, noise and frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

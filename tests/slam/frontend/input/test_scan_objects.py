@@ -1,7 +1,5 @@
 """Scans of a LiDAR whose points have classes are detections before they are mapped."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

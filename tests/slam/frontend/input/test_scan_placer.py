@@ -1,7 +1,5 @@
 """Detections are placed on the body by the transforms of the log."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scans wait in the order of their stamps, and none is used twice."""
 
-from __future__ import annotations
-
 from logs.messages import ObjectDetections
 from slam.frontend.input.scan_queue import ScanQueue
 from tests.helpers.landmarks import detections_of

@@ -1,7 +1,5 @@
 """Places of sensors on the body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

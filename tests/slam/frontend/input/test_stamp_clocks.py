@@ -1,7 +1,5 @@
 """Clocks of stamps that are set while the logger's clock goes on, and whose stamps are wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts of the method that a sweep switches off."""
 
-from __future__ import annotations
-
 import pkgutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Kidnapped robots on a drive: the first round is mapped, the second is found in it, and a new street is not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The experiment of global localization."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

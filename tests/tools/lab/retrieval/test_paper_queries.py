@@ -1,7 +1,5 @@
 """Queries of global localization: what is hidden is not seen, and the noise is the paper's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

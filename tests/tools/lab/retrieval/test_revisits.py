@@ -1,7 +1,5 @@
 """Descriptors asked at the revisits of a drive: only what they propose counts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
