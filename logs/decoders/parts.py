@@ -54,16 +54,13 @@ class MessageDecoder(NamedTuple):
     """Of protobuf; None of ROS."""
 
 
-UNKNOWN_COVARIANCE = np.zeros((3, 3))
-
-
 class Detection(NamedTuple):
-    """One object: position (3,) m, covariance (3, 3) m^2."""
+    """One object: position (3,) m, covariance (3, 3) m^2, zeros where it is unknown."""
 
     position: tuple[float, float, float]
     label: str
     score: float = 1.0
-    covariance: FloatArray = UNKNOWN_COVARIANCE
+    covariance: FloatArray = np.zeros((3, 3))
 
 
 def xyz(vector: Any) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.decoders.parts import UNKNOWN_COVARIANCE, Context, Detection, Place, Records, detection_records, place_of, xyz
+from logs.decoders.parts import Context, Detection, Place, Records, detection_records, place_of, xyz
 from logs.validation import FloatArray
 
 
@@ -34,7 +34,7 @@ def detections_3d(message: Any, context: Context) -> Records:
             Detection(
                 position,
                 *hypothesis_of(best),
-                covariance=UNKNOWN_COVARIANCE if best is None else position_covariance(best.pose.covariance),
+                covariance=np.zeros((3, 3)) if best is None else position_covariance(best.pose.covariance),
             )
         )
     return detection_records(scans, context.counters)
@@ -52,7 +52,7 @@ def autoware_objects(message: Any, context: Context) -> Records:
                 xyz(placed.pose.position),
                 "" if best is None else _class_name(best),
                 seen.existence_probability,
-                covariance=position_covariance(placed.covariance) if is_known else UNKNOWN_COVARIANCE,
+                covariance=position_covariance(placed.covariance) if is_known else np.zeros((3, 3)),
             )
         )
     return detection_records({place_of(message, context): found}, context.counters)
