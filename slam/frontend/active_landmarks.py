@@ -18,7 +18,7 @@ from slam.frontend.local_map import LocalMap
 from slam.frontend.pose_posterior import KnownLandmarks, fit_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
-from slam.odometry.noise_scale import AXES, GATE, NoiseScale
+from slam.odometry.noise_scale import GATE, NoiseScale
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import Correction
 
@@ -43,7 +43,7 @@ class ActiveLandmarks:
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
         self._noise = NoiseScale(SLIP_INFLATION**2, _useless(config))
-        self._variances = np.zeros(6)  # of the errors of the odometry since the last correction, rotation first
+        self._variances = np.zeros(3)  # of heading, x and y by the odometry since the last correction
         self._detections_innovation_ratio = 0.0  # by the median squared distance of detections from their landmarks
         self.pose_covariance: FloatArray | None = None
         """(6, 6) of the body's pose against the landmarks in view, axes of the body; None before three were seen."""
@@ -77,7 +77,7 @@ class ActiveLandmarks:
     def restart(self, pose: OdometryPose | None = None) -> None:
         """Restart at a pose, or where the body is, without landmarks."""
         self._pose = pose or self._pose
-        self._variances = np.zeros(6)
+        self._variances = np.zeros(3)
         self._local.start(self.T_odom_body)
         self._map.assign(slice(None), is_active=False)
 
@@ -88,12 +88,13 @@ class ActiveLandmarks:
             self.restart(pose)
         elif pose.stamp_ns != before.stamp_ns:
             config = self._config.calibration.odometry
-            variances = self._noise.factors * model_variances(before, pose, config)
-            vertical = self._noise.factors[0] * config.min_translation_sigma_m**2
-            covariance = covariance_of(variances, pose, vertical)
+            of_translation, of_heading = self._noise.factors
+            factors = np.array([of_translation, SLIP_INFLATION**2, of_heading])
+            variances = factors * model_variances(before, pose, config)
+            covariance = covariance_of(variances, pose, of_translation * config.min_translation_sigma_m**2)
             T_before = self._local.T_local_body
             self._local.advance(relative(before.T_odom_body, pose.T_odom_body), covariance)
-            self._variances += np.diagonal(covariance)
+            self._variances += variances[[2, 0, 0]]
             self._pose = pose
             if not is_guess:
                 self._change_view(T_before)
@@ -146,7 +147,7 @@ class ActiveLandmarks:
         """
         T_local_odom = self.T_local_odom
         self._local.shift(T_correction, covariance)
-        self._variances = np.zeros(6)
+        self._variances = np.zeros(3)
         return self._correct_odometry(invert(T_local_odom) @ T_correction @ T_local_odom)
 
     def _correct_odometry(self, T_odom: FloatArray) -> FloatArray:
@@ -191,11 +192,13 @@ class ActiveLandmarks:
         if len(slots):
             error = sigmas * self._noise.slip(innovation, effects)
             self._noise.add(innovation, effects)
-            self._variances = np.zeros(6)
+            self._variances = np.zeros(3)
             if error.any():
-                T_error = make_transform(rotation_of(error[:3]), error[3:])
-                T_odom = self._correct_odometry(self.T_odom_body @ T_error @ invert(self.T_odom_body))
-                slip = Correction(T_odom, np.array([np.mean(error[axes] ** 2) for axes in AXES]))
+                heading, x, y = error
+                R, xyz_m = rotation_of(np.array([0.0, 0.0, heading])), self.T_local_body[:3, 3]
+                T_error = make_transform(R, xyz_m + np.array([x, y, 0.0]) - R @ xyz_m)
+                T_odom = self._correct_odometry(invert(self.T_local_odom) @ T_error @ self.T_local_odom)
+                slip = Correction(T_odom, np.array([0.5 * (x**2 + y**2), 0.0, heading**2]))
         if len(slots) >= FIXING_LANDMARKS:
             R, fit = self.T_local_body[:3, :3], fit_of(self.positions[slots] - self.T_local_body[:3, 3])
             self.pose_covariance = covariance_in_axes(fit @ self._local.relative_covariance(slots) @ fit.T, R)
@@ -239,10 +242,10 @@ class ActiveLandmarks:
 
 
 def _useless(config: Config) -> FloatArray:
-    """Factors (3,) on the variances of an odometry that errs by the sensor range, or half a turn, over that travel."""
+    """Factors (2,) on the variances of an odometry that errs by the sensor range, or half a turn, over that travel."""
     odometry, range_m = config.calibration.odometry, config.sensor_range_m
-    sigmas = np.array([odometry.translation_sigma, odometry.tilt_sigma, odometry.yaw_sigma])
-    return np.asarray(np.square([range_m, np.pi, np.pi]) / (sigmas**2 * range_m))
+    sigmas = np.array([odometry.translation_sigma, odometry.yaw_sigma])
+    return np.asarray(np.square([range_m, np.pi]) / (sigmas**2 * range_m))
 
 
 def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:

@@ -101,11 +101,12 @@ class LocalMap:
         return np.asarray(self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T)
 
     def step_effects(self, slots: IntArray) -> FloatArray:
-        """(3 K, 6): by how much an error of the last step, rotation before translation in the axes of the body, moves
-        the offsets of landmarks from the body, local axes.
+        """(3 K, 3): by how much an error of the last step in heading, x and y moves the offsets of landmarks from the
+        body, local axes.
         """
-        R, offsets = self._T[:3, :3], self._positions[slots] - self._T[:3, 3]
-        return np.concatenate([skew(offsets) @ R, np.tile(-R, (len(slots), 1, 1))], axis=2).reshape(-1, POSE)
+        offsets = self._positions[slots] - self._T[:3, 3]
+        shifts = np.tile(-np.eye(3, 2), (len(slots), 1, 1))
+        return np.concatenate([skew(offsets)[:, :, 2:], shifts], axis=2).reshape(-1, 3)
 
     def update(
         self, slots: IntArray, measured: FloatArray, covariances: FloatArray, effects: FloatArray | None = None

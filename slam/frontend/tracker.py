@@ -268,8 +268,12 @@ class Tracker:
         return _size(relative(self._T_odom_body, pose.T_odom_body))
 
     def _slip(self, stamp_ns: int, step: FloatArray | float = 0.0) -> FloatArray:
-        """Covariance (6, 6) of an error as large as the motion since the last scan, or as a step (2,)."""
-        return np.diag(np.repeat(np.maximum(step, self._path.way_until(stamp_ns)) ** 2 + 1e-8, 3))
+        """Covariance (6, 6) of an error as large as the motion since the last scan, or as a step (2,).
+
+        Tilt and height err by a tenth of that.
+        """
+        turn, length = np.maximum(step, self._path.way_until(stamp_ns)) ** 2 + 1e-8
+        return np.diag([0.01 * turn, 0.01 * turn, turn, length, length, 0.01 * length])
 
     def _anywhere(self, weight: float) -> PriorComponent:
         """Any place among the landmarks around, at any heading."""

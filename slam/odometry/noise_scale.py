@@ -5,10 +5,10 @@ coordinates have the variance of the model times a factor. The factor is the fix
 
     factor <- factor * (|W' y|^2 / |W|^2),
 
-with the columns of W for translation, tilt or heading, scaled by their standard deviations: the maximum likelihood
+with the columns of W for translation or heading, scaled by their standard deviations: the maximum likelihood
 (Zhou et al., MM algorithms for variance components models, JCGS 2019). It takes one landmark, and tells what that one
 can tell. The ratio is the weighted median over a window of scans, so that detections that err by far, and single
-slips, do not change it.
+slips, do not change it. Gravity and the ground hold tilt and height, whatever heights of detections seem to say.
 
 A slip is a step whose error n contradicts the calibrated noise, even where the factor has grown to expect it, and
 explains the innovations of at least three landmarks. The estimate of n is its posterior mean W' y.
@@ -25,41 +25,42 @@ WINDOW = 20
 """Corrections after which the scale is estimated again."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: what is beyond contradicts its covariance."""
-AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
-"""Translation, tilt and heading in a pose error, rotation first."""
+AXES = (slice(1, 3), slice(0, 1))
+"""Translation and heading in an error of heading, x and y."""
 
 
 class NoiseScale:
-    """``factors`` (3,) on the variances of the odometry's translation, tilt and heading, ``least`` where its model is
-    right: a slip is larger than the noise of a step; at ``most`` (3,) where it tells nothing.
+    """``factors`` (2,) on the variances of the odometry's translation and heading, ``least`` where its model is right:
+    a slip is larger than the noise of a step; at ``most`` (2,) where it tells nothing.
     """
 
     def __init__(self, least: float, most: FloatArray) -> None:
         self._least = least
         self._most = np.maximum(most, least)
-        self.factors = np.full(3, least)
+        self.factors = np.full(2, least)
         self.innovation_ratio = 0.0
-        """The last squared correction by its variance and the gate, the largest of the three."""
+        """The last squared correction by its variance and the gate, the larger of the two."""
         self._ratios: list[FloatArray] = []
         self._weights: list[FloatArray] = []
 
     def slip(self, innovation: FloatArray, effects: FloatArray) -> FloatArray:
-        """The error (6,) of the last step if it slipped, else zeros; in standard deviations, by which ``effects`` are
+        """The error (3,) of the last step if it slipped, else zeros; in standard deviations, by which ``effects`` are
         scaled. Arguments as of ``add``.
         """
-        none = np.zeros(6)
+        none = np.zeros(3)
         # Earlier steps had other lever arms, so that effects may be larger than the innovations allow, which is 1.
         error = effects.T @ innovation / max(float(np.linalg.norm(effects, 2)), 1.0) ** 2
-        ratios = self.factors * [float(np.mean(error[axes] ** 2)) for axes in AXES]
+        heading, x, y = error
+        ratios = self.factors * [(x**2 + y**2) / 3.0, heading**2]
         if np.max(ratios) < GATE * self._least:
             return none
         rest = innovation - effects @ np.linalg.lstsq(effects, innovation)[0]
-        # One or two landmarks leave no degrees of freedom to test the fit, and chdtrc is then 0 or NaN.
-        return error if chdtrc(len(innovation) - len(error), rest @ rest) > 0.01 else none
+        # One or two landmarks leave no degrees of freedom of a pose in space, and chdtrc is then 0 or NaN.
+        return error if chdtrc(len(innovation) - 6, rest @ rest) > 0.01 else none
 
     def add(self, innovation: FloatArray, effects: FloatArray) -> None:
-        """Add whitened innovations (M,), and the effects (M, 6) on them of an error of one standard deviation in each
-        coordinate of the step before.
+        """Add whitened innovations (M,), and the effects (M, 3) on them of an error of one standard deviation in the
+        heading, x and y of the step before.
         """
         parts = [effects[:, axes] for axes in AXES]
         squares = np.array([np.sum((part.T @ innovation) ** 2) for part in parts])
@@ -67,7 +68,7 @@ class NoiseScale:
         # Sums of squares that count like so many independent ones (Satterthwaite, 1946).
         dimensions = expected**2 / np.maximum([np.sum((part.T @ part) ** 2) for part in parts], 1e-300)
         dimensions = np.maximum(dimensions, 1.0)
-        ratios = np.divide(squares, expected, out=np.ones(3), where=expected > 0.0)
+        ratios = np.divide(squares, expected, out=np.ones(2), where=expected > 0.0)
         self.innovation_ratio = float(np.max(ratios)) / GATE
         self._ratios.append(ratios * dimensions / chdtri(dimensions, 0.5))
         self._weights.append(expected)
@@ -75,7 +76,6 @@ class NoiseScale:
             return
         windows = zip(np.transpose(self._ratios), np.transpose(self._weights), strict=True)
         ratios = np.array([_weighted_median(*each) for each in windows])
-        ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
         gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
         self.factors = np.clip(self.factors * gains, self._least, self._most)
         self._ratios, self._weights = [], []

@@ -192,9 +192,10 @@ def test_jump_between_bursts_of_scans_is_corrected_at_once() -> None:
 @pytest.mark.parametrize("bursts", [False, True])
 def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
     drive = driven(15, bursts=bursts)
-    turn, shift = np.sqrt(np.diagonal(drive.mapper.tracker._slip(drive.stamp_ns() + STEP_NS))[[2, 3]])
+    roll, pitch, turn, x, y, z = np.sqrt(np.diagonal(drive.mapper.tracker._slip(drive.stamp_ns() + STEP_NS)))
     assert 0.005 < turn < 0.03
-    assert shift == pytest.approx(STEP_M, rel=0.2)
+    assert x == y == pytest.approx(STEP_M, rel=0.2)
+    np.testing.assert_allclose([roll, pitch, z], [0.1 * turn, 0.1 * turn, 0.1 * x])
 
 
 def test_slip_is_as_probable_as_slips_were_so_far() -> None:
