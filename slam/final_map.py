@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +15,7 @@ from logs.messages import (
     StatusRecord,
     TrajectoryRecord,
 )
+from logs.records import frozen
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
@@ -32,7 +32,7 @@ from slam.trajectory_check.judgement import TrajectoryCheck
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class FinalMap:
     """Results of a drive."""
 

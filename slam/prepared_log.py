@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from logs.errors import TopicSelectionError
 from logs.messages import Transform
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
 from slam.common.calibration import Calibration
@@ -38,7 +39,7 @@ _MAPPED = (
 _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PreparedLog:
     """A log with the topics, frames and settings for a replay.
 

@@ -7,13 +7,14 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from logs.errors import LogError, UnwritableLogError
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.storage.placement import partial_path
 from logs.writer import LogWriter
 from slam.common.config import Config
@@ -36,7 +37,7 @@ from slam.trajectory_check.judgement import TrajectoryCheck
 DEFAULTS = Config()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ReplaySummary:
     """How a replay went. Times are of this machine and go into no output log.
 

@@ -8,11 +8,11 @@ prior is uniform over the map, and the alternatives are the other candidates and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -31,7 +31,7 @@ Verified = Candidate | LoopClosureRecord
 """A candidate, or the record with the reason why there is none at a place."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ScanLocalization:
     """``T_reference_query`` (4, 4) = ``T_map_scan`` with its covariance (6, 6), rotation first; None where the scan is
     not localized, and the ``reason`` why.

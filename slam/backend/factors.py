@@ -7,12 +7,12 @@ GTSAM's order: rotation, then translation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from logs.records import frozen
 from slam.backend.edge_kind import EdgeKind as EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
@@ -23,7 +23,7 @@ OBSERVATION_KERNEL_WIDTH = 1.5
 """Widths of the Cauchy kernels, in standard deviations."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Edge:
     """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
 
@@ -37,7 +37,7 @@ class Edge:
         object.__setattr__(self, "kind", EdgeKind(self.kind))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Observation:
     """A landmark seen from a keyframe: ``position`` (3,) m in the keyframe's body frame, covariance (3, 3) m^2.
 

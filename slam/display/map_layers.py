@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from logs.records import frozen
 from logs.scene import CLASS_COLORS
 from slam.common.arrays import FloatArray
 
@@ -16,7 +16,7 @@ CLASS_MARKERS = "os^DvPXhp*<>"
 OTHER, OTHER_COLOR = "other", "#9ca3af"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Layer:
     """One entry of the key: positions (N, 3) m joined by a line of some ``width``, broken at NaN, or marked.
 
@@ -34,7 +34,7 @@ class Layer:
     count: int | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class MapPicture:
     """Layers in one frame, in the order of drawing; those without positions are not drawn."""
 

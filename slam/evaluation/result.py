@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
+from logs.records import frozen
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Evaluation:
     """The evaluation of one output log; a part that could not be measured is empty, its reason is in ``unavailable``.
 

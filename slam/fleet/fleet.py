@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from logs.digest import content_key
 from logs.errors import LogError
+from logs.records import frozen
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
@@ -36,7 +37,7 @@ FIRST_LOG = "first_log"
 """In the metadata of a map: the digest of the log at whose start its frame is."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class CityMap:
     """A part of the result, where its landmarks are present, and what changed. ``file``: its name, empty if it has none
     as a log that joined no other one.
@@ -48,7 +49,7 @@ class CityMap:
     file: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Fleet:
     """``logs`` in the order given; ``sessions`` by digest; ``order``: the digests of those that were mapped, by
     date: their numbers; ``alone``: by the number of a session that joined no other one the reason; ``maps``: the

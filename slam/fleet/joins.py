@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import logit
 
 from logs.messages import ObjectDetections
+from logs.records import frozen
 from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
@@ -26,7 +27,7 @@ from slam.object_map.map_io import SavedMap
 from slam.scan_localization import ScanLocalizer
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Join:
     """A place of map ``query_map`` recognised in the earlier map ``reference_map``.
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic_core import from_json
 
 from logs.messages import ObjectMapRecord
+from logs.records import frozen
 from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
@@ -26,7 +26,7 @@ from slam.provenance import recorded_config
 LEDGER_NAME = "visits.json"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Visit:
     """What a session did in a map: the ``steps`` (S, 2, 3) m between its places, and the ``landmarks`` (N,) that it
     observed, by their rows.
@@ -36,7 +36,7 @@ class Visit:
     landmarks: IntArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Part:
     """A condensed map of some sessions.
 

@@ -15,10 +15,10 @@ by expectation maximisation, so that a fleet in which nothing changes reports no
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.fleet.part import Part
 
@@ -51,7 +51,7 @@ def _distances_m(points: FloatArray, steps: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(offsets - along.clip(0.0, 1.0)[..., None] * ways, axis=2).min(axis=1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Presence:
     """Of L landmarks over M sessions, in the order of their dates.
 

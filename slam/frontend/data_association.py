@@ -9,7 +9,7 @@ no more than its neighbourhoods.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 
@@ -40,7 +41,7 @@ FEW_DISTANCES = 2**14
 """Up to so many distances, computing all is faster than building trees."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Objects:
     """Detections: positions (D, 3) m, covariances (D, 3, 3) m^2, and the index (D,) of each label in the vocabulary."""
 
@@ -49,7 +50,7 @@ class Objects:
     labels: IntArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Assignment:
     """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none, ``AMBIGUOUS``
     where it has none although one is near: it may be a bad measurement of that. ``log_likelihood_ratios`` (D,): of each

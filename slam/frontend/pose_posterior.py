@@ -19,13 +19,14 @@ others compatible with it (joint compatibility: Neira and Tardos, IEEE T-RA 2001
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtri, logsumexp
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import (
@@ -66,7 +67,7 @@ REFINEMENTS = 3
 """Assignments and Gauss-Newton steps in turn."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class KnownLandmarks:
     """The L landmarks around: positions (L, 3) m, covariances (L, 3, 3) m^2 of their offsets from the body, and class
     probabilities (L, C), local axes; ``joint``: the covariance (3 L, 3 L) m^2 of all offsets.
@@ -78,7 +79,7 @@ class KnownLandmarks:
     joint: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PriorComponent:
     """A Gaussian of the mixture: its weight, the covariance (6, 6) that it adds to the error of the pose, rotation
     before translation, local axes, and the motion (4, 4) in the local frame to its mean from the predicted pose.
@@ -92,7 +93,7 @@ class PriorComponent:
     is_anywhere: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Mode:
     """A pose: the motion (4, 4) to it from the predicted one, local frame, and the covariance (6, 6) of its error.
 

@@ -14,12 +14,12 @@ The kidnapping is noticed once its posterior odds, with the rate of failures of 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import apply, gravity_frame, invert, polar_cells
@@ -39,7 +39,7 @@ seen there.
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Step:
     """The pose of a keyframe, and the landmarks seen since the one before it."""
 
@@ -48,7 +48,7 @@ class _Step:
     seen: IntArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Sides:
     """After and before each of S times, (2, S, N): the probability that a landmark, which is known from the other side,
     was in view, 0 if it is not; and whether it was seen.

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, yaw_rad
 
@@ -18,7 +17,7 @@ def failure_probability(failures_per_km: float, travel_m: float) -> float:
     return float(-np.expm1(-failures_per_km * max(travel_m, 1.0) / 1000.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PosePrior:
     """p(T) = (1 - f) N(T; T_predicted, S) + f / (2 pi A), over x, y and heading.
 

@@ -20,20 +20,21 @@ fits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import expit, logit
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Candidate, Query, suppress_non_maxima
 from slam.loop_closure.verification import Verifier
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Decision:
     """``accepted``: the closure of a query, None if there is none. ``rejected``: records of the other candidates, the
     likeliest one last.

@@ -5,12 +5,12 @@ revoked.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
+from logs.records import frozen
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.common.config import Config
@@ -19,7 +19,7 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Accepted:
     """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
     graph, itself or one nearby; ``factor``: the number of its factor in the graph, if it has one.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, yaw_rad
 from slam.object_map.submap import Submap
@@ -21,7 +22,7 @@ AGREE_RANGES = 1.0 / 15.0
 AGREE_RAD = np.deg2rad(5.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
     the query's gravity frame in the local frame of the reference's traversal.
@@ -83,7 +84,7 @@ class Candidate:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Query:
     """A keyframe and the landmarks around it that its traversal found, in its gravity frame.
 

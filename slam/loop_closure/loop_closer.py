@@ -10,12 +10,13 @@ import logging
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
+from logs.records import frozen
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.geometry import gravity_frame, invert
@@ -38,7 +39,7 @@ from slam.registration.registration import MIN_INLIERS
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Outcome:
     """What a keyframe found: ``records`` of all candidates, revised ones included; ``lost_after_m``: the travel after
     which the robot is inconsistent with the map, None if it is not.
@@ -48,7 +49,7 @@ class Outcome:
     lost_after_m: float | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Predicted:
     """The place of a query that an accepted closure predicts, and the candidate there, or why there is none."""
 

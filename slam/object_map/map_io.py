@@ -6,7 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from logs.dslam_codec import take_rows
 from logs.errors import LogError
 from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers, ScenePoints
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.scene import class_colors
 from logs.selection import Selection
 from logs.topics import RecordKind
@@ -40,7 +41,7 @@ _OF_THE_FILE = ("format_version", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SavedMap:
     """The map of a drive for the next one: confirmed landmarks, and the graph that connects them.
 

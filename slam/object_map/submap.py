@@ -6,10 +6,11 @@ tens of metres the odometry is smooth, and what closes loops must not depend on 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.config import SUBMAP_RANGES
@@ -18,7 +19,7 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Submap:
     """N landmarks. ``positions`` (N, 3) m, ``sigmas`` (N,) m of each horizontal coordinate, ``labels`` (N,) classes,
     ``rows`` (N,) of the object map; ``existence`` (N,) or one for all: probability that they are static objects;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from descriptors.registry import shipped_likelihood
 from logs.errors import LogError
 from logs.messages import ObjectMapRecord, ScenePoints
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.scene import class_colors
 from logs.storage.arrays import read_arrays
 from logs.writer import LogWriter
@@ -35,7 +36,7 @@ _LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "pair_wo
            "pair_lengths": ("f", 1), "pair_classes": ("u", 1)}  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ImportedMap:
     """Objects and the index of their pairs.
 

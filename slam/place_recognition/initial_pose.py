@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.common.geometry import yaw_rad
@@ -14,7 +13,7 @@ GATE_SIGMAS = 3.5
 """A place beyond that many standard deviations is outside the prior of the pose: 2 in 1000 are, in the plane."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class InitialPose:
     """The robot was at ``position`` (2,) m in the map, with ``sigma_m`` of each coordinate, after ``at_travel_m`` of
     the drive; it started with the heading ``yaw_rad``, None if that is unknown.

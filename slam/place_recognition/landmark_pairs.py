@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.distance import pdist
 
@@ -12,11 +10,12 @@ from descriptors.descriptellation_lr.pair_index import PairIndex, PairMatches
 from descriptors.descriptellation_lr.pairs import length_tolerances, spacing_m
 from descriptors.index import VectorIndex
 from descriptors.registry import make_index
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Batch:
     """Landmarks that are added at once, and those around them: ``positions`` (N, 3) m and ``labels`` (N,) of both, in
     the odometry frame of the ``segment``; ``centres`` (C,): rows of the new ones; ``entries`` (N,): numbers of all in

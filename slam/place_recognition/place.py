@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Place:
     """A candidate pose of a query: ``T_local_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
     of a ``segment``.

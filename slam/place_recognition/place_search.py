@@ -8,13 +8,12 @@ log-likelihood ratio: an object that meets one counts by how exactly it does, on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.descriptellation_lr.pairs import DENSITY, spacing_m
+from logs.records import frozen
 from slam.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.object_map.submap import Submap
@@ -25,7 +24,7 @@ SAME_TURN_RAD = 0.2
 """Poses that differ by less than that, and by less than half a spacing, are one."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Query:
     """Objects about the ``middle`` of a query, complex metres, (N,), their ``labels`` (N,), and the standard deviations
     (N,) m of each at a pose that was voted for, and at one that is fitted.
@@ -38,7 +37,7 @@ class _Query:
     fitted_sigmas_m: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Poses:
     """H poses: where the ``middles`` of the query are (H,), complex metres, and the rotations ``turns`` (H,)."""
 

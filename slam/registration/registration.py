@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from logs.records import frozen
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import adjoint, apply, make_transform, yaw_rad
@@ -44,7 +45,7 @@ def registration_config(config: Config) -> RegistrationConfig:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Registration:
     """Pose of the query constellation in the reference, or the ``reason`` of the failure.
 
@@ -118,7 +119,7 @@ def refine(
     return estimate(_refine_pose(pose, pairs, config), pairs, config)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class LevelPose:
     """A pose of the query in the reference: rotation ``turn``, a complex number of length 1, then translation ``shift``
     in the plane, complex metres, and ``rise`` [m].
@@ -129,7 +130,7 @@ class LevelPose:
     rise: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Pairs:
     """P pairs of a query and a reference object.
 

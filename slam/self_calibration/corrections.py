@@ -28,6 +28,7 @@ from itertools import product
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import view_change
 from slam.self_calibration.object_tracks import ObjectTracks
@@ -61,7 +62,7 @@ J = np.array([[0.0, -1.0], [1.0, 0.0]])
 _SIGNS = np.array(list(product((1.0, -1.0), repeat=BLOCKS)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class BodyMotion:
     """At each scan (K), in the axes of the odometry: ``positions`` (K, 3) m, ``headings`` (K,) rad, ``velocities``
     (K, 2) m/s and ``turn_rates`` (K,) rad/s.
@@ -100,7 +101,7 @@ class Change:
     scan: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Regression:
     """Sums of the blocks by :func:`_block_sums`, units (T,) of the terms, and the first scan (B,) of each block."""
 

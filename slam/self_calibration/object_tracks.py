@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.self_calibration.track_existence import existence_probabilities
 
@@ -39,7 +40,7 @@ MAX_DISTANCES = 2**20
 """Held at a time, 8 MB, however many objects a scan has."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SurveyScan:
     """One scan: ``stamp_ns``; where the body was, ``T_odom_body`` (4, 4); detections in the upright frame of the body:
     ``positions`` (N, 3) m, ``labels`` (N,), ``variances`` (N,) m^2 that the message claims, NaN where it has none.
@@ -52,7 +53,7 @@ class SurveyScan:
     variances: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class ObjectTracks:
     """Detections (S,) that belong to tracks, ordered by track and time.
 
@@ -256,7 +257,7 @@ class _OpenTracks:
         return tracks, rooms, np.where(fresh, 0.0, nearest.distance_m)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Nearest:
     """Of N points the nearest of M open tracks by ``index`` (N,), its distance (N,) and that of the next object (N,),
     be it another track or another of the points; inf where there is none of the class. ``back`` (M,): for each track

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import transform_from_xyz_yaw
@@ -16,7 +15,7 @@ START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan; a constant, so that nothing depends on when the simulation ran."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Drive:
     """True poses at a steady rate: stamps_ns (K,), ``T_world_body`` (K, 4, 4), z = 0."""
 
@@ -24,7 +23,7 @@ class Drive:
     T_world_body: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class DrivePlan:
     """The rounded tour in fine steps: tour_m (S,) along the given one, xy (S, 2) m, yaw_rad (S,) unwrapped, time_s."""
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.simulation.config import SensorConfig
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Scan:
     """Detections of one scan, in the order of their bearing.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.simulation.street_furniture import Furniture, furnish_crossing, furnish_park, furnish_street
@@ -18,7 +18,7 @@ COLUMNS, ROWS = 5, 4
 Crossing = tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Streets:
     """Crossings with their places (2,) m, and those next to each in a fixed order."""
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from logs.importers.maps.object_table import read_object_table
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class World:
     """Objects and tour in the world frame, metres, z up.
 

@@ -6,11 +6,10 @@ trajectory makes its own map of the detections, and all predict the same scans.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import KDTree
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import polar_cells
 
@@ -20,7 +19,7 @@ RINGS, SECTORS = 8, 24
 """Cells of the field of view: rings of equal width, by sectors."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class SampledScan:
     """Detections (D, 3) m in the body frame with their classes (D,), and where the body was.
 

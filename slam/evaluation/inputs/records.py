@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +29,7 @@ from logs.messages import (
     TrajectoryRecord,
 )
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
@@ -56,7 +57,7 @@ _INPUT_KINDS = frozenset(
 _Record = TypeVar("_Record", bound=Record)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class EvaluationRecords:
     """The records for an evaluation, each kind in the order of the log; of maps and trajectories only the last.
 

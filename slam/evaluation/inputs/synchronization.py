@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import interpolate, make_transform, travelled_m
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PoseSeries:
     """Poses of the body in one fixed frame: stamps_ns (N,) strictly increasing, T_world_body (N, 4, 4), N may be 0."""
 

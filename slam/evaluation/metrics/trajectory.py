@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, rotation_angle_rad, travelled_m
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class TrajectoryErrors:
     """Errors of one trajectory; ``length_m``, ``duration_s`` and ``pose_count`` are of the part that has a truth, the
     length without gaps of the truth and without kidnappings.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress
 
 import numpy as np
@@ -11,13 +11,14 @@ from scipy.spatial import cKDTree
 
 from logs.dslam_codec import take_rows
 from logs.messages import ObjectDetections
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply
 from slam.frontend.input.label_map import DROPPED
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Scan:
     """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
 

@@ -20,6 +20,7 @@ from logs.messages import (
     Record,
     Transform,
 )
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import interpolate, invert
@@ -28,7 +29,7 @@ from slam.frontend.input.sensor_frames import SensorFrames
 RecordT = TypeVar("RecordT", bound=Record, covariant=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Message(Generic[RecordT]):
     """A record, where and when it was logged; ``number``: of the message in the log, which orders equal log times."""
 
