@@ -12,37 +12,30 @@ from collections.abc import Sequence
 import numpy as np
 
 from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
-from logs.records import frozen
-from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.localization.prior_map import map_frame
 from slam.loop_closure.acceptance import Acceptance, Decision
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.verification import MIN_OBJECTS, Verifier
+from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import TRAVEL_M
 from slam.place_recognition.retrieval import PlaceRetriever
+from slam.registration.registration import MIN_OBJECTS, Registration
 
 Verified = Candidate | LoopClosureRecord
 """A candidate, or the record with the reason why there is none at a place."""
 
 
-@frozen
-class ScanLocalization:
+class ScanLocalization(Registration):
     """``T_reference_query`` (4, 4) = ``T_map_scan`` with its covariance (6, 6), rotation first; None where the scan is
     not localized, and the ``reason`` why.
 
     ``pairs`` (K, 2): inliers, as indices of the scan's detections and of the map's landmarks.
     """
-
-    T_reference_query: FloatArray | None
-    covariance: FloatArray | None
-    pairs: IntArray
-    reason: str
 
     @property
     def found(self) -> bool:
@@ -89,13 +82,15 @@ class ScanLocalizer:
         query = self.query(scan)
         verified = self.propose(query)
         if len(query.submap) < MIN_OBJECTS:
-            return _not_found(f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}")
+            return ScanLocalization.not_found(
+                f"{len(query.submap)} objects of classes of the map, a pose needs {MIN_OBJECTS}"
+            )
         if not verified:
-            return _not_found("no matches that agree on a place")
+            return ScanLocalization.not_found("no matches that agree on a place")
         decision = self.decide(query, verified)
         best = decision.accepted
         if best is None:
-            return _not_found(decision.rejected[-1].reason)
+            return ScanLocalization.not_found(decision.rejected[-1].reason)
         pairs = best.pairs - np.array([self._size, 0])
         return ScanLocalization(best.T_local_query, best.covariance, pairs, "")
 
@@ -116,7 +111,3 @@ class ScanLocalizer:
     def decide(self, query: Query, verified: Sequence[Verified]) -> Decision:
         """The accepted candidate, if there is one; the reason of the likeliest one comes last."""
         return self._acceptance.decide(query, verified)
-
-
-def _not_found(reason: str) -> ScanLocalization:
-    return ScanLocalization(None, None, np.zeros((0, 2), dtype=np.int64), reason)

@@ -21,10 +21,8 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.registration import Registration, RegistrationConfig, refine, registration_config
+from slam.registration.registration import GATE_SIGMA, register, registration_config
 
-MIN_OBJECTS = 2
-"""Fewest objects that determine a pose."""
 TILT_SIGMA_RAD = np.deg2rad(1.0)
 """Error of gravity between two traversals."""
 CLOSURE_SIGMA_RAD = np.deg2rad(0.8)
@@ -112,7 +110,7 @@ class Verifier:
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
 
-        They are by less than ``gate_sigma`` standard deviations, as two observations of one object are.
+        They are by less than ``GATE_SIGMA`` standard deviations, as two observations of one object are.
         """
         first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
@@ -122,7 +120,7 @@ class Verifier:
         sigma_m = SLIP_INFLATION * np.hypot(drift_m, self._config.calibration.objects.landmark_sigma_m)
         sigma_rad = SLIP_INFLATION * np.hypot(drift_rad, CLOSURE_SIGMA_RAD)
         squares = (np.hypot(*T_error[:2, 3]) / sigma_m) ** 2 + (yaw_rad(T_error) / sigma_rad) ** 2
-        return bool(squares < self._registration.gate_sigma**2)
+        return bool(squares < GATE_SIGMA**2)
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
@@ -175,22 +173,3 @@ class Verifier:
             return None
         reference = self._keyframes[found[0]]
         return reference if reference.is_map_frame or found[1] <= self._sensor_range_m else None
-
-
-def register(
-    query: Submap, reference: Submap, T_reference_query: FloatArray, config: RegistrationConfig
-) -> Registration:
-    """The query registered with a reference submap from an approximate pose (4, 4).
-
-    All objects of a query of fewer than ``min_inliers`` have to agree.
-    """
-    return refine(
-        query.positions,
-        query.labels,
-        reference.positions,
-        reference.labels,
-        T_reference_query,
-        replace(config, min_inliers=min(max(len(query), MIN_OBJECTS), config.min_inliers)),
-        query_sigmas=query.sigmas,
-        reference_sigmas=reference.sigmas,
-    )

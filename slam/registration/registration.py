@@ -1,12 +1,14 @@
 """Registration of two constellations of objects from an approximate pose.
 
-The input is positions, their noise and labels; neither map nor graph. Association by a gate and weighted least squares
-alternate; then the inliers are assigned one to one. The motion is yaw and translation, because both frames have z up.
+The input is two submaps: positions, their noise and labels; neither map nor graph. Association by a gate and weighted
+least squares alternate; then the inliers are assigned one to one. The motion is yaw and translation, because both
+frames have z up.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -15,9 +17,14 @@ from logs.records import frozen
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import adjoint, apply, make_transform, yaw_rad
+from slam.object_map.submap import Submap
 
-MIN_INLIERS = 3
-"""Fewest pairs of objects that support a pose, unless the query has fewer."""
+MIN_OBJECTS, MIN_INLIERS = 2, 3
+"""Fewest objects that determine a pose, and fewest pairs of objects that support one, unless the query has fewer."""
+GATE_SIGMA = 3.0
+"""Gate of residuals, in standard deviations."""
+TILT_SIGMA_RAD = 0.005
+"""Uncertainty of roll and pitch between the two frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,24 +32,17 @@ class RegistrationConfig:
     """Registration of one constellation of objects with another.
 
     ``height_sigma_m``: additional noise of heights, for example of partly visible objects; ``search_radius_m``: initial
-    matching distance; ``min_inliers``: minimum number of pairs of objects that support a pose; ``gate_sigma``: gate of
-    residuals, in standard deviations; ``tilt_sigma_rad``: uncertainty of roll and pitch between the two frames.
+    matching distance.
     """
 
-    height_sigma_m: float = 0.3
-    search_radius_m: float = 3.0
-    min_inliers: int = MIN_INLIERS
-    gate_sigma: float = 3.0
-    tilt_sigma_rad: float = 0.005
+    height_sigma_m: float
+    search_radius_m: float
 
 
 def registration_config(config: Config) -> RegistrationConfig:
     """The parameters by the calibration: lengths are fractions of the sensor range."""
     range_m, height_m = config.sensor_range_m, config.calibration.objects.height_sigma_m
-    return RegistrationConfig(
-        height_sigma_m=0.01 * range_m if height_m is None else height_m,
-        search_radius_m=0.1 * range_m,
-    )
+    return RegistrationConfig(0.01 * range_m if height_m is None else height_m, 0.1 * range_m)
 
 
 @frozen
@@ -59,64 +59,56 @@ class Registration:
     pairs: IntArray
     reason: str
 
+    @classmethod
+    def not_found(cls, reason: str) -> Self:
+        """The answer "no", and why."""
+        return cls(None, None, np.zeros((0, 2), np.int64), reason)
 
-def refine(
-    query_positions: FloatArray,
-    query_labels: IntArray,
-    reference_positions: FloatArray,
-    reference_labels: IntArray,
-    T_initial: FloatArray,
-    config: RegistrationConfig,
-    *,
-    query_sigmas: FloatArray,
-    reference_sigmas: FloatArray,
-) -> Registration:
+
+def register(query: Submap, reference: Submap, T_initial: FloatArray, config: RegistrationConfig) -> Registration:
     """The pose near an approximate one at which objects of equal label meet, and which do.
 
     Each object pairs with the nearest one of its label, if that is mutual and inside a gate, which shrinks from
     ``config.search_radius_m`` to the noise; weighted least squares; and again, until nothing changes.
 
     Args:
-        query_positions: (N, 3) m, z up.
-        query_labels: (N,) int64.
-        reference_positions: (M, 3) m, z up.
-        reference_labels: (M,) int64.
+        query: objects, z up; if it has fewer than ``MIN_INLIERS``, all of them have to agree.
+        reference: the same of another traversal.
         T_initial: (4, 4) of the query in the reference; of its rotation only the yaw is used.
         config: gates and limits.
-        query_sigmas: (N,) m, noise of a position along any axis.
-        reference_sigmas: (M,) m.
     """
-    if not len(query_positions) or not len(reference_positions):
-        return _not_found("no object of the query is near one of its label in the reference")
-    query_middle, reference_middle = query_positions.mean(axis=0), reference_positions.mean(axis=0)
-    query, reference = query_positions - query_middle, reference_positions - reference_middle
+    if not len(query) or not len(reference):
+        return Registration.not_found("no object of the query is near one of its label in the reference")
+    query_middle, reference_middle = query.positions.mean(axis=0), reference.positions.mean(axis=0)
+    query_xyz, reference_xyz = query.positions - query_middle, reference.positions - reference_middle
     place = apply(T_initial, query_middle[None])[0] - reference_middle
     turn = np.exp(1j * float(yaw_rad(T_initial)))
-    plane, reference_plane = (points[:, 0] + 1j * points[:, 1] for points in (query, reference))
+    plane, reference_plane = (points[:, 0] + 1j * points[:, 1] for points in (query_xyz, reference_xyz))
     pose = LevelPose(complex(turn), complex(*place[:2]), float(place[2]))
-    sigma_m = float(np.hypot(query_sigmas.max(), reference_sigmas.max()))
+    sigma_m = float(np.hypot(query.sigmas.max(), reference.sigmas.max()))
     # Objects farther apart are not matched while the pose is refined.
-    reach_m = 2.0 * max(config.search_radius_m, config.gate_sigma * sigma_m)
+    reach_m = 2.0 * max(config.search_radius_m, GATE_SIGMA * sigma_m)
     apart_m = np.abs((turn * plane + pose.shift)[:, None] - reference_plane)
-    rows = np.argwhere((apart_m <= reach_m) & (query_labels[:, None] == reference_labels))
+    rows = np.argwhere((apart_m <= reach_m) & (query.labels[:, None] == reference.labels))
     if not len(rows):
-        return _not_found("no object of the query is near one of its label in the reference")
+        return Registration.not_found("no object of the query is near one of its label in the reference")
     q, r = rows.T
-    variances = query_sigmas[q] ** 2 + reference_sigmas[r] ** 2
+    variances = query.sigmas[q] ** 2 + reference.sigmas[r] ** 2
     # A tilt that neither frame knows of shows as a height that grows with the distance.
-    variances_z = variances + config.height_sigma_m**2 + (config.tilt_sigma_rad * np.abs(plane[q])) ** 2
+    variances_z = variances + config.height_sigma_m**2 + (TILT_SIGMA_RAD * np.abs(plane[q])) ** 2
     pairs = Pairs(
         rows,
         plane[q],
         reference_plane[r],
-        query[q, 2],
-        reference[r, 2],
+        query_xyz[q, 2],
+        reference_xyz[r, 2],
         np.sqrt(variances),
         np.sqrt(variances_z),
         query_middle,
         reference_middle,
     )
-    return estimate(_refine_pose(pose, pairs, config), pairs, config)
+    least = min(max(len(query), MIN_OBJECTS), MIN_INLIERS)
+    return estimate(_refine_pose(pose, pairs, config.search_radius_m), pairs, least)
 
 
 @frozen
@@ -175,21 +167,21 @@ class Pairs:
         return LevelPose(complex(turn), complex(mean_reference - turn * mean_query), float(rise))
 
 
-def _refine_pose(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> LevelPose:
+def _refine_pose(pose: LevelPose, pairs: Pairs, search_radius_m: float) -> LevelPose:
     """Iterate association and least squares; each pair enters if its two objects prefer it.
 
-    The gate is halved from one iteration to the next, from ``config.search_radius_m`` to the noise. A pose that moves
+    The gate is halved from one iteration to the next, from ``search_radius_m`` to the noise. A pose that moves
     no object by more than a three-thousandth of that radius stands still.
     """
-    noise_gate_m = config.gate_sigma * float(pairs.sigmas.min())
+    noise_gate_m = GATE_SIGMA * float(pairs.sigmas.min())
     extent_m = float(np.abs(pairs.query).max())
-    radius_m = config.search_radius_m
+    radius_m = search_radius_m
     for _ in range(8):
-        ratio = pairs.squared_residuals(pose) * np.minimum((pairs.sigmas / radius_m) ** 2, config.gate_sigma**-2)
+        ratio = pairs.squared_residuals(pose) * np.minimum((pairs.sigmas / radius_m) ** 2, GATE_SIGMA**-2)
         moved = pairs.least_squares(pose, _weights(ratio, pairs.rows))
         changes_m = extent_m * abs(moved.turn - pose.turn), abs(moved.shift - pose.shift), abs(moved.rise - pose.rise)
         pose = moved
-        if max(changes_m) < config.search_radius_m / 3000.0 and radius_m <= noise_gate_m:
+        if max(changes_m) < search_radius_m / 3000.0 and radius_m <= noise_gate_m:
             break
         radius_m *= 0.5
     return pose
@@ -208,38 +200,33 @@ def _weights(ratio: FloatArray, rows: IntArray) -> FloatArray:
     return weights
 
 
-def estimate(pose: LevelPose, pairs: Pairs, config: RegistrationConfig) -> Registration:
-    """The answer at a refined pose: optimal one-to-one inliers, a last fit to them, and its covariance."""
-    ratio = pairs.squared_residuals(pose) / config.gate_sigma**2
+def estimate(pose: LevelPose, pairs: Pairs, least: int) -> Registration:
+    """The answer at a refined pose: optimal one-to-one inliers, ``least`` at least, a last fit, and its covariance."""
+    ratio = pairs.squared_residuals(pose) / GATE_SIGMA**2
     chosen = _assign(ratio, pairs.rows)
-    if len(chosen) < config.min_inliers:
-        return _too_few(chosen, config)
+    if len(chosen) < least:
+        return _too_few(chosen, least)
     weights = np.zeros(len(ratio))
     weights[chosen] = 1.0 - ratio[chosen] ** 2
     fitted = pairs.least_squares(pose, weights)
-    ratio = pairs.squared_residuals(fitted) / config.gate_sigma**2
+    ratio = pairs.squared_residuals(fitted) / GATE_SIGMA**2
     chosen = chosen[ratio[chosen] < 1.0]
-    if len(chosen) < config.min_inliers:
-        return _too_few(chosen, config)
+    if len(chosen) < least:
+        return _too_few(chosen, least)
     information = _information(pairs, chosen, 1.0 - ratio[chosen] ** 2)
     # That of the heading alone, the translation marginalised. The linearisation holds up to a deviation of 0.2 rad.
     cross = information[2, 3:]
     if information[2, 2] - cross @ np.linalg.solve(information[3:, 3:], cross) < 0.2**-2:
-        return _not_found(f"the {len(chosen)} objects that agree are too near one another for a heading")
+        return Registration.not_found(f"the {len(chosen)} objects that agree are too near one another for a heading")
     turn, place = fitted.turn, [fitted.shift.real, fitted.shift.imag, fitted.rise]
     R = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
     T = make_transform(R, pairs.reference_middle + place - R @ pairs.query_middle)
-    covariance = _covariance(information, pairs.query_middle, config.tilt_sigma_rad**2)
+    covariance = _covariance(information, pairs.query_middle)
     return Registration(T, covariance, pairs.rows[chosen], "")
 
 
-def _not_found(reason: str) -> Registration:
-    """The answer "no", and why."""
-    return Registration(None, None, np.zeros((0, 2), np.int64), reason)
-
-
-def _too_few(chosen: IntArray, config: RegistrationConfig) -> Registration:
-    return _not_found(f"{len(chosen)} pairs of objects agree on a pose, fewer than {config.min_inliers}")
+def _too_few(chosen: IntArray, least: int) -> Registration:
+    return Registration.not_found(f"{len(chosen)} pairs of objects agree on a pose, fewer than {least}")
 
 
 def _assign(ratio: FloatArray, rows: IntArray) -> IntArray:
@@ -267,7 +254,7 @@ def _information(pairs: Pairs, chosen: IntArray, weights: FloatArray) -> FloatAr
     return np.asarray(rows.T @ rows)
 
 
-def _covariance(information: FloatArray, middle: FloatArray, tilt_variance: float) -> FloatArray:
+def _covariance(information: FloatArray, middle: FloatArray) -> FloatArray:
     """(6, 6) at the query's origin from the information (6, 6) about its middle.
 
     Roll and pitch, which are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
@@ -275,7 +262,7 @@ def _covariance(information: FloatArray, middle: FloatArray, tilt_variance: floa
     """
     inverse = np.linalg.inv(information[2:, 2:])
     G = np.vstack([np.eye(2), -inverse @ information[2:, :2]])
-    P = tilt_variance * G @ G.T
+    P = TILT_SIGMA_RAD**2 * G @ G.T
     P[2:, 2:] += inverse
     Ad = adjoint(make_transform(np.eye(3), middle))
     covariance = Ad @ P @ Ad.T

@@ -21,7 +21,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
-from slam.registration.registration import registration_config
+from slam.registration.registration import GATE_SIGMA
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import keyframe_at, pose_at
 from tests.slam.loop_closure.doubles import make_keyframe, make_query, make_submap, part_of
@@ -191,7 +191,7 @@ def test_candidates_are_consistent_within_the_gate_of_registration():
     for gates, expected in ((1.05, False), (0.95, True)):
         # Of the closures' common error, which is all that there is between a reference and itself.
         sigma_m = SLIP_INFLATION * scene.config.calibration.objects.landmark_sigma_m
-        off_m = gates * registration_config(scene.config).gate_sigma * sigma_m
+        off_m = gates * GATE_SIGMA * sigma_m
         T = invert(body(HERE)) @ body(QUERY)
         first, second = (make_candidate(reference=HERE, T_reference_query=pose_at(x) @ T) for x in (0.0, off_m))
         assert scene.verifier.are_consistent(first, second) == expected

@@ -25,12 +25,11 @@ from logs.importers.maps.map_objects import MapObjects
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratios
-from slam.loop_closure.verification import register
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.place_recognition.landmark_pairs import Batch, VectorPairs
 from slam.place_recognition.place_search import PlaceSearch
-from slam.registration.registration import registration_config
+from slam.registration.registration import register, registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right, rank_of
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
