@@ -139,10 +139,10 @@ def rigid(T: FloatArray) -> FloatArray:
     return make_transform(np.asarray(Rotation.from_matrix(T[:3, :3]).as_matrix()), T[:3, 3])
 
 
-def travelled_m(T_world_body: FloatArray) -> FloatArray:
-    """Path length (N,) from the first pose to each of (N, 4, 4)."""
-    steps = np.linalg.norm(np.diff(T_world_body[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])[: len(T_world_body)]
+def travelled_m(positions: FloatArray) -> FloatArray:
+    """Path length (N,) from the first position to each of (N, D)."""
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])[: len(positions)]
 
 
 def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> FloatArray:

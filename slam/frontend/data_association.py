@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
@@ -67,7 +66,7 @@ class Assignment:
     is_inconsistent: bool = False
 
     @property
-    def matched(self) -> NDArray[np.bool_]:
+    def matched(self) -> BoolArray:
         """(D,) whether the detection has a landmark."""
         return self.landmark_rows >= 0
 

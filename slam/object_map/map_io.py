@@ -10,7 +10,6 @@ from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic_core import from_json
 
 from logs.container.limits import RESULT_LIMITS
@@ -24,7 +23,7 @@ from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter
 from slam.backend.edge_kind import EdgeKind
-from slam.common.arrays import FloatArray
+from slam.common.arrays import BoolArray, FloatArray
 from slam.common.errors import SavedMapError, SlamError
 from slam.common.georeference import Georeference
 from slam.object_map.map_validation import find_fault, parts
@@ -190,7 +189,7 @@ def load_map(path: str | os.PathLike[str]) -> SavedMap:
     return SavedMap(objects[0], graphs[0], dict(metadata), _drives(path, metadata))
 
 
-def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> NDArray[np.bool_]:
+def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> BoolArray:
     """Whether each edge (E,) is of that kind."""
     return np.array([each == kind for each in graph.edge_kinds], dtype=np.bool_)
 
@@ -200,13 +199,13 @@ def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
     return of_rows(objects, np.array([state == "confirmed" for state in objects.states], dtype=np.bool_))
 
 
-def of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
+def of_rows(objects: ObjectMapRecord, kept: BoolArray) -> ObjectMapRecord:
     """Of the landmarks those that are ``kept`` (N,)."""
     # Merged landmarks are retired, and not in a map.
     return replace(take_rows(objects, N=np.flatnonzero(kept)), merged_into=())
 
 
-def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> FactorGraphRecord:
+def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: BoolArray) -> FactorGraphRecord:
     """The graph of the keyframes that are ``kept`` (K,), with what they observed of these landmarks.
 
     Edges to keyframes that are not kept are left out, and covariances of poses, which no drive needs.
@@ -222,7 +221,7 @@ def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[
     return replace(part, pose_covariances=np.zeros((0, 6, 6)))
 
 
-def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:
+def _condensed(graph: FactorGraphRecord) -> BoolArray:
     """Which keyframes (K,) only condensed edges connect to the rest: other keyframes represent them."""
     is_condensed = are_of_kind(graph, EdgeKind.CONDENSED)
     tied, otherwise = graph.edge_keyframe_ids[is_condensed], graph.edge_keyframe_ids[~is_condensed]
@@ -230,7 +229,7 @@ def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:
     return np.isin(graph.keyframe_ids, tied) & ~np.isin(graph.keyframe_ids, needed)
 
 
-def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:
+def _tied(graph: FactorGraphRecord, *, to_first: bool) -> BoolArray:
     """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
     part = parts(graph, ~are_of_kind(graph, EdgeKind.DISCONTINUITY))
     return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
@@ -32,7 +31,7 @@ def find_graph_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     return next(chain(_faults_of_names(objects, graph), _faults_of_noise(graph)), "")
 
 
-def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
+def parts(graph: FactorGraphRecord, counts: BoolArray) -> IntArray:
     """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
     order = np.argsort(graph.keyframe_ids)
     ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
@@ -98,7 +97,7 @@ def _faults_of_connections(graph: FactorGraphRecord) -> Iterator[str]:
         yield f"no edge connects keyframe {keyframe} to the first one"
 
 
-def _are_covariances(P: FloatArray) -> NDArray[np.bool_]:
+def _are_covariances(P: FloatArray) -> BoolArray:
     """Which matrices (N, n, n) can be covariances, but for rounding."""
     usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     trace = np.trace(P, axis1=1, axis2=2)
@@ -106,7 +105,7 @@ def _are_covariances(P: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(usable & (trace > 0.0) & (least >= -1e-6 * np.abs(trace)))
 
 
-def _are_definite(P: FloatArray) -> NDArray[np.bool_]:
+def _are_definite(P: FloatArray) -> BoolArray:
     """Which matrices (N, n, n) can weigh a measurement."""
     usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     return np.asarray(usable & (np.linalg.eigvalsh(np.where(usable[:, None, None], P, 0.0))[:, 0] > 0.0))

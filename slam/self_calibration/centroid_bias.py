@@ -26,8 +26,7 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
     count = int(tracks.labels.max()) + 1 if len(tracks.labels) else 0
     biases = np.zeros(count)
     first, second = _view_changes(tracks)
-    rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
-    turned = rays[first] - rays[second]
+    turned = tracks.rays[first] - tracks.rays[second]
     moved = tracks.points[second] - tracks.points[first]
     block = tracks.scan[second] * BLOCKS // (int(tracks.scan.max()) + 1) if len(second) else second
     for label in range(count):
@@ -49,15 +48,13 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
 
 def without_bias(tracks: ObjectTracks, biases: FloatArray) -> ObjectTracks:
     """The tracks with each detection moved outwards by the bias of its class."""
-    rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
-    outwards = biases[tracks.labels][:, None] * rays
+    outwards = biases[tracks.labels][:, None] * tracks.rays
     return replace(tracks, offsets=tracks.offsets + outwards, points=tracks.points + outwards)
 
 
 def _view_changes(tracks: ObjectTracks) -> tuple[np.ndarray, np.ndarray]:
     """Rows (P,) of detections of one track, 4, 8 and 16 detections apart, between which the view changed."""
-    firsts, seconds = [], []
-    rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
+    firsts, seconds, rays = [], [], tracks.rays
     for lag in (4, 8, 16):
         first = tracks.followed(lag)
         first = first[np.linalg.norm(rays[first + lag] - rays[first], axis=1) > LEAST_VIEW_CHANGE]

@@ -229,7 +229,7 @@ def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
         "delay_s": motion.velocities[tracks.scan] + motion.turn_rates[tracks.scan][:, None] * turned,
         "yaw_rad": turned,
         "turn_share": headings[:, None] * turned + swept,
-        "near_m": tracks.offsets / np.maximum(ranges, 1e-12)[:, None],
+        "near_m": tracks.rays,
     }
     in_space = {name: np.column_stack([effect, zero]) for name, effect in level.items()} | {
         "roll_rad": np.cross(along, offsets),

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.records import frozen
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
@@ -74,7 +73,12 @@ class ObjectTracks:
     rooms: FloatArray
     steps: FloatArray
 
-    def of(self, chosen: NDArray[np.bool_] | IntArray) -> ObjectTracks:
+    @property
+    def rays(self) -> FloatArray:
+        """Unit vectors (N, 2) from the body to the detections."""
+        return np.asarray(self.offsets / np.maximum(np.linalg.norm(self.offsets, axis=1), 1e-12)[:, None])
+
+    def of(self, chosen: BoolArray | IntArray) -> ObjectTracks:
         """Some of the detections, by mask or rows."""
         return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 

@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from slam.common.arrays import BoolArray, FloatArray
-from slam.common.geometry import apply
+from slam.common.geometry import apply, gravity_frame
 from slam.self_calibration.object_tracks import MAX_DISTANCES, SurveyScan
-from slam.self_calibration.scan_pairs import MIN_PAIRS, median_range, upright
+from slam.self_calibration.scan_pairs import MIN_PAIRS, median_range
 
 CLUSTERED = 1.5
 """Within twice the size of a cluster are less than so many times as many pairs as within it; in rows there are twice as
@@ -61,7 +61,7 @@ def _offsets_that_stay(scans: Sequence[SurveyScan], size_m: float) -> BoolArray:
     where that has two as near.
     """
     found = [np.zeros(0, dtype=np.bool_)]
-    poses = upright(np.stack([scan.T_odom_body for scan in scans]))
+    poses = gravity_frame(np.stack([scan.T_odom_body for scan in scans]))
     classes_m = 1e3 * median_range(scans)
     layered = [
         np.column_stack([apply(T, scan.positions), classes_m * scan.labels])

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+from slam.common.geometry import gravity_frame, invert, travelled_m
 from slam.self_calibration.corrections import BLOCKS, is_beyond_chance
 from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
+from slam.self_calibration.surveyed_log import headings_of
 
 MOVED_SPACINGS = 0.25
 """Between the scans of a pair, the body moves past its objects, by travel or turn, by that share of their spacing."""
@@ -26,12 +27,13 @@ _Pairs = list[tuple[int, int]]
 
 
 class ScanPairs:
-    """Pairs of ``scans`` (K): ``rows`` (P, 2); ``spacing_m``: of the objects; ``motions`` (P, 4, 4): of the body from
+    """Pairs (P, 2) of ``scans`` (K): ``rows``; ``spacing_m``: of the objects; ``motions`` (P, 4, 4): of the body from
     the first scan to the second.
     """
 
-    def __init__(self, scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -> None:
-        self.rows, self.spacing_m = rows, spacing_m
+    def __init__(self, scans: Sequence[SurveyScan], pairs: _Pairs | IntArray, spacing_m: float) -> None:
+        self.rows = rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        self.spacing_m = spacing_m
         self.motions = self.motions_by(np.stack([scan.T_odom_body for scan in scans]))
         reference, self._detections = (_detections(scans, rows[:, side], spacing_m) for side in (0, 1))
         self._pair = np.repeat(np.arange(len(rows)), [len(scans[row].labels) for row in rows[:, 1]])
@@ -40,27 +42,24 @@ class ScanPairs:
     @classmethod
     def by_travel(cls, scans: Sequence[SurveyScan], spacing_m: float) -> ScanPairs:
         """Pairs between which the body travels."""
-        return cls._of(scans, _evenly(_travels(scans, spacing_m), FEW), spacing_m)
+        return cls(scans, _evenly(_travels(scans, spacing_m), FEW), spacing_m)
 
     @classmethod
     def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> ScanPairs:
         """Pairs between which the body travels, and pairs between which it turns, ``fastest``: most for the time."""
-        turned_rad = _path(np.abs(np.diff(np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans]))))))
+        turns_rad = np.abs(np.diff(headings_of(scans)))
+        turned_rad = np.concatenate([[0.0], np.cumsum(turns_rad)])
         turns = _reached(turned_rad, MOVED_SPACINGS * spacing_m / max(median_range(scans), 1e-9))
         if fastest:
             rates = np.array([(turned_rad[second] - turned_rad[first]) / (second - first) for first, second in turns])
             chosen = np.argsort(-rates, kind="stable")[: max(len(turns) // 4, FEW)]
             turns = [turns[index] for index in np.sort(chosen)]
         turns = _evenly(turns, round(MAX_DETECTIONS * len(scans) / sum(len(scan.labels) for scan in scans)))
-        return cls._of(scans, _evenly(_travels(scans, spacing_m), max(len(turns), FEW)) + turns, spacing_m)
-
-    @classmethod
-    def _of(cls, scans: Sequence[SurveyScan], pairs: _Pairs, spacing_m: float) -> ScanPairs:
-        return cls(scans, np.array(pairs, dtype=np.int64).reshape(-1, 2), spacing_m)
+        return cls(scans, _evenly(_travels(scans, spacing_m), max(len(turns), FEW)) + turns, spacing_m)
 
     def motions_by(self, T_odom_body: FloatArray) -> FloatArray:
         """Motions (P, 4, 4) of the body by poses (K, 4, 4), without roll and pitch."""
-        poses = upright(T_odom_body)
+        poses = gravity_frame(T_odom_body)
         return invert(poses[self.rows[:, 0]]) @ poses[self.rows[:, 1]]
 
     def log_distances(self, motions: FloatArray) -> FloatArray:
@@ -127,24 +126,15 @@ def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -
     )
 
 
-def upright(T_odom_body: FloatArray) -> FloatArray:
-    """Poses (K, 4, 4) without roll and pitch."""
-    return transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))
-
-
 def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> _Pairs:
     """Pairs between which the body goes past its objects."""
     positions, moved_m = np.stack([scan.T_odom_body[:2, 3] for scan in scans]), MOVED_SPACINGS * spacing_m
     # An odometry that trembles while the body stands goes nowhere.
     return [
         (first, second)
-        for first, second in _reached(_path(np.linalg.norm(np.diff(positions, axis=0), axis=1)), moved_m)
+        for first, second in _reached(travelled_m(positions), moved_m)
         if 2.0 * np.linalg.norm(positions[second] - positions[first]) > moved_m
     ]
-
-
-def _path(steps: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _reached(way: FloatArray, least: float) -> _Pairs:

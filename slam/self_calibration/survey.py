@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
-from slam.common.geometry import roll_pitch_yaw_deg
+from slam.common.geometry import roll_pitch_yaw_deg, travelled_m
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.clutter import clutter_density
@@ -300,7 +300,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
     headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
     motion = Motion(
-        np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))]),
+        travelled_m(poses[:, :2, 3]),
         headings,
         stamps_s,
         poses[:, 2, 3],

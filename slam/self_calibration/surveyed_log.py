@@ -11,7 +11,7 @@ import numpy as np
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration, OdometryCalibration
-from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
+from slam.common.geometry import apply, gravity_frame, interpolate, invert, yaw_rad
 from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
@@ -83,7 +83,7 @@ class SurveyedLog:
         usable = [d for d in first.values() if stamps[0] <= d.stamp_ns + delay_ns <= stamps[-1] and len(d.positions)]
         usable.sort(key=lambda detections: detections.stamp_ns)
         T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
-        T_upright_body = invert(transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))) @ T_odom_body
+        T_upright_body = invert(gravity_frame(T_odom_body)) @ T_odom_body
         scans = []
         for detections, T, T_upright in zip(usable, T_odom_body, T_upright_body, strict=True):
             T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T, calibration.detection)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.records import frozen
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.simulation.config import SensorConfig
 
 
@@ -32,14 +31,14 @@ def noise_sigma_m(range_m: FloatArray, config: SensorConfig) -> FloatArray:
     return config.noise_base_m + config.noise_per_m * range_m
 
 
-def in_view(positions: FloatArray, config: SensorConfig) -> NDArray[np.bool_]:
+def in_view(positions: FloatArray, config: SensorConfig) -> BoolArray:
     """Which of the positions (N, 3), metres, body frame, are within range and within the field of view: (N,)."""
     bearing = np.arctan2(positions[:, 1], positions[:, 0])
     near = np.linalg.norm(positions, axis=1) <= config.max_range_m
     return np.asarray(near & (np.abs(bearing) <= 0.5 * np.deg2rad(config.field_of_view_deg)))
 
 
-def unshadowed(positions: FloatArray, radius_m: float) -> NDArray[np.bool_]:
+def unshadowed(positions: FloatArray, radius_m: float) -> BoolArray:
     """Which of the positions (N, 3), metres, body frame, no other one hides: (N,).
 
     Seen from above, an object of radius r at distance d hides the bearings within arcsin(r / d) of its own, from r

@@ -12,6 +12,7 @@ from logs.importers.maps.object_table import read_object_table
 from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
+from slam.common.geometry import travelled_m
 
 
 @frozen
@@ -44,7 +45,7 @@ class World:
     @property
     def tour_length_m(self) -> float:
         """Length of the poly-line, metres."""
-        return float(np.linalg.norm(np.diff(self.tour, axis=0), axis=1).sum())
+        return float(travelled_m(self.tour)[-1])
 
     def shortened(self, length_m: float) -> World:
         """The same world with the first ``length_m`` metres of the tour; the whole tour if it is no longer than that.
@@ -54,7 +55,7 @@ class World:
         """
         if not length_m > 0.0:
             raise SimulationError(f"length {length_m:g} m: a tour needs a length above 0 m")
-        along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.tour, axis=0), axis=1)))
+        along_m = travelled_m(self.tour)
         if length_m >= along_m[-1]:
             return self
         end = [np.interp(length_m, along_m, self.tour[:, axis]) for axis in (0, 1)]

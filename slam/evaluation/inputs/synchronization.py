@@ -30,7 +30,7 @@ class PoseSeries:
     @property
     def travelled_m(self) -> FloatArray:
         """Path length (N,), metres, from the first pose."""
-        return travelled_m(self.T_world_body)
+        return travelled_m(self.positions)
 
     def turned(self, R: FloatArray) -> PoseSeries:
         """The same poses of a body with other axes, which are R (3, 3) in its own."""

@@ -82,7 +82,7 @@ def compute_relative_error(
     Returns:
         None, None where the drive has no such stretch.
     """
-    path_m = travelled_m(T_world_body_gt)
+    path_m = travelled_m(T_world_body_gt[:, :3, 3])
     starts, lengths = (
         each.ravel() for each in np.meshgrid(np.arange(0, len(path_m), 10), np.arange(100.0, 801.0, 100.0))
     )

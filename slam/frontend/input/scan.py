@@ -6,13 +6,12 @@ from dataclasses import replace
 from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from logs.dslam_codec import take_rows
 from logs.messages import ObjectDetections
 from logs.records import frozen
-from slam.common.arrays import FloatArray
+from slam.common.arrays import BoolArray, FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply
 from slam.frontend.input.label_map import DROPPED
@@ -31,10 +30,10 @@ class Scan:
     positions: FloatArray
     covariances: FloatArray
     labels: tuple[str, ...]
-    used: NDArray[np.bool_]
-    has_own_covariance: NDArray[np.bool_]
+    used: BoolArray
+    has_own_covariance: BoolArray
 
-    def of(self, chosen: NDArray[np.bool_]) -> Scan:
+    def of(self, chosen: BoolArray) -> Scan:
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
         if chosen.all():
             return self
@@ -62,7 +61,7 @@ class Scan:
         return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
 
 
-def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> NDArray[np.bool_]:
+def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> BoolArray:
     """(M,): which detections of a message neither the settings of labels nor that of scores leave out, and which are of
     objects that were not detected better.
     """
@@ -74,7 +73,7 @@ def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> NDA
     return is_kept
 
 
-def _is_repeated(detections: ObjectDetections, resolution_m: float) -> NDArray[np.bool_]:
+def _is_repeated(detections: ObjectDetections, resolution_m: float) -> BoolArray:
     """(M,): which detections are nearer than the resolution to one of the same label with a higher score, or an earlier
     one with the same, that is not repeated itself: non-maximum suppression.
     """

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.dslam_codec import take_rows
 from logs.messages import (
@@ -21,7 +20,7 @@ from logs.messages import (
     Transform,
 )
 from logs.records import frozen
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import interpolate, invert
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -83,7 +82,7 @@ class Scan:
         covariances = None if seen.covariances is None else R @ seen.covariances @ R.T
         self.change(positions=seen.positions @ R.T + t, covariances=covariances)
 
-    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+    def keep(self, is_kept: BoolArray) -> None:
         """Keep the detections of a mask (N,), with their true ids."""
         ids = [name for name, kept in zip(self.ids, is_kept.tolist(), strict=False) if kept]
         self.put(take_rows(self.seen, N=np.flatnonzero(is_kept)), ids)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from slam.common.arrays import BoolArray
 from slam.simulation.faults.parameters import Duration, Hertz, Part, Seconds
 from slam.simulation.faults.recording import Recording, Scan, seconds_ns
 
@@ -72,7 +72,7 @@ def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> None:
     log.stamps_ns = np.where(_after_half(log, seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
 
 
-def _after_half(log: Recording, seconds: float) -> NDArray[np.bool_]:
+def _after_half(log: Recording, seconds: float) -> BoolArray:
     """Which stamps (N,) of the odometry are within so long from half time on."""
     begin_ns, end_ns = log.from_half(seconds)
     return (log.stamps_ns >= begin_ns) & (log.stamps_ns < end_ns)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from logs.records import frozen
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import SimulationError
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw, travelled_m
 from tools.lab.retrieval.labelled_map import LabelledMap
 
 
@@ -61,8 +60,7 @@ def draw_queries(
     Raises:
         SimulationError: a tour without length, or from which no object is in sight.
     """
-    lengths = np.linalg.norm(np.diff(tour, axis=0), axis=1)
-    along = np.append(0.0, np.cumsum(lengths))
+    along = travelled_m(tour)
     if not along[-1] > 0.0:
         raise SimulationError("the trajectory has no length; queries are sampled along it")
     queries = []
@@ -102,7 +100,7 @@ def _misclassified(
     return np.where(wrong, (labels + step) % classes, labels)
 
 
-def visible(offsets: FloatArray) -> NDArray[np.bool_]:
+def visible(offsets: FloatArray) -> BoolArray:
     """Which objects (N,) are not hidden, seen from the origin: hidden-point removal (Katz et al., SIGGRAPH 2007).
 
     In the plane, (N, 2) m: a point is visible if it lies on the convex hull of the viewpoint and all points after these
