@@ -109,5 +109,5 @@ def _load_map(path: Path) -> TrainingMap:
     objects: Any = read_object_table(path).in_metres() if path.suffix.lower() == ".csv" else read_map(path)
     if not len(objects.labels):
         raise InputDataError(f"{path} holds no object")
-    found, numbers = np.unique(np.asarray(objects.labels), return_inverse=True)
+    found, numbers = np.unique(objects.labels, return_inverse=True)
     return TrainingMap(np.asarray(objects.positions, dtype=np.float64), numbers.astype(np.int64), len(found))

@@ -34,7 +34,7 @@ class AttachedKeyframes:
 
     def pose(self, keyframe: int, T_map_anchor: FloatArray) -> FloatArray:
         """``T_map_body`` (4, 4) of an attached keyframe."""
-        return np.asarray(T_map_anchor @ self._transforms[keyframe])
+        return T_map_anchor @ self._transforms[keyframe]
 
     def edge(self, edge: Edge) -> Edge:
         """The same constraint between anchors; covariances are about the axes of the keyframe that it leads to."""

@@ -180,7 +180,7 @@ class EditableGraph:
             return self._attached.pose(keyframe, self.pose(anchor, values))
         if keyframe in self._fixed_poses:
             return self._fixed_poses[keyframe]
-        return self._solver.pose(keyframe) if values is None else np.asarray(values.atPose3(X(keyframe)).matrix())
+        return self._solver.pose(keyframe) if values is None else values.atPose3(X(keyframe)).matrix()
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""

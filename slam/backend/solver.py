@@ -101,10 +101,10 @@ class Solver:
         key = X(keyframe)
         with gtsam_errors(f"the estimate of keyframe {keyframe}"):
             if self._new_values.exists(key):
-                return np.asarray(self._new_values.atPose3(key).matrix())
+                return self._new_values.atPose3(key).matrix()
             if self._isam is None or self._values is not None:
-                return np.asarray(self.values().atPose3(key).matrix())
-            return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
+                return self.values().atPose3(key).matrix()
+            return self._isam.calculateEstimatePose3(key).matrix()
 
     def values(self) -> gtsam.Values:
         """The estimate of all variables as of the last update; iSAM2 computes those that were not queried only here."""

@@ -72,7 +72,7 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
     if angle < 1e-6:
         return np.eye(3) + 0.5 * K
     first, second = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) + first * K + second * K @ K)
+    return np.eye(3) + first * K + second * K @ K
 
 
 def adjoint(T_a_b: FloatArray) -> FloatArray:
@@ -88,7 +88,7 @@ def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArra
     """Covariance (6, 6) of a rotation and a translation, each in the axes of frame a, in those of frame b."""
     R = np.zeros((6, 6))
     R[:3, :3] = R[3:, 3:] = R_a_b
-    return np.asarray(R.T @ covariance_a @ R)
+    return R.T @ covariance_a @ R
 
 
 def rotation_angle_rad(T: FloatArray) -> FloatArray:
@@ -104,7 +104,7 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
 
 def rotation_of(vector: FloatArray) -> FloatArray:
     """Rotations (..., 3, 3) of rotation vectors (..., 3) rad."""
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def yaw_rad(T: FloatArray) -> FloatArray:
@@ -131,12 +131,12 @@ def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
     """Angles (3,) about the fixed axes x, y, z, in this order."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock")  # one of the angles may be chosen then, and is 0
-        return np.asarray(Rotation.from_matrix(R).as_euler("xyz", degrees=True)) + 0.0
+        return Rotation.from_matrix(R).as_euler("xyz", degrees=True) + 0.0
 
 
 def rigid(T: FloatArray) -> FloatArray:
     """``T`` (4, 4) without the rounding that products gather."""
-    return make_transform(np.asarray(Rotation.from_matrix(T[:3, :3]).as_matrix()), T[:3, 3])
+    return make_transform(Rotation.from_matrix(T[:3, :3]).as_matrix(), T[:3, 3])
 
 
 def travelled_m(positions: FloatArray) -> FloatArray:

@@ -95,4 +95,4 @@ def _placed(object_map: ObjectMap, newest: Keyframe, T_map_newest: FloatArray) -
     around = landmarks["segment"] == newest.odometry.segment
     T_map_local = T_map_newest @ invert(newest.T_local_body)
     positions[around] = apply(T_map_local, landmarks["position_local"][around])
-    return np.asarray(positions)
+    return positions

@@ -185,7 +185,7 @@ def _gate(probability: float) -> float:
 
 def _is_contested(detection: IntArray, landmark: IntArray) -> BoolArray:
     """Which pairs (P,) share a detection or a landmark with another."""
-    return np.asarray((np.bincount(detection)[detection] > 1) | (np.bincount(landmark)[landmark] > 1))
+    return (np.bincount(detection)[detection] > 1) | (np.bincount(landmark)[landmark] > 1)
 
 
 def _cheapest(detection: IntArray, landmark: IntArray, gain: FloatArray, contested: BoolArray) -> IntArray:

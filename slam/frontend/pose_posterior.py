@@ -254,7 +254,7 @@ class ModeSearch:
         beliefs = self._known.beliefs
         log_label = np.log(label_likelihood(beliefs[landmarks, labels], beliefs.shape[1], self._config))
         log_clutter = np.log(self._config.new_object_density * other_shares(labels, landmarks, beliefs))
-        return np.asarray(log_label - log_clutter - 0.5 * (distances + np.log((2.0 * np.pi) ** 3 * determinants)))
+        return log_label - log_clutter - 0.5 * (distances + np.log((2.0 * np.pi) ** 3 * determinants))
 
     def _refined(self, T_motion: FloatArray, xi: FloatArray, covariance: FloatArray, component: PriorComponent) -> Mode:
         """The mode near a pose that is off by xi from that after a motion, with all pairs in its gates."""

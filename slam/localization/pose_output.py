@@ -29,7 +29,7 @@ class PoseOutput:
 
     def in_map(self, pose: OdometryPose) -> FloatArray:
         """``T_map_body`` (4, 4) at a pose of the track."""
-        return np.asarray(self._T_map_odom @ pose.T_odom_body)
+        return self._T_map_odom @ pose.T_odom_body
 
     def at(self, pose: OdometryPose, *, is_localized: bool) -> list[Record]:
         """The pose in the odometry frame and, where the robot knows it, in the map."""

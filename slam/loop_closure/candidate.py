@@ -99,7 +99,7 @@ class Query:
     @property
     def T_gravity_body(self) -> FloatArray:
         """The tilt (4, 4) of the keyframe, by the odometry."""
-        return np.asarray(invert(self.T_local_gravity) @ self.keyframe.T_local_body)
+        return invert(self.T_local_gravity) @ self.keyframe.T_local_body
 
     def refusal(
         self, stage: Stage, reason: str, reference: Keyframe | None = None, *, place: Place | None = None

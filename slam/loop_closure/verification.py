@@ -68,7 +68,7 @@ class Verifier:
             return None
         T_seed_query = invert(gravity_frame(seed.query.T_local_body)) @ query.T_local_gravity
         pose = seed.reference.odometry
-        T_local_query = np.asarray(seed.T_local_query @ T_seed_query)
+        T_local_query = seed.T_local_query @ T_seed_query
         place = Place(T_local_query, pose.travel_m, pose.segment, "prediction", predicted_by=seed.query.id)
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None

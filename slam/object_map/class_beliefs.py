@@ -62,7 +62,7 @@ class ClassBeliefs:
 
     def label_counts(self, rows: IntArray | int | slice) -> FloatArray:
         """Counts of the labels of landmarks; columns beyond the vocabulary are zero."""
-        return np.asarray(self._label_counts[rows])
+        return self._label_counts[rows]
 
     def beliefs(self, rows: IntArray) -> FloatArray:
         """Class probabilities (N, C) of each landmark."""

@@ -90,7 +90,7 @@ def _faults_of_noise(graph: FactorGraphRecord) -> Iterator[str]:
 
 def _faults_of_connections(graph: FactorGraphRecord) -> Iterator[str]:
     ends = graph.edge_keyframe_ids
-    for keyframe, _ in ends[np.asarray(ends[:, 0] == ends[:, 1])]:
+    for keyframe, _ in ends[ends[:, 0] == ends[:, 1]]:
         yield f"an edge of its graph leads from keyframe {keyframe} to itself"
     part = parts(graph, np.ones(len(graph.edge_kinds), dtype=np.bool_))
     for keyframe in graph.keyframe_ids[part != part[0]]:

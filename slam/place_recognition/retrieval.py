@@ -79,7 +79,7 @@ class PlaceRetriever:
         batch = Batch(
             landmarks["position_local"][around],
             self._map.labels.classes(around),
-            np.asarray(np.searchsorted(around, new)),
+            np.searchsorted(around, new),
             entry_of[around],
             segment,
             self._map.labels.vocabulary,

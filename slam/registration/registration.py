@@ -144,9 +144,7 @@ class Pairs:
     def squared_residuals(self, pose: LevelPose) -> FloatArray:
         """Squared residuals (P,) at a pose, in variances."""
         apart_m = np.abs(pose.turn * self.query + pose.shift - self.reference)
-        return np.asarray(
-            (apart_m / self.sigmas) ** 2 + ((self.query_z + pose.rise - self.reference_z) / self.sigmas_z) ** 2
-        )
+        return (apart_m / self.sigmas) ** 2 + ((self.query_z + pose.rise - self.reference_z) / self.sigmas_z) ** 2
 
     def least_squares(self, pose: LevelPose, weights: FloatArray) -> LevelPose:
         """The pose with the least squared residuals, with ``weights`` (P,) times the inverse variances.
@@ -251,7 +249,7 @@ def _information(pairs: Pairs, chosen: IntArray, weights: FloatArray) -> FloatAr
     J[:, 0, 3] = J[:, 1, 4] = J[:, 2, 5] = 1.0
     sigmas = np.column_stack([pairs.sigmas, pairs.sigmas, pairs.sigmas_z])[chosen]
     rows = (J * (np.sqrt(weights)[:, None] / sigmas)[:, :, None]).reshape(-1, 6)
-    return np.asarray(rows.T @ rows)
+    return rows.T @ rows
 
 
 def _covariance(information: FloatArray, middle: FloatArray) -> FloatArray:
@@ -266,4 +264,4 @@ def _covariance(information: FloatArray, middle: FloatArray) -> FloatArray:
     P[2:, 2:] += inverse
     Ad = adjoint(make_transform(np.eye(3), middle))
     covariance = Ad @ P @ Ad.T
-    return np.asarray(0.5 * (covariance + covariance.T))
+    return 0.5 * (covariance + covariance.T)

@@ -75,7 +75,7 @@ def _offsets_that_stay(scans: Sequence[SurveyScan], size_m: float) -> BoolArray:
         offsets = second - first
         lengths = np.linalg.norm(offsets, axis=1)
         distances, rows = cKDTree(later).query(0.5 * (first + second), k=2)
-        changed = np.diff(later[np.asarray(rows)], axis=1)[:, 0]
+        changed = np.diff(later[rows], axis=1)[:, 0]
         change = np.minimum(*(np.linalg.norm(changed + sign * offsets, axis=1) for sign in (1.0, -1.0)))
         found.append((change < 0.5 * lengths)[(distances < lengths[:, None]).all(axis=1)])
     return np.concatenate(found)

@@ -79,12 +79,12 @@ class ScanPairs:
 
 def seen_by(T_body_sensor: FloatArray, motions: FloatArray) -> FloatArray:
     """Motions (P, 4, 4) of a sensor at a pose (4, 4) on the body, from those of the body."""
-    return np.asarray(invert(T_body_sensor) @ motions @ T_body_sensor)
+    return invert(T_body_sensor) @ motions @ T_body_sensor
 
 
 def evidence(distances: FloatArray) -> FloatArray:
     """How much nearer the motion brings the scans of pairs than its inverse, (P,), by their log distances (P, 2)."""
-    return np.asarray(distances[:, 1] - distances[:, 0])
+    return distances[:, 1] - distances[:, 0]
 
 
 def is_better(distances: FloatArray, now: FloatArray, factor: float = 1.0) -> bool:

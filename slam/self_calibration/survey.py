@@ -242,7 +242,7 @@ def _is_turned_by_hand(given: Calibration) -> bool:
 
 def _turned(detection: DetectionCalibration) -> FloatArray:
     angles_deg = [getattr(detection, name) for name in ANGLES_DEG]
-    return np.asarray(Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix())
+    return Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
 
 
 def _angles(R: FloatArray) -> dict[str, float]:

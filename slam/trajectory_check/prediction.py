@@ -112,7 +112,7 @@ class _FieldOfView:
 
     def density(self, positions: FloatArray) -> FloatArray:
         """Share of the detections per area [1/m^2] at positions (N, 3) m, body frame, within the range."""
-        return np.asarray(self._densities[self._cells(positions)])
+        return self._densities[self._cells(positions)]
 
     def _cells(self, positions: FloatArray) -> tuple[IntArray, IntArray]:
         rings, sectors = polar_cells(self.project(positions), self._range_m, RINGS, SECTORS)

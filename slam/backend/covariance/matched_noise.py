@@ -128,4 +128,4 @@ def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray)
 def _scaled(covariance: FloatArray, factors: FloatArray) -> FloatArray:
     """A covariance (6, 6) with variances scaled by ``factors`` (6,) along the axes that GTSAM whitens."""
     axes = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]
-    return np.asarray((axes * factors) @ axes.T)
+    return (axes * factors) @ axes.T

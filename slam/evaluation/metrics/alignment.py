@@ -65,7 +65,7 @@ def find_axes(R_est: FloatArray, R_gt: FloatArray) -> FloatArray:
     turns = np.rint(Rotation.create_group("O").as_matrix())
     traces = np.einsum("nji,njk,tik->t", R_est, R_gt, turns) / len(R_est)
     best = int(np.argmax(traces))
-    return np.asarray(turns[best]) if traces[best] > 1.0 + np.sqrt(2.0) else np.eye(3)
+    return turns[best] if traces[best] > 1.0 + np.sqrt(2.0) else np.eye(3)
 
 
 def _is_one_point(spread_m: float) -> bool:

@@ -117,7 +117,7 @@ def _distorted(camera: CameraModel, xy: FloatArray) -> FloatArray:
             return xy
         angle = float(np.arctan(r))
         powers = angle ** np.array([2, 4, 6, 8])
-        return np.asarray(xy * (angle * (1.0 + float(k @ powers)) / r))
+        return xy * (angle * (1.0 + float(k @ powers)) / r)
     k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([camera.distortion, np.zeros(8)])[:8].tolist()
     r2 = x * x + y * y
     radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))

@@ -105,7 +105,7 @@ def _drive(
         return rows, path[-1]
     last = int(np.partition(first_step, scenario.objects - 1)[scenario.objects - 1])
     rows = rows[first_step <= last]
-    offsets = np.asarray(tree.data)[rows] - path[last]
+    offsets = tree.data[rows] - path[last]
     nearest = np.argsort(np.hypot(offsets[:, 0], offsets[:, 1]), kind="stable")[: scenario.objects]
     return np.sort(rows[nearest]), path[last]
 
