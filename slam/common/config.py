@@ -27,82 +27,64 @@ and between the keyframes of a closure lies twice as much, so that their submaps
 class KeyframeConfig(Branch):
     """When a new keyframe is made."""
 
-    distance_m: float | None = Field(
-        default=None, gt=0, description="travel since the last keyframe; not set: 1/15 of the sensor range [m]"
-    )
+    distance_m: float | None = Field(default=None, gt=0)
+    """travel since the last keyframe; not set: 1/15 of the sensor range [m]"""
 
 
 class LocalizationConfig(Branch):
     """Where the robot is: the posterior over poses in earlier traversals and "somewhere new"."""
 
-    error_probability: float = Field(
-        default=1e-4,
-        gt=0,
-        lt=1,
-        description="a pose is accepted if the probability that it is wrong is below this; with a hundred decisions a "
-        "drive, 0.0001 is one false closure in a hundred drives",
-    )
-    failures_per_km: float = Field(
-        default=1e-3, gt=0, description="undetected failures of the odometry per kilometre [1/km]"
-    )
+    error_probability: float = Field(default=1e-4, gt=0, lt=1)
+    """a pose is accepted if the probability that it is wrong is below this; with a hundred decisions a drive, 0.0001 is
+    one false closure in a hundred drives
+    """
+    failures_per_km: float = Field(default=1e-3, gt=0)
+    """undetected failures of the odometry per kilometre [1/km]"""
 
 
 class LoopClosureConfig(Branch):
     """Retrieval and insertion of loop closures."""
 
-    enabled: bool = Field(default=True, description="close loops")
-    descriptor: str = Field(
-        default="descriptellation_lr",
-        description="descriptor of constellations: descriptellation_lr, one of the baselines, a "
-        "file of weights (NAME.safetensors) or a class of your own (module:Class)",
-    )
-    min_travel_m: float | None = Field(
-        default=None,
-        gt=0,
-        description="minimum travel between the two keyframes of a closure; not set: 10/3 of the sensor range [m]",
-    )
-    top_k: int = Field(default=6, ge=1, description="nearest neighbours in descriptor space for each object")
-    max_candidates: int = Field(
-        default=5, ge=1, description="candidates that are verified for each keyframe and searched map"
-    )
-    propagation_distance_m: float | None = Field(
-        default=None,
-        ge=0,
-        description="travel over which an accepted closure predicts those before and after it; not set: 5/3 of the "
-        "sensor range [m]",
-    )
+    enabled: bool = True
+    """close loops"""
+    descriptor: str = "descriptellation_lr"
+    """descriptor of constellations: descriptellation_lr, one of the baselines, a file of weights (NAME.safetensors) or
+    a class of your own (module:Class)
+    """
+    min_travel_m: float | None = Field(default=None, gt=0)
+    """minimum travel between the two keyframes of a closure; not set: 10/3 of the sensor range [m]"""
+    top_k: int = Field(default=6, ge=1)
+    """nearest neighbours in descriptor space for each object"""
+    max_candidates: int = Field(default=5, ge=1)
+    """candidates that are verified for each keyframe and searched map"""
+    propagation_distance_m: float | None = Field(default=None, ge=0)
+    """travel over which an accepted closure predicts those before and after it; not set: 5/3 of the sensor range [m]"""
 
 
 class LabelsConfig(Branch):
     """What the classes of detections are called in the map. Old names may hold the wildcards * and ?."""
 
-    rename: dict[str, _Name] = Field(
-        default={}, description="old name = new name; several old ones of one new name become one class"
-    )
-    drop: tuple[str, ...] = Field(default=(), description="classes that are left out, under their old names")
+    rename: dict[str, _Name] = Field(default={})
+    """old name = new name; several old ones of one new name become one class"""
+    drop: tuple[str, ...] = ()
+    """classes that are left out, under their old names"""
 
 
 class Config(Branch):
     """Everything that can be set, and the calibration of the robot."""
 
-    calibrate: bool = Field(
-        default=True, description="estimate missing values of the calibration from the log, before it is mapped"
-    )
+    calibrate: bool = True
+    """estimate missing values of the calibration from the log, before it is mapped"""
     keyframe: KeyframeConfig = KeyframeConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     localization: LocalizationConfig = LocalizationConfig()
     labels: LabelsConfig = LabelsConfig()
-    topics: dict[str, str] = Field(
-        default={},
-        description="part = topic, overridden by --topic; several topics of one part are separated by commas",
-    )
-    memory_mb: float = Field(
-        default=_LIMITS.chunk_mb,
-        gt=0,
-        le=1e5,
-        description="memory for reading a log: one chunk, decompressed; one message takes a quarter of it, "
-        "and names, channels and objects of a message are limited in proportion [MB]",
-    )
+    topics: dict[str, str] = Field(default={})
+    """part = topic, overridden by --topic; several topics of one part are separated by commas"""
+    memory_mb: float = Field(default=_LIMITS.chunk_mb, gt=0, le=1e5)
+    """memory for reading a log: one chunk, decompressed; one message takes a quarter of it, and names, channels and
+    objects of a message are limited in proportion [MB]
+    """
     calibration: Calibration = Calibration()
 
     @property

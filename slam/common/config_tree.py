@@ -28,9 +28,9 @@ _TYPE_NAMES = {"float": "a number", "int": "a whole number", "bool": "true or fa
 
 
 class Branch(BaseModel):
-    """Settings that belong together: frozen, and without keys of other names."""
+    """Settings that belong together: frozen, and without keys of other names. The docstring of each is its meaning."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     def __hash__(self) -> int:
         """By the values, tables included, whose own type has no hash."""
@@ -97,7 +97,8 @@ def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
             branches.append((name, value))
         elif not any(isinstance(kind, type) and issubclass(kind, BaseModel) for kind in get_args(field.annotation)):
             default = value if field.is_required() else field.get_default()
-            yield Setting(f"{prefix}{name}", value, default, _allowed(field), field.description or "")
+            meaning = " ".join((field.description or "").split())
+            yield Setting(f"{prefix}{name}", value, default, _allowed(field), meaning)
     for name, branch in branches:
         yield from settings_of(branch, f"{prefix}{name}.")
 

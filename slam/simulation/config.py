@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from slam.common.config_tree import Branch, load_tree
 
 
-class _Branch(Branch):
-    model_config = ConfigDict(use_attribute_docstrings=True)
-
-
-class DriveConfig(_Branch):
+class DriveConfig(Branch):
     """Motion of the body along the tour."""
 
     speed_mps: float = Field(default=8.0, gt=0, le=50)
@@ -33,7 +29,7 @@ class DriveConfig(_Branch):
     """start of the drive, days after 2023-11-14 [d]"""
 
 
-class OdometryConfig(_Branch):
+class OdometryConfig(Branch):
     """Drift of the odometry; see ``drifting_odometry`` in ``slam.simulation.simulation`` for the exact model."""
 
     scale_drift_percent: float = Field(default=1.0, ge=0, le=50)
@@ -44,7 +40,7 @@ class OdometryConfig(_Branch):
     """rms error of the heading accumulated over 100 m of path [deg]"""
 
 
-class SensorConfig(_Branch):
+class SensorConfig(Branch):
     """Range and errors of the object detector."""
 
     max_range_m: float = Field(default=30.0, gt=0, le=1000)
@@ -69,7 +65,7 @@ class SensorConfig(_Branch):
     """detections carry the covariance of the noise model"""
 
 
-class KidnapConfig(_Branch):
+class KidnapConfig(Branch):
     """The robot is taken from one place of the tour to another, while nothing is logged or unnoticed."""
 
     from_m: float = Field(gt=0)
@@ -86,7 +82,7 @@ class KidnapConfig(_Branch):
     """without a gap: the odometry continues as if the robot had driven straight on"""
 
 
-class SimulationConfig(_Branch):
+class SimulationConfig(Branch):
     """The whole simulated drive."""
 
     drive: DriveConfig = DriveConfig()

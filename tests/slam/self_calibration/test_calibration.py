@@ -7,6 +7,7 @@ import pytest
 
 from slam.common.calibration import Calibration, ObjectCalibration, OdometryCalibration
 from slam.common.config import SUBMAP_RANGES, Config
+from slam.common.config_tree import settings_of
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
@@ -22,11 +23,7 @@ NOISE = {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05, "headi
 
 def settings() -> dict[str, str]:
     """Description of each setting by its name, "branch.setting"."""
-    return {
-        f"{branch}.{name}": field.description or ""
-        for branch in ("odometry", "detection", "objects")
-        for name, field in type(getattr(Calibration(), branch)).model_fields.items()
-    }
+    return {each.key: each.meaning for each in settings_of(Calibration()) if "." in each.key}
 
 
 def value_of(config: Config, key: str) -> object:
