@@ -22,7 +22,7 @@ def frozen(data: type[_T]) -> type[_T]:
     return dataclass(frozen=True, slots=True, eq=False)(data)
 
 
-def check_pose(record: Any, name: str, frames: tuple[str, ...] = ()) -> None:
+def check_pose(record: Any, name: str, frames: tuple[str, ...]) -> None:
     """See that the stamp, the transform ``name`` and the names of ``frames`` of a record are what it documents.
 
     Raises:

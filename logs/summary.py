@@ -46,8 +46,8 @@ class TopicSummary:
     duplicate_stamps: int
     out_of_order_stamps: int
     frames: tuple[str, ...]
-    frame_edges: tuple[tuple[str, str], ...] = ()
-    length_m: float | None = None
+    frame_edges: tuple[tuple[str, str], ...]
+    length_m: float | None
 
 
 @dataclass(frozen=True, slots=True)

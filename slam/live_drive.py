@@ -30,7 +30,7 @@ def map_live(
     publish: Callable[[str, Record, int], None],
     *,
     prior_map: PriorMap | None = None,
-    output: Path | None = None,
+    output: Path | None,
 ) -> tuple[FinalMap, LogMapper]:
     """Map messages as they come, publish what each makes known, and optimise everything at the end.
 

@@ -72,7 +72,7 @@ def prepare_log(
     *,
     topics: Mapping[str, str] | None,
     copy: Collection[str],
-    is_surveyed: bool = True,
+    is_surveyed: bool,
 ) -> PreparedLog:
     """Choose the topics of a log, read all frames, and estimate what was not given of its calibration, if it
     ``is_surveyed``.

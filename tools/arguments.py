@@ -85,7 +85,7 @@ def parse_origin(text: str) -> Georeference:
     return Georeference(latitude, longitude, altitude_m, math.radians(yaw_deg))
 
 
-def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] = ()) -> None:
+def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
     """Refuse an output that is an input or another output, or whose folder is missing, before any work is done.
 
     Outputs are written as NAME.part first, which is therefore taken too.

@@ -62,7 +62,7 @@ def add(
 
     if city.suffix and not city.is_dir():
         raise typer.BadParameter("name the folder of the city before the logs.", param_hint="CITY")
-    config = load_config(config_file, settings or ())
+    config = load_config(config_file, settings)
     georeference = None if origin is None else parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)

@@ -61,7 +61,7 @@ def live(
     from slam.localization.prior_map import load_prior_map
     from tools import console
 
-    config = load_config(config_file, settings or (), calibration=calibration)
+    config = load_config(config_file, settings, calibration=calibration)
     prior_map = None if map_log is None else load_prior_map(map_log)
     counters = Counter[str]()
     with ExitStack() as stack:

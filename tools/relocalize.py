@@ -65,7 +65,7 @@ def relocalize(
     from slam.replay import replay
     from tools import console
 
-    config = load_config(config_file, settings or (), calibration=calibration)
+    config = load_config(config_file, settings, calibration=calibration)
     known = load_prior_map(map_log)
     with console.progress_bar("looking", "optimising") as progress:
         summary = replay(

@@ -79,7 +79,7 @@ def replay(
     from slam.replay import replay as replay_log
     from tools import console
 
-    config = load_config(config_file, settings or (), calibration=calibration)
+    config = load_config(config_file, settings, calibration=calibration)
     prior_map = load_prior_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
         summary = replay_log(

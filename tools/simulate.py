@@ -40,7 +40,7 @@ def simulate(
     from slam.simulation.simulation import write_simulation
     from tools import console
 
-    config = load_simulation_config(config_file, settings or ())
+    config = load_simulation_config(config_file, settings)
     world = load_or_generate(objects, trajectory, seed=seed if world_seed is None else world_seed)
     if length is not None:
         world = world.shortened(length)

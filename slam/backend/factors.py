@@ -16,6 +16,7 @@ from logs.records import frozen
 from slam.backend.edge_kind import EdgeKind as EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
+from slam.common.geometry import least_eigenvalues
 
 PRIOR_SIGMA_RAD = 1e-4
 CLOSURE_KERNEL_WIDTH = 1.0
@@ -136,9 +137,7 @@ def checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
 
 def _checked_covariances(covariances: FloatArray, name_of: Callable[[int], str]) -> FloatArray:
     """Covariances (N, n, n); the name of a wrong one goes into the error."""
-    is_finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
-    least = np.linalg.eigvalsh(np.where(is_finite[:, None, None], covariances, 0.0))[:, 0]
-    for row in np.flatnonzero(least <= 0.0).tolist():
+    for row in np.flatnonzero(least_eigenvalues(covariances) <= 0.0).tolist():
         raise FactorGraphError(f"{name_of(row)}: the covariance is not finite and positive definite")
     return covariances
 

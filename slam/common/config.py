@@ -125,7 +125,9 @@ class Config(Branch):
         return _LIMITS.scaled(self.memory_mb / _LIMITS.chunk_mb)
 
 
-def load_config(path: Path | None = None, overrides: Sequence[str] = (), *, calibration: Path | None = None) -> Config:
+def load_config(
+    path: Path | None = None, overrides: Sequence[str] | None = None, *, calibration: Path | None = None
+) -> Config:
     """The effective configuration: defaults, then the TOML file, then the file of a calibration that ``dslam
     calibrate`` wrote, then ``overrides`` like "keyframe.distance_m=1.5".
 

@@ -49,7 +49,7 @@ class Setting:
 
 
 def load_tree(
-    model: type[_Tree], path: Path | None, overrides: Sequence[str], branches: Mapping[str, Path] | None = None
+    model: type[_Tree], path: Path | None, overrides: Sequence[str] | None, branches: Mapping[str, Path] | None = None
 ) -> _Tree:
     """The tree that defaults, then the TOML file ``path``, then files of single ``branches``, by their names, then
     ``overrides`` ("branch.key=value") make.
@@ -63,7 +63,7 @@ def load_tree(
         data = {} if path is None else _read_toml(path)
         for branch, file in (branches or {}).items():
             _update(data, {branch: _read_toml(file)})
-        for text in overrides:
+        for text in overrides or ():
             key, value = _parse_override(text)
             *parents, name = key.split(".")
             given = {name: value}

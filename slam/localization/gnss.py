@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,14 +28,18 @@ class GnssPrior:
         """Add a fix after ``travel_m`` of the drive; returns the latest that agrees with most others, or None."""
         if fix.covariance is None:
             return None
-        geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m]])
-        position = self._georeference.to_map(geodetic)[0, :2]
+        position = self._georeference.to_map(geodetic_places([fix]))[0, :2]
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(fix.covariance[:2, :2])[-1]))
         self._fixes = [*self._fixes[-49:], InitialPose(position, sigma_m, at_travel_m=travel_m)]
         for latest in reversed(self._fixes):
             if 2 * sum(_agree(latest, other) for other in self._fixes) > len(self._fixes):
                 return latest
         return None
+
+
+def geodetic_places(fixes: Sequence[GeodeticFix]) -> FloatArray:
+    """Latitude, longitude [deg] and altitude [m] (N, 3) of fixes."""
+    return np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in fixes])
 
 
 def _agree(a: InitialPose, b: InitialPose) -> bool:
@@ -59,7 +64,7 @@ def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) ->
     seconds = np.array([(fix.stamp_ns - first) * 1e-9 for fix in used])
     known_s = (trajectory.stamps_ns - first) * 1e-9
     path = np.stack([np.interp(seconds, known_s, trajectory.T_map_body[:, axis, 3]) for axis in range(3)], axis=1)
-    geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in used])
+    geodetic = geodetic_places(used)
     start = Georeference(*np.median(geodetic, axis=0).tolist())
     places = start.to_map(geodetic)
     sigmas = _sigmas(used)

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
+from slam.localization.gnss import geodetic_places
 from slam.localization.prior_map import PriorMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
@@ -116,8 +117,7 @@ def _distance_of_fixes(known: PriorMap, fixes: Sequence[GeodeticFix]) -> float:
     """Distance [m] of the median of the fixes from the nearest object of the map; 0 if it is unknown."""
     if known.georeference is None or not fixes:
         return 0.0
-    geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in fixes])
-    place = np.median(known.georeference.to_map(geodetic)[:, :2], axis=0)
+    place = np.median(known.georeference.to_map(geodetic_places(fixes))[:, :2], axis=0)
     return float(np.linalg.norm(known.positions[:, :2] - place, axis=1).min())
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, IntArray
+from slam.common.geometry import least_eigenvalues
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
@@ -64,10 +65,11 @@ def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iter
 def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
     probabilities = objects.class_probabilities
     is_normalised = np.abs(probabilities.sum(axis=1) - 1.0) <= 1e-6  # rounding
+    trace, least = np.trace(objects.covariances, axis1=1, axis2=2), least_eigenvalues(objects.covariances)
     faults = {
         "is not confirmed": np.array([state != "confirmed" for state in objects.states]),
         "has a position that is not finite": ~np.isfinite(objects.positions).all(axis=1),
-        "has a matrix that is not a covariance": ~_are_covariances(objects.covariances),
+        "has a matrix that is not a covariance": ~((trace > 0.0) & (least >= -1e-6 * np.abs(trace))),
         "has class probabilities that do not sum to 1": ~is_normalised | (probabilities < 0.0).any(axis=1),
         "was never seen": objects.observation_counts < 1,
     }
@@ -76,9 +78,9 @@ def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
 
 
 def _faults_of_noise(graph: FactorGraphRecord) -> Iterator[str]:
-    for first, second in graph.edge_keyframe_ids[~_are_definite(graph.edge_covariances)]:
+    for first, second in graph.edge_keyframe_ids[least_eigenvalues(graph.edge_covariances) <= 0.0]:
         yield f"edge {first} -> {second} of its graph has a covariance that is not positive definite"
-    for row in np.flatnonzero(~_are_definite(graph.observation_covariances)):
+    for row in np.flatnonzero(least_eigenvalues(graph.observation_covariances) <= 0.0):
         yield (
             f"its graph observes landmark {graph.observation_landmark_ids[row]} from keyframe "
             f"{graph.observation_keyframe_ids[row]} with a covariance that is not positive definite"
@@ -95,17 +97,3 @@ def _faults_of_connections(graph: FactorGraphRecord) -> Iterator[str]:
     part = parts(graph, np.ones(len(graph.edge_kinds), dtype=np.bool_))
     for keyframe in graph.keyframe_ids[part != part[0]]:
         yield f"no edge connects keyframe {keyframe} to the first one"
-
-
-def _are_covariances(P: FloatArray) -> BoolArray:
-    """Which matrices (N, n, n) can be covariances, but for rounding."""
-    usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
-    trace = np.trace(P, axis1=1, axis2=2)
-    least = np.linalg.eigvalsh(np.where(usable[:, None, None], P, 0.0))[:, 0]
-    return np.asarray(usable & (trace > 0.0) & (least >= -1e-6 * np.abs(trace)))
-
-
-def _are_definite(P: FloatArray) -> BoolArray:
-    """Which matrices (N, n, n) can weigh a measurement."""
-    usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
-    return np.asarray(usable & (np.linalg.eigvalsh(np.where(usable[:, None, None], P, 0.0))[:, 0] > 0.0))

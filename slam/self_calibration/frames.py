@@ -112,11 +112,6 @@ def _is_nearer(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> 
 
 
 def _pairs_of_unit(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> ScanPairs:
-    scaled = [replace(scan, T_odom_body=_scaled(scan.T_odom_body, factor)) for scan in scans]
+    poses = [make_transform(scan.T_odom_body[:3, :3], factor * scan.T_odom_body[:3, 3]) for scan in scans]
+    scaled = [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
     return ScanPairs.by_travel(scaled, spacing_m)
-
-
-def _scaled(T: FloatArray, factor: float) -> FloatArray:
-    T = T.copy()
-    T[:3, 3] *= factor
-    return T

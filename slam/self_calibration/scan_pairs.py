@@ -87,7 +87,7 @@ def evidence(distances: FloatArray) -> FloatArray:
     return distances[:, 1] - distances[:, 0]
 
 
-def is_better(distances: FloatArray, now: FloatArray, factor: float = 1.0) -> bool:
+def is_better(distances: FloatArray, now: FloatArray, factor: float) -> bool:
     """Whether there is more evidence, by the ``factor``, and scans are nearer together, by log distances (P, 2)."""
     more = evidence(distances) - factor * evidence(now)
     return is_positive(more) and is_positive(now[:, 0] - distances[:, 0])

@@ -96,8 +96,8 @@ class Survey:
     claimed_ratio: float
     shared_bias_m: float
     components: ComponentEstimate | None
-    detectability: Detectability = field(default_factory=Detectability)
-    clutter_density: float = 0.0
+    detectability: Detectability
+    clutter_density: float
     labels: LabelNoise = field(default_factory=LabelNoise)
     corrected: Mapping[str, float] = field(default_factory=dict)
     suspected: Mapping[str, float] = field(default_factory=dict)

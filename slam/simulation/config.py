@@ -92,7 +92,7 @@ class SimulationConfig(Branch):
     """kidnap the robot once"""
 
 
-def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = ()) -> SimulationConfig:
+def load_simulation_config(path: Path | None, overrides: Sequence[str] | None) -> SimulationConfig:
     """Defaults, then the TOML file, then ``overrides`` like "sensor.dropout=0.3".
 
     Raises:

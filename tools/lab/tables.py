@@ -82,7 +82,7 @@ def report(
         console.show(console.table(rows, texts=texts, title=title), *notes)
 
 
-def to_markdown(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = ()) -> str:
+def to_markdown(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str]) -> str:
     """The rows as a table in Markdown; the first column and ``texts`` are to the left."""
     headings = list(rows[0]) if rows else []
     alignment = ["---" if heading in (*headings[:1], *texts) else "---:" for heading in headings]

@@ -40,7 +40,7 @@ def calibrate(
     from slam.prepared_log import calibrate_logs
     from tools import console
 
-    found = calibrate_logs(logs, load_config(config_file, settings or ()), topics=chosen)
+    found = calibrate_logs(logs, load_config(config_file, settings), topics=chosen)
     calibration = found.config.calibration
     if output is not None:
         output.write_text(to_toml(calibration), encoding="utf-8")

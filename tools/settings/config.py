@@ -39,7 +39,7 @@ def config(
     from slam.simulation.config import load_simulation_config
 
     load = load_simulation_config if simulation else load_config
-    tree = load(config_file, settings or ()) if made_from is None else _recorded(made_from)
+    tree = load(config_file, settings) if made_from is None else _recorded(made_from)
     sys.stdout.write(tree.model_dump_json(indent=2) + "\n" if json else to_toml(tree))
 
 

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from scipy import sparse
 
+from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray
 
 
@@ -30,10 +31,7 @@ def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Valu
     Kernels weight observations and closures, by about half in the mean where the configured noise is true. These
     weights are not an estimate of the noise: in covariances all but outliers count with the noise that is configured.
     """
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.add(_without_kernel(factor, values))
-    return graph
+    return graph_of(_without_kernel(factor, values) for factor in factors)
 
 
 def _without_kernel(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:

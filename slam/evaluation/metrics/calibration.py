@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert
+from slam.common.geometry import apply, invert, least_eigenvalues
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
@@ -35,9 +35,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
 
     ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``count``: errors used.
     """
-    finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
-    errors, covariances = errors[finite], covariances[finite]
-    usable = np.linalg.eigvalsh(covariances)[:, 0] > 0.0
+    usable = np.isfinite(errors).all(axis=1) & (least_eigenvalues(covariances) > 0.0)
     if not usable.any():
         return {"nees": None, "count": 0}
     whitened = np.linalg.solve(covariances[usable], errors[usable][:, :, None])[:, :, 0]

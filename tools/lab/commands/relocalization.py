@@ -69,7 +69,7 @@ def relocalization(
 
     if (map_until is None) == (map_log is None):
         raise typer.BadParameter("give one of them.", param_hint="--map-until and --map")
-    config = load_config(config_file, settings or ())
+    config = load_config(config_file, settings)
     given = map_until if map_log is None else load_prior_map(map_log)
     if not isinstance(given, ImportedMap | float):
         raise typer.BadParameter("this map was made by a drive; give that drive and --map-until.", param_hint="--map")

@@ -43,7 +43,7 @@ def retrieval(
     from tools import console
     from tools.lab.retrieval.revisits import measure_revisits
 
-    config = load_config(config_file, settings or ())
+    config = load_config(config_file, settings)
     names = descriptor or list(DESCRIPTOR_NAMES)
     figures: list[dict[str, Any]] = []
     for log in logs:

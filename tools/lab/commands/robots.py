@@ -56,7 +56,7 @@ def robots(
     from slam.common.config import load_config
     from tools.lab.drives.robot_drives import find_drives
 
-    config = load_config(config_file, settings or ())
+    config = load_config(config_file, settings)
     drives = find_drives(data, drive or ())
     runs: dict[str, MappedDrive] = {}
     for name, folder in drives.items():

@@ -63,9 +63,9 @@ def run_contest(
     proposers: Sequence[str],
     *,
     sizes: Sequence[int],
-    classes: Sequence[int] = (20,),
+    classes: Sequence[int],
     scenarios: Sequence[str] = ("",),
-    queries: int = 60,
+    queries: int,
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> pd.DataFrame:
