@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
-from logs.importers.kitti import POSE_COLUMNS, body_poses, parse_calibration, parse_poses
 from logs.importers.stamps import UNIT_REMEDY, read_stamps
 from logs.importers.tables import LENGTH_UNITS, Table, first_row, is_number, read_table
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray, IntArray
 from logs.records import frozen
-from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE
+from logs.validation import (
+    MAX_COORDINATE_M,
+    QUATERNION_NORM_TOLERANCE,
+    ROTATION_TOLERANCE,
+    nearest_rotations,
+    rotation_errors,
+)
 
+_KITTI = [f"T{row}{column}" for row in range(3) for column in range(4)]
+"""The rows of a 3x4 pose, one after another."""
 _TUM = ("stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _ANGLE_UNITS = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0}
 
@@ -84,7 +92,7 @@ def _find_format(source: SourceText) -> TrajectoryFormat:
     row = first_row(source)
     if not is_number(row[0]):
         return TrajectoryFormat.CSV
-    formats = {len(_TUM): TrajectoryFormat.TUM, len(POSE_COLUMNS): TrajectoryFormat.KITTI}
+    formats = {len(_TUM): TrajectoryFormat.TUM, len(_KITTI): TrajectoryFormat.KITTI}
     if len(row) not in formats:
         raise DatasetError(
             f"{source.name}: {len(row)} values are not a pose; expected 8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: "
@@ -137,14 +145,52 @@ def _read_kitti(source: SourceText, times_ns: IntArray | None, calib: SourceText
         raise DatasetError(
             f"{source.name}: poses in KITTI's format have no stamps; give the file of their times (--times)"
         )
-    T = parse_poses(source)
+    T = _parse_poses(source)
     if len(T) != len(times_ns):
         raise DatasetError(
             f"{source.name} has {len(T)} poses without stamps, and there are {len(times_ns)} times; give one for each"
         )
     if calib is not None:
-        T = body_poses(T, parse_calibration(calib))
+        # The origin is the first pose of the camera, so the velodyne starts at the identity: x forward, y left, z up.
+        T_camera_velodyne = _parse_calibration(calib)
+        T = np.linalg.inv(T_camera_velodyne) @ T @ T_camera_velodyne
     return Trajectory(times_ns, T, TrajectoryFormat.KITTI)
+
+
+def _parse_poses(source: SourceText) -> FloatArray:
+    """Poses (N, 4, 4) of the left camera, metres, of the odometry benchmark: a line of 12 numbers (3x4, row-major).
+
+    Rotations are made orthonormal by SVD.
+
+    Raises:
+        DatasetError: a line that is no 12 finite numbers, or no rigid transform.
+    """
+    table = read_table(source, _KITTI)
+    T = np.tile(np.eye(4), (len(table.lines), 1, 1))
+    T[:, :3] = table.matrix().reshape(-1, 3, 4)
+    errors = rotation_errors(T[:, :3, :3])
+    wrong = (errors > ROTATION_TOLERANCE) | (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise DatasetError(
+            f"{source.name}, line {table.lines[row]}: not a rotation (|R^T R - I| = {errors[row]:.3g}), or farther "
+            f"away than {MAX_COORDINATE_M:g} m; expected a 3x4 pose, row-major"
+        )
+    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
+    return T
+
+
+def _parse_calibration(source: SourceText) -> FloatArray:
+    """``T_camera_velodyne`` (4, 4), metres, from the line ``Tr:`` of a KITTI odometry calibration.
+
+    Raises:
+        DatasetError: no such line, or not a rigid transform.
+    """
+    lines = [line.partition(":")[2] if line.startswith("Tr:") else "" for line in source.text.splitlines()]
+    T = _parse_poses(replace(source, text="\n".join(lines)))
+    if not len(T):
+        raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
+    return np.asarray(T[0])
 
 
 def _check_plausible(name: str, trajectory: Trajectory) -> None:

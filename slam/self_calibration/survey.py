@@ -13,7 +13,6 @@ from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import roll_pitch_yaw_deg, travelled_m
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
-from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.corrections import (
     BodyMotion,
     Change,
@@ -345,3 +344,21 @@ def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> 
         return float("nan")
     square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
     return estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))
+
+
+def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -> float:
+    """Density [1/m^3], as association sees it, of the detections of scans (one at least) that are of no object: all but
+    so many that are ``tracked``, with noise ``sigma_m``.
+
+    Where points lie at random with a density d, the nearest one is farther than r with the probability
+    exp(-pi d r^2), for any field of view; half of them are farther than the median.
+    """
+    heights = np.concatenate([scan.positions[:, 2] for scan in scans])
+    nearest_m = [nearest_of_class_m(scan.positions[:, :2], np.zeros_like(scan.labels)) for scan in scans]
+    median_m = float(np.median(np.concatenate(nearest_m)))
+    share = 1.0 - tracked / len(heights)
+    # The width of an even distribution with the entropy of a Gaussian; a detection and a landmark both err.
+    height_m = np.sqrt(2.0 * np.pi * np.e * (np.var(heights) + 2.0 * sigma_m**2))
+    area_m2 = np.pi * median_m**2 / np.log(2.0)
+    is_known = 0.0 < median_m < np.inf and height_m > 0.0
+    return float(share / (area_m2 * height_m)) if is_known else 0.0

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import gtsam
 import numpy as np
 
-from slam.backend.covariance.linear_system import without_kernels
+from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray
 
 
@@ -45,3 +45,23 @@ def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Va
         # Those without children are done at once, so that few joint covariances wait.
         waiting += [(child, owners, joint) for child in sorted(children[key], key=lambda child: -len(children[child]))]
     return covariances
+
+
+def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+    """A graph of factors at their optimum ``values``, with kernels at outliers only.
+
+    Kernels weight observations and closures, by about half in the mean where the configured noise is true. These
+    weights are not an estimate of the noise: in covariances all but outliers count with the noise that is configured.
+    """
+    return graph_of(_without_kernel(factor, values) for factor in factors)
+
+
+def _without_kernel(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:
+    if not isinstance(factor, gtsam.NoiseModelFactor):
+        return factor
+    noise = factor.noiseModel()
+    if not isinstance(noise, gtsam.noiseModel.Robust):
+        return factor
+    plain = factor.cloneWithNewNoiseModel(noise.noise())
+    # Less weight than a tenth have outliers, and 1 in 1000 observations without faults.
+    return plain if noise.weight(plain.whitenedError(values)) >= 0.1 else factor

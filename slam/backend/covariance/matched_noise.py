@@ -7,7 +7,7 @@ all steps are added up, axis by axis. The variance of closures is estimated like
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import gtsam
 import numpy as np
@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.special import chdtr
 
-from slam.backend.covariance.linear_system import linearize
+from slam.backend.covariance.marginals import without_kernels
 from slam.backend.factors import Edge, EdgeKind, Factor
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
@@ -40,7 +40,7 @@ def matched_covariances(
     """
     sizes = np.array([factor.dim() for factor in factors.values()])
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
-    jacobian, residuals = linearize(factors.values(), values)
+    jacobian, residuals = _linearize(factors.values(), values)
     matched = dict[int, FloatArray]()
     for is_closure in (False, True):
         edges = {
@@ -53,6 +53,19 @@ def matched_covariances(
         if (found != 1.0).any():
             matched |= {number: _scaled(each.covariance, found) for number, each in edges.items()}
     return matched
+
+
+def _linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> tuple[sparse.csr_array, FloatArray]:
+    """Jacobian (N, n) and residuals (N,) of factors at their optimum, each row divided by its standard deviation.
+
+    Rows are in the order of the factors, columns in that of the keys of the variables.
+    """
+    linear = without_kernels(factors, values).linearize(values)
+    row, column, entry = np.asarray(linear.sparseJacobian_())
+    # Both are counted from one; the last column is the right side.
+    places = row.astype(np.int32) - 1, column.astype(np.int32) - 1
+    system = sparse.csc_array((entry, places), shape=(places[0].max() + 1, values.dim() + 1))
+    return sparse.csr_array(system[:, :-1]), system[:, -1].toarray().ravel()
 
 
 def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray, length: int) -> FloatArray:

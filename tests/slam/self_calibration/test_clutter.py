@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slam.self_calibration.clutter import clutter_density
 from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.survey import clutter_density
 
 
 def scans_of(each: float, *, half_angle: float = np.pi, height_m: float = 0.0) -> list:
