@@ -14,7 +14,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, yaw_rad
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 
 # Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
 # the objects in a row, or more. In sensor ranges.

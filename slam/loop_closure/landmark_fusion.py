@@ -17,44 +17,6 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 
 
-def find_duplicate_landmarks(
-    object_map: ObjectMap,
-    graph: FactorGraph,
-    keyframes: Collection[int],
-    *,
-    radius_m: float,
-    drives: IntArray | None = None,
-) -> list[tuple[int, int]]:
-    """Pairs of duplicate landmarks, the older one first.
-
-    Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
-    ``radius_m`` in the plane, and few keyframes observed both: two objects that near to each other are seen together.
-
-    Args:
-        object_map: the landmarks.
-        graph: their positions, at its current estimate.
-        keyframes: only landmarks that one of these observed are compared.
-        radius_m: largest horizontal distance of duplicates [m].
-        drives: (K,) number of the drive of each keyframe, by date. If given, two landmarks that a keyframe observed
-            are duplicates nevertheless where most drives that passed have one of them only.
-    """
-    observers = graph.observers()
-    usable = [
-        row
-        for row in np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks).tolist()
-        if not observers[row].isdisjoint(keyframes)
-    ]
-    rows = np.array(usable, dtype=np.int64)
-    nearest = _nearest_alike(graph.landmark_positions(rows), object_map.labels.classes(rows), radius_m)
-    return [
-        (usable[index], usable[other])
-        for index, other in enumerate(nearest.tolist())
-        if index < other
-        and nearest[other] == index
-        and _may_be_one(observers[usable[index]], observers[usable[other]], drives)
-    ]
-
-
 def fuse_duplicate_landmarks(
     object_map: ObjectMap,
     graph: FactorGraph,
@@ -65,15 +27,38 @@ def fuse_duplicate_landmarks(
 ) -> int:
     """Merge duplicate landmarks until there are none; returns how many were merged into another.
 
-    The older one stays where it is and is compared again, with the keyframes of both.
+    Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
+    ``radius_m`` in the plane, and no keyframe observed both: two objects that near to each other are seen together. The
+    older one stays where it is and is compared again, with the keyframes of both.
+
+    Args:
+        object_map: the landmarks.
+        graph: their positions, at its current estimate.
+        keyframes: only landmarks that one of these observed are compared.
+        radius_m: largest horizontal distance of duplicates [m].
+        drives: (K,) number of the drive of each keyframe, by date. If given, two landmarks that a keyframe observed
+            are duplicates nevertheless where most drives that passed have one of them only.
     """
     merged = 0
-    while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m, drives=drives):
-        for kept, dropped in pairs:
-            object_map.merge(kept, dropped)
+    while True:
+        observers = graph.observers()
+        usable = [
+            row
+            for row in np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks).tolist()
+            if not observers[row].isdisjoint(keyframes)
+        ]
+        rows = np.array(usable, dtype=np.int64)
+        nearest = _nearest_alike(graph.landmark_positions(rows), object_map.labels.classes(rows), radius_m)
+        before = merged
+        for index, other in enumerate(nearest.tolist()):
+            kept, dropped = usable[index], usable[other]
+            is_mutual = index < other and nearest[other] == index
+            if is_mutual and _may_be_one(observers[kept], observers[dropped], drives):
+                object_map.merge(kept, dropped)
+                merged += 1
+        if merged == before:
+            return merged
         graph.alias_landmarks(object_map.aliases)
-        merged += len(pairs)
-    return merged
 
 
 def _may_be_one(a: set[int], b: set[int], drives: IntArray | None) -> bool:

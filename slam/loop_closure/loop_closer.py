@@ -32,7 +32,7 @@ from slam.object_map.submap import recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.initial_pose import InitialPose
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import MIN_INLIERS
 

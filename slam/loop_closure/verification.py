@@ -19,7 +19,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import GATE_SIGMA, register, registration_config
 

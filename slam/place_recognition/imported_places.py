@@ -13,7 +13,7 @@ from slam.common.arrays import FloatArray
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 
 TRAVEL_M = -1e9
 """Travel of everything in a prior map. It has no traversals: all of it is consistent. Longer ago than any drive is

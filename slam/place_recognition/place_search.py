@@ -25,6 +25,22 @@ SAME_TURN_RAD = 0.2
 
 
 @frozen
+class Place:
+    """A candidate pose of a query: ``T_local_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
+    of a ``segment``.
+
+    ``proposer``: one of :data:`logs.messages.PROPOSERS`;
+    ``predicted_by``: the keyframe whose closure predicts the pose, None if none does.
+    """
+
+    T_local_query: FloatArray
+    travel_m: float
+    segment: int
+    proposer: str
+    predicted_by: int | None = None
+
+
+@frozen
 class _Query:
     """Objects about the ``middle`` of a query, complex metres, (N,), their ``labels`` (N,), and the standard deviations
     (N,) m of each at a pose that was voted for, and at one that is fitted.

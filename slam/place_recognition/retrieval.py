@@ -18,8 +18,7 @@ from slam.object_map.submap import Submap, make_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.landmark_pairs import Batch, make_landmark_pairs
-from slam.place_recognition.place import Place
-from slam.place_recognition.place_search import PlaceSearch
+from slam.place_recognition.place_search import Place, PlaceSearch
 
 INACTIVE_RANGES = 2.0
 """A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""

@@ -7,7 +7,7 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.loop_closure.candidate import Candidate
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 from tests.helpers.poses import keyframe_at
 
 HERE = np.eye(4)

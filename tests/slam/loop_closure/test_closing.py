@@ -23,7 +23,7 @@ from slam.object_map.landmarks import LANDMARK
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import InitialPose
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 from slam.registration.registration import MIN_INLIERS
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import pose_at

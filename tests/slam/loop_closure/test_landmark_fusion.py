@@ -8,7 +8,7 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.calibration import ObjectCalibration
-from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
+from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
 from tests.helpers.graphs import chained, observed_from, odometry_edges
 from tests.helpers.landmarks import add_landmarks
@@ -36,7 +36,9 @@ def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[Obje
 
 
 def found(landmarks: list[Seen], keyframes: range = range(KEYFRAMES), **more: tuple[int, ...]) -> list[tuple[int, int]]:
-    return find_duplicate_landmarks(*mapped(landmarks, **more), keyframes, radius_m=0.7)
+    object_map, graph = mapped(landmarks, **more)
+    assert fuse_duplicate_landmarks(object_map, graph, keyframes, radius_m=0.7) == len(object_map.aliases)
+    return [(kept, dropped) for dropped, kept in object_map.aliases.items()]
 
 
 FIRST: Seen = ("tree", (5.0, 4.0, 0.0), (0, 1, 2))
@@ -63,8 +65,7 @@ def test_a_drive_with_two_landmarks_does_not_keep_two_of_all_drives() -> None:
     landmarks = [("tree", (5.0, 4.0, 0.0), (0, 1, 2, 4)), ("tree", (5.3, 3.8, 0.2), (2,))]
     object_map, graph = mapped(landmarks)
     every, drives = range(KEYFRAMES), np.arange(KEYFRAMES)
-    assert find_duplicate_landmarks(object_map, graph, every, radius_m=0.7) == []
-    assert find_duplicate_landmarks(object_map, graph, every, radius_m=0.7, drives=drives) == [(0, 1)]
+    assert fuse_duplicate_landmarks(object_map, graph, every, radius_m=0.7) == 0
     assert fuse_duplicate_landmarks(object_map, graph, every, radius_m=0.7, drives=drives) == 1
 
 
@@ -79,7 +80,7 @@ def test_a_drive_with_two_landmarks_does_not_keep_two_of_all_drives() -> None:
 def test_twin_what_most_drives_that_passed_saw_beside_another_is_two(seen: tuple[tuple[int, ...], ...]) -> None:
     landmarks = [("tree", (5.0, 4.0, 0.0), seen[0]), ("tree", (5.3, 3.8, 0.2), seen[1])]
     drives = np.arange(KEYFRAMES)
-    assert find_duplicate_landmarks(*mapped(landmarks), range(KEYFRAMES), radius_m=0.7, drives=drives) == []
+    assert fuse_duplicate_landmarks(*mapped(landmarks), range(KEYFRAMES), radius_m=0.7, drives=drives) == 0
 
 
 def test_what_is_not_confirmed_or_not_well_placed_is_left() -> None:
@@ -113,4 +114,4 @@ def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
     seen = [Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN) for row in (0, 1)]
     graph.restore(np.tile(np.eye(4), (2, 1, 1)), [Edge(0, 1, np.eye(4), np.eye(6), "odometry")], seen)
-    assert find_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == []
+    assert fuse_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == 0

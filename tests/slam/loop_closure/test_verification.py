@@ -20,7 +20,7 @@ from slam.loop_closure.verification import CLOSURE_SIGMA_RAD, Verifier
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 from slam.registration.registration import GATE_SIGMA
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import keyframe_at, pose_at

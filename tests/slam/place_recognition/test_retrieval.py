@@ -16,7 +16,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.landmark_pairs import Batch, VectorPairs
-from slam.place_recognition.place import Place
+from slam.place_recognition.place_search import Place
 from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 from tests.helpers.landmarks import add_landmarks
 from tests.helpers.poses import pose_at
