@@ -52,20 +52,20 @@ def seen_from_one_side(
     mean, covariance = seen_from_all_sides(points, voxel_m)
     ray, across = _directions(points - mean, mean - viewpoint, upright=upright)
     along_m, across_m = (points - mean) @ ray, (points - mean) @ across
-    left_m, right_m = float(across_m.min()), float(across_m.max())
+    left_m, right_m = across_m.min(), across_m.max()
     width_m = right_m - left_m
     # The edges of the outline: a tenth of the width at each side.
     left = along_m[across_m <= left_m + 0.1 * width_m]
     right = along_m[across_m >= right_m - 0.1 * width_m]
-    outline_m = 0.5 * (float(np.median(left)) + float(np.median(right)))
-    depth_m = float(np.subtract(*np.percentile(along_m, [95.0, 5.0])))
+    outline_m = 0.5 * (np.median(left) + np.median(right))
+    depth_m = np.subtract(*np.percentile(along_m, [95.0, 5.0]))
     flatness = max(0.0, 1.0 - 2.0 * depth_m / width_m) if width_m > 0.0 else 0.0
     beyond_m = _beyond_the_edge_m(width_m, max(spacing_m, voxel_m))
     # Nothing that is seen lies behind the centre plane of a convex body on average: the centre is never nearer.
     behind_m = max(outline_m + 0.25 * flatness * width_m, 0.0) + beyond_m
     aside_m = 0.5 * (left_m + right_m)
     upwards = np.cross(ray, across)
-    height_m = float(np.ptp(points @ upwards))
+    height_m = np.ptp(points @ upwards)
     variances = [
         (ray, (0.5 * behind_m) ** 2 + (0.5 * flatness * width_m) ** 2 + (0.5 * beyond_m) ** 2),
         (across, (0.5 * aside_m) ** 2),
@@ -89,7 +89,7 @@ def _beyond_the_edge_m(width_m: float, spacing_m: float) -> float:
 def _directions(centred: FloatArray, view: FloatArray, *, upright: bool) -> tuple[FloatArray, FloatArray]:
     """Unit vectors (3,) away from the sensor and along the width of the outline."""
     ray = view * [1.0, 1.0, 0.0] if upright else view
-    length = float(np.linalg.norm(ray))
+    length = np.linalg.norm(ray)
     if length == 0.0:
         return np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     ray = ray / length

@@ -61,7 +61,7 @@ def _compose(picture: MapPicture) -> Figure:
 
 def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    margin = max(0.03 * float(np.max(high - low)), 1.0)
+    margin = max(0.03 * np.max(high - low), 1.0)
     low, high = low - margin, high + margin
     # A straight street must not become a strip: the short side is widened to half of the long one.
     missing = np.maximum(0.5 * np.max(high - low) - (high - low), 0.0)

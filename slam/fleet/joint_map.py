@@ -54,7 +54,7 @@ class _Group:
         """From the nearest place of the reference map to the recognised place."""
         T_reference = self.parts[join.reference_map].saved.graph.T_map_body
         offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
-        nearest = int(np.linalg.norm(offsets, axis=1).argmin())
+        nearest = np.linalg.norm(offsets, axis=1).argmin()
         T_from_to = invert(T_reference[nearest]) @ join.T_reference_place
         ends = self.rows(join.reference_map)[nearest], self.rows(join.query_map)[join.place]
         return Edge(int(ends[0]), int(ends[1]), T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE)

@@ -122,7 +122,7 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
         stamps_ns: (M,) of the sessions, ascending.
     """
     days = np.diff(np.array(stamps_ns) / 86_400e9)
-    span = max(float(days.sum()), 1.0)  # sessions of one day
+    span = max(days.sum(), 1.0)  # sessions of one day
     first_changes = 0.1  # of a landmark over the time of the fleet, with which the estimate begins
     hazard = first_changes / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
@@ -178,7 +178,7 @@ def _smooth(log_ratios: FloatArray, days: FloatArray, hazard: float) -> tuple[Fl
         _transition(each / max(rest, 1e-12), -np.expm1(-hazard * each))
         for each, rest in zip(days.tolist(), left.tolist(), strict=True)
     ]
-    begins = -np.expm1(-hazard * float(days.sum()))
+    begins = -np.expm1(-hazard * days.sum())
     forward, log_evidence = np.zeros_like(likelihoods), scales.sum(axis=1)
     predicted = np.array([begins, 1.0 - begins, 0.0])
     for k in range(likelihoods.shape[1]):

@@ -139,7 +139,7 @@ def associate(
     variances = (np.einsum("nii->n", each) for each in (landmark_covariances[landmark], covariances[detection]))
     # What is near a landmark and yet outside its gate is as far off as the gate, at least.
     ambiguous = int(np.count_nonzero(rows == AMBIGUOUS))
-    count, squares = len(taken) + ambiguous, float(distance_squared[taken].sum()) + gate * ambiguous
+    count, squares = len(taken) + ambiguous, distance_squared[taken].sum() + gate * ambiguous
     return Assignment(
         rows,
         ratios,
@@ -261,7 +261,7 @@ def _near_pairs(
 ) -> tuple[IntArray, IntArray]:
     """Pairs (detection, landmark) that can pass the gate by the largest variances: a superset of those that do."""
     traces = (np.einsum("nii->n", each) for each in (covariances, landmark_covariances))
-    radius = np.sqrt(gate * sum(float(trace.max()) for trace in traces))
+    radius = np.sqrt(gate * sum(trace.max() for trace in traces))
     if len(positions) * len(landmark_positions) <= FEW_DISTANCES:
         offsets = positions[:, None] - landmark_positions
         detection, landmark = np.nonzero(np.einsum("dli,dli->dl", offsets, offsets) <= radius * radius)

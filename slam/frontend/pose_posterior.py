@@ -119,7 +119,7 @@ class ModeSearch:
         self._origin = origin
         around = density(known.positions, known.covariances)
         self._config = config.model_copy(update={"new_object_density": around})
-        self._gate = float(chdtri(3, 1.0 - GATE_PROBABILITY))
+        self._gate = chdtri(3, 1.0 - GATE_PROBABILITY)
         self._tree = cKDTree(known.positions)
         self._common, self._own = common_error(known.positions - origin, known.joint)
 
@@ -168,14 +168,14 @@ class ModeSearch:
     def _proposals(self) -> FloatArray:
         """Motions (S, 4, 4), upright, that lay two detections on two landmarks as far apart."""
         seen, known = self._seen, self._known
-        sigma_m = float(np.sqrt(np.median(np.trace(seen.covariances, axis1=1, axis2=2)) / 3.0))
+        sigma_m = np.sqrt(np.median(np.trace(seen.covariances, axis1=1, axis2=2)) / 3.0)
         tolerance_m = sigma_m * self._gate**0.5
         apart_m = np.linalg.norm(known.positions[:, None, :2] - known.positions[None, :, :2], axis=2)
         likely = label_likelihood(known.beliefs, known.beliefs.shape[1], self._config)
         found = [np.zeros((0, 4, 4))]
         for a, b in combinations(self._nearest(seen, self._origin).tolist(), 2):
             baseline = seen.positions[b, :2] - seen.positions[a, :2]
-            length_m = float(np.linalg.norm(baseline))
+            length_m = np.linalg.norm(baseline)
             if length_m < 2.0 * tolerance_m:
                 continue
             misfit_m = np.abs(apart_m - length_m)
@@ -276,7 +276,7 @@ class ModeSearch:
             covariance = np.linalg.inv(information + np.einsum("nij,nik->jk", A[k], weighted))
             xi = covariance @ np.einsum("nij,ni->j", weighted, r)
         llr = float(self._pair_llrs(r - A[k] @ xi, S, seen.labels[k], j).sum())
-        occam = 0.5 * float(np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior)[1])
+        occam = 0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior)[1])
         log_weight = float(np.log(component.weight)) + llr - 0.5 * float(_mahalanobis(xi[None], prior)[0]) + occam
         return Mode(_motion_of(xi, origin) @ T_motion, covariance, component, log_weight, found, llr)
 
@@ -326,13 +326,13 @@ def common_error(offsets: FloatArray, joint: FloatArray) -> tuple[FloatArray, Fl
     cross = A @ fitted.reshape(6, -1, 3).transpose(1, 0, 2)
     own = joint[columns[:, :, None], columns[:, None, :]] - cross - cross.swapaxes(1, 2)
     own += A @ common @ A.swapaxes(1, 2)
-    scale = float(np.mean(np.sum(offsets**2, axis=1)))
+    scale = np.mean(np.sum(offsets**2, axis=1))
     return common + np.diag(np.repeat([1e-8, 1e-8 * scale], 3)), own
 
 
 def fit_of(offsets: FloatArray) -> FloatArray:
     """Matrix (6, 3 L) of the least-squares fit of xi to differences z - m of detections at ``offsets`` (L, 3) m."""
-    scale = max(float(np.sqrt(np.mean(np.sum(offsets**2, axis=1)))), 1e-9)
+    scale = max(np.sqrt(np.mean(np.sum(offsets**2, axis=1))), 1e-9)
     units = np.repeat([scale, 1.0], 3)
     return np.asarray(np.linalg.pinv(_jacobians(offsets).reshape(-1, 6) / units, rcond=1e-3) / units[:, None])
 

@@ -63,8 +63,8 @@ class ContinuityMonitor:
 
     def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
         self._memory_m = 2.0 * sensor_range_m
-        self._log_prior = float(np.log(failure_probability(config.failures_per_km, self._memory_m)))
-        self._least_llr = -float(logit(config.error_probability)) - self._log_prior
+        self._log_prior = np.log(failure_probability(config.failures_per_km, self._memory_m))
+        self._least_llr = -logit(config.error_probability) - self._log_prior
         self.kidnapping_probability = 0.0
         """Posterior probability of the likeliest kidnapping at the last keyframe."""
         self._visibility = Visibility(sensor_range_m)

@@ -44,7 +44,7 @@ class PosePrior:
             return min(log_uniform, 0.0)
         planar = covariance[np.ix_(_PLANAR, _PLANAR)]
         T_residual = invert(self.T_local_query) @ T_local_query
-        residual = np.array([T_residual[0, 3], T_residual[1, 3], float(yaw_rad(T_residual))])
+        residual = np.array([T_residual[0, 3], T_residual[1, 3], yaw_rad(T_residual)])
         spread = planar + np.diag([self.sigma_m**2, self.sigma_m**2, self.sigma_rad**2])
         log_normal = -0.5 * float(
             residual @ np.linalg.solve(spread, residual) + np.linalg.slogdet(2.0 * np.pi * spread)[1]

@@ -147,8 +147,8 @@ class Verifier:
         travel_m = abs(query.keyframe.odometry.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
             T_local_query,
-            float(np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m)),
-            float(np.hypot(SLIP_INFLATION * drift_rad, CLOSURE_SIGMA_RAD)),
+            np.hypot(SLIP_INFLATION * drift_m, self._config.calibration.objects.landmark_sigma_m),
+            np.hypot(SLIP_INFLATION * drift_rad, CLOSURE_SIGMA_RAD),
             failure_probability(self._config.localization.failures_per_km, travel_m),
             (len(self.track.cells) + self._mapped_cells) * self._sensor_range_m**2,
         )

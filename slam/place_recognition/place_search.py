@@ -137,7 +137,7 @@ class PlaceSearch:
             matches.queries,
             ends.reshape(-1, 2),
             np.maximum(matches.nats, 0.1),
-            tolerance_m=1.8 * float(np.median(sigmas_m)),
+            tolerance_m=1.8 * np.median(sigmas_m),
             count=max(count, 600),  # with 200, 7 of 100 places with much clutter are missed
         )
         placed = _query(positions, labels, sigmas_m)
@@ -218,7 +218,7 @@ def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Qu
     plane = positions[:, 0] + 1j * positions[:, 1]
     middle = complex(plane.mean())
     from_middle = np.abs(plane - middle)
-    radius_m = max(float(np.sqrt(np.mean(from_middle**2))), float(np.finfo(np.float64).tiny))
+    radius_m = max(np.sqrt(np.mean(from_middle**2)), np.finfo(np.float64).tiny)
     # The place of a voted pose is the mean of two objects, that of a fitted one of several; the heading of a voted pose
     # moves objects the more, the farther from the middle they are.
     sigma_m = np.median(sigmas_m)

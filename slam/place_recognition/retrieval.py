@@ -113,7 +113,7 @@ class PlaceRetriever:
             self._search = self._side_by_side()
         positions, of = (self._map.rows[name][self._rows] for name in ("position_local", "segment"))
         middle = np.append(query.positions.mean(axis=0), 1.0)
-        radius_m = float(np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max())
+        radius_m = np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max()
         slots = dict(enumerate(self._shifts_m))
         places = []
         for T in self._search.find_poses(query, count=self._count, allowed=allowed):
@@ -132,9 +132,9 @@ class PlaceRetriever:
         placed, of = self._map.rows["position_local"][self._rows], self._map.rows["segment"][self._rows]
         segments = np.unique(of).tolist()
         xs_m = [placed[of == segment, 0] for segment in segments]
-        self._pitch_m = 2.0 * max(float(np.ptp(x_m)) for x_m in xs_m) + 1e3 * spacing_m(placed)
+        self._pitch_m = 2.0 * max(np.ptp(x_m) for x_m in xs_m) + 1e3 * spacing_m(placed)
         self._shifts_m = {
-            segment: (slot + 0.25) * self._pitch_m - float(x_m.min())
+            segment: (slot + 0.25) * self._pitch_m - x_m.min()
             for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
         }
         placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(of)

@@ -43,8 +43,8 @@ def vote_for_poses(
     places = r.mean(axis=1) - turns * q.mean(axis=1)
     rises = (reference - query)[:, :, 2].mean(axis=1)
     # A match turns by its tolerance over its size, and moves the middle of the query by that times its distance.
-    heading_rad = tolerance_m / float(np.median(np.abs(q[:, 1] - q[:, 0])))
-    edge_m = tolerance_m + heading_rad * float(np.sqrt(np.mean((query_positions - middle)[:, :2] ** 2) * 2.0))
+    heading_rad = tolerance_m / np.median(np.abs(q[:, 1] - q[:, 0]))
+    edge_m = tolerance_m + heading_rad * np.sqrt(np.mean((query_positions - middle)[:, :2] ** 2) * 2.0)
     headings = max(int(np.pi / heading_rad), 4)
     x, y = (np.floor((part - part.min()) / edge_m).astype(np.int64) for part in (places.real, places.imag))
     heading = np.floor((np.angle(turns) + np.pi) * (headings / (2.0 * np.pi))).astype(np.int64) % headings

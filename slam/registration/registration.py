@@ -82,10 +82,10 @@ def register(query: Submap, reference: Submap, T_initial: FloatArray, config: Re
     query_middle, reference_middle = query.positions.mean(axis=0), reference.positions.mean(axis=0)
     query_xyz, reference_xyz = query.positions - query_middle, reference.positions - reference_middle
     place = apply(T_initial, query_middle[None])[0] - reference_middle
-    turn = np.exp(1j * float(yaw_rad(T_initial)))
+    turn = np.exp(1j * yaw_rad(T_initial))
     plane, reference_plane = (points[:, 0] + 1j * points[:, 1] for points in (query_xyz, reference_xyz))
     pose = LevelPose(complex(turn), complex(*place[:2]), float(place[2]))
-    sigma_m = float(np.hypot(query.sigmas.max(), reference.sigmas.max()))
+    sigma_m = np.hypot(query.sigmas.max(), reference.sigmas.max())
     # Objects farther apart are not matched while the pose is refined.
     reach_m = 2.0 * max(config.search_radius_m, GATE_SIGMA * sigma_m)
     apart_m = np.abs((turn * plane + pose.shift)[:, None] - reference_plane)
@@ -171,8 +171,8 @@ def _refine_pose(pose: LevelPose, pairs: Pairs, search_radius_m: float) -> Level
     The gate is halved from one iteration to the next, from ``search_radius_m`` to the noise. A pose that moves
     no object by more than a three-thousandth of that radius stands still.
     """
-    noise_gate_m = GATE_SIGMA * float(pairs.sigmas.min())
-    extent_m = float(np.abs(pairs.query).max())
+    noise_gate_m = GATE_SIGMA * pairs.sigmas.min()
+    extent_m = np.abs(pairs.query).max()
     radius_m = search_radius_m
     for _ in range(8):
         ratio = pairs.squared_residuals(pose) * np.minimum((pairs.sigmas / radius_m) ** 2, GATE_SIGMA**-2)

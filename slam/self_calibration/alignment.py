@@ -67,7 +67,7 @@ def find_alignment(
         large = {term: each for term, each in found.items() if values[term] or abs(each[term]) > MIN_VALUES[term]}
         suspected = {term: each[term] for term, each in found.items() if term not in large}
         explaining = large | better(RIVALS) if large else {}
-        nearest = min(explaining, key=lambda term: float(np.sum(distances(explaining[term])[:, 0])), default="")
+        nearest = min(explaining, key=lambda term: np.sum(distances(explaining[term])[:, 0]), default="")
         if nearest in RIVALS:
             nearest = "climb_share"  # which looks like none of them
         if nearest not in large:
@@ -80,7 +80,7 @@ def _search(
     distances: Callable[[_Values], FloatArray], start: _Values, term: str, step: float, halvings: int
 ) -> _Values:
     """The values with the one of the term for which there is most evidence, uphill from ``start``."""
-    tried = {start[term]: float(np.sum(evidence(distances(start))))}
+    tried = {start[term]: np.sum(evidence(distances(start)))}
     best = start[term]
     for _ in range(1 + halvings):
         centre = np.nan
@@ -88,7 +88,7 @@ def _search(
             centre = best
             for value in (centre - step, centre + step):
                 if value not in tried:
-                    tried[value] = float(np.sum(evidence(distances(start | {term: value}))))
+                    tried[value] = np.sum(evidence(distances(start | {term: value})))
                 best = max(best, value, key=tried.__getitem__)
         step /= 2.0
     return start | {term: best} if best != start[term] else start

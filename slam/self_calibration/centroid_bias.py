@@ -72,6 +72,6 @@ def _regress(x: FloatArray, y: FloatArray) -> float:
         weighted = weights * x
         slope = float(np.sum(weighted * y) / max(float(np.sum(weighted * x)), 1e-300))
         residuals = y - slope * x
-        scale = CAUCHY * 1.4826 * float(np.median(np.abs(residuals))) + 1e-12
+        scale = CAUCHY * 1.4826 * np.median(np.abs(residuals)) + 1e-12
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)
     return slope

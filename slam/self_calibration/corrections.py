@@ -273,7 +273,7 @@ def _held_out(
 ) -> tuple[FloatArray, FloatArray]:
     """What the terms ``used`` (T,) are without each block, (B, T), and the squared residuals (B,) of it then."""
     parts = np.zeros(right.shape)
-    least = max(1e-9 * float(np.trace(normal.sum(axis=0))), 1e-300) * np.eye(int(used.sum()))
+    least = max(1e-9 * np.trace(normal.sum(axis=0)), 1e-300) * np.eye(used.sum())
     others, sides = normal.sum(axis=0) - normal, right.sum(axis=0) - right
     parts[:, used] = np.linalg.solve(others[:, used][:, :, used] + least, sides[:, used, None])[..., 0]
     return parts, _left_of(normal, right, squared, parts)

@@ -43,7 +43,7 @@ def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequenc
         return same.log_distances(same.motions)
 
     by_name = {name: distances(scans) for name, scans in found.items()}
-    best = max(found, key=lambda name: float(np.sum(evidence(by_name[name]))))
+    best = max(found, key=lambda name: np.sum(evidence(by_name[name])))
     # Objects that go along with the body are twice as far apart by the inverse motion in the frame of the odometry.
     beyond = evidence(by_name[best]) - np.log(2.0)
     # By four standard errors of all pairs: where the body stands there is no evidence, which is not chance.
@@ -60,7 +60,7 @@ def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
     pairs = ScanPairs.of(scans, spacing_of(scans))
     turns = sorted(np.rint(Rotation.create_group("O").as_matrix()), key=lambda turn: -np.trace(turn))
     distances = [pairs.log_distances(seen_by(make_transform(turn, np.zeros(3)), pairs.motions)) for turn in turns]
-    best = int(np.argmax([np.sum(evidence(each)) for each in distances]))
+    best = np.argmax([np.sum(evidence(each)) for each in distances])
     return turns[best] if is_better(distances[best], distances[0], FACTOR) else np.eye(3)
 
 
@@ -80,7 +80,7 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
         return 1.0
     spacing_m, factors = spacing_of(scans), 2.0 ** np.arange(-OCTAVES, OCTAVES + 1)
     found = [_evidence(scans, spacing_m, factor) for factor in factors.tolist()]
-    best = int(np.argmax([np.sum(each) for each in found]))
+    best = np.argmax([np.sum(each) for each in found])
     is_sure = is_positive(found[best]) and np.mean(found[best]) > np.log(FACTOR)
     return float(factors[best]) if is_sure and _is_nearer(scans, spacing_m, float(factors[best])) else 1.0
 

@@ -51,11 +51,11 @@ def estimate_label_noise(scans: Sequence[SurveyScan], headings_rad: FloatArray) 
     if int(same.sum()) < LEAST_PAIRS:
         return LabelNoise()
     shares = np.unique(tracks.labels, return_counts=True)[1] / len(tracks.labels)
-    by_chance = float(np.sum(shares**2))
+    by_chance = np.sum(shares**2)
     if by_chance == 1.0:
         return LabelNoise()
     changed = (tracks.labels[1:] != tracks.labels[:-1])[same]
-    kappa = 1.0 - float(np.mean(changed)) / (1.0 - by_chance)
+    kappa = 1.0 - np.mean(changed) / (1.0 - by_chance)
     scan = tracks.scan[1:][same]
     followed = np.bincount(scan, minlength=len(scans))
     changes = np.bincount(scan[changed], minlength=len(scans))

@@ -112,7 +112,7 @@ def _noise_ratio(tracks: ObjectTracks) -> float:
     steps, offsets = tracks.points[row] - tracks.points[row - 1], tracks.offsets[row]
     along = np.median(np.abs(np.einsum("ni,ni->n", steps, offsets)))
     across = np.median(np.abs(steps[:, 1] * offsets[:, 0] - steps[:, 0] * offsets[:, 1]))
-    is_exact = max(along, across) < ROUNDING * float(np.mean(offsets**2))
+    is_exact = max(along, across) < ROUNDING * np.mean(offsets**2)
     return 1.0 if is_exact else float(np.clip(along / max(across, along / MAX_RATIO), 1.0 / MAX_RATIO, MAX_RATIO))
 
 

@@ -327,7 +327,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
         components=components,
         detectability=detectability_of(tracks),
-        clutter_density=clutter_density(scans, len(tracks.track), float(np.sqrt(variance))),
+        clutter_density=clutter_density(scans, len(tracks.track), np.sqrt(variance)),
     )
 
 
@@ -355,7 +355,7 @@ def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -
     """
     heights = np.concatenate([scan.positions[:, 2] for scan in scans])
     nearest_m = [nearest_of_class_m(scan.positions[:, :2], np.zeros_like(scan.labels)) for scan in scans]
-    median_m = float(np.median(np.concatenate(nearest_m)))
+    median_m = np.median(np.concatenate(nearest_m))
     share = 1.0 - tracked / len(heights)
     # The width of an even distribution with the entropy of a Gaussian; a detection and a landmark both err.
     height_m = np.sqrt(2.0 * np.pi * np.e * (np.var(heights) + 2.0 * sigma_m**2))

@@ -174,7 +174,7 @@ def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
     """The scans without detections that are implausibly far away."""
     if not scans:
         return scans
-    limit_m = FAR_OFF * float(np.median(np.concatenate([_ranges(scan) for scan in scans])))
+    limit_m = FAR_OFF * np.median(np.concatenate([_ranges(scan) for scan in scans]))
     near = [_ranges(scan) <= limit_m for scan in scans]
     return [
         replace(scan, positions=scan.positions[kept], labels=scan.labels[kept], variances=scan.variances[kept])

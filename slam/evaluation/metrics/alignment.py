@@ -31,7 +31,7 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Floa
             )
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     est, gt = (points_est - mean_est)[:, :2] @ (1.0, 1.0j), (points_gt - mean_gt)[:, :2] @ (1.0, 1.0j)
-    turn = transform_from_xyz_yaw(np.zeros(3), float(np.angle(np.vdot(est, gt))))
+    turn = transform_from_xyz_yaw(np.zeros(3), np.angle(np.vdot(est, gt)))
     turn[:3, 3] = mean_gt - turn[:3, :3] @ mean_est
     return turn
 

@@ -96,7 +96,7 @@ def _thin(travelled_m: FloatArray, least_m: float) -> IntArray:
     row = 0
     while row < len(travelled_m):
         kept.append(row)
-        row = int(np.searchsorted(travelled_m, travelled_m[row] + least_m, side="left"))
+        row = np.searchsorted(travelled_m, travelled_m[row] + least_m, side="left")
     return np.array(kept, dtype=np.int64)
 
 

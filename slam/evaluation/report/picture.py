@@ -119,7 +119,7 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray,
 def _in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
     if not len(odometry) or not len(estimate):
         return odometry.positions
-    first = int(np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0])))
+    first = np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0]))
     return apply(estimate.T_world_body[0] @ invert(odometry.T_world_body[first]), odometry.positions)
 
 
@@ -138,8 +138,8 @@ def _broken(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> F
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     jumps = list[int]()
     for first_ns, last_ns in spans_ns:
-        begin = max(int(np.searchsorted(stamps_ns, first_ns, side="right")) - 1, 0)
+        begin = max(np.searchsorted(stamps_ns, first_ns, side="right") - 1, 0)
         within = steps_m[begin : np.searchsorted(stamps_ns, last_ns)]
         if len(within) and first_ns < last_ns:
-            jumps.append(begin + int(np.argmax(within)))
+            jumps.append(begin + np.argmax(within))
     return np.insert(positions, np.unique(np.array(jumps, dtype=np.int64)) + 1, np.nan, axis=0)

@@ -145,7 +145,7 @@ def place_by_depth(camera: CameraModel, box: FloatArray, depths: NDArray[np.floa
     nearer = inside[: len(inside) // 2 + 1].astype(np.float64)
     depth = float(np.median(nearer))
     direction = ray(camera, u, v)
-    spread = 1.4826 * float(np.median(np.abs(nearer - depth)))
+    spread = 1.4826 * np.median(np.abs(nearer - depth))
     lateral = np.array([width / camera.K[0, 0], height / camera.K[1, 1]]) * depth * BOX_SIGMA
     # An object is about as deep as it is wide, and its centre is behind what is seen of it.
     along = np.hypot(spread, lateral[0] / BOX_SIGMA / 4.0)
@@ -175,7 +175,7 @@ def place_on_ground(
     moved = [meet(foot + np.array([sigmas[0], 0.0])), meet(foot + np.array([0.0, sigmas[1]]))]
     steps = [other - point for other in moved if other is not None]
     covariance = sum((np.outer(step, step) for step in steps), np.zeros((3, 3)))
-    covariance[2, 2] += float(np.min([step @ step for step in steps]))
+    covariance[2, 2] += np.min([step @ step for step in steps])
     T_camera_body = invert(T_body_camera)
     return T_camera_body[:3, :3] @ point + T_camera_body[:3, 3], R.T @ covariance @ R
 
@@ -192,15 +192,15 @@ def place_tag(camera: CameraModel, corners: FloatArray, size_m: float) -> _Objec
         rows.append([x, y, 1.0, 0.0, 0.0, 0.0, -a * x, -a * y, -a])
         rows.append([0.0, 0.0, 0.0, x, y, 1.0, -b * x, -b * y, -b])
     H = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
-    scale = 0.5 * float(np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1]))
+    scale = 0.5 * (np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1]))
     position = H[:, 2] / scale if scale > 0.0 else np.zeros(3)
     position = position * np.sign(position[2])
-    side_px = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+    side_px = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean()
     if not (position[2] > 0.0 and side_px > 0.0 and np.isfinite(position).all()):
         return None
     sigma_px = 0.5  # corners are found to fractions of a pixel
     lateral = np.full(2, position[2] * sigma_px / camera.K[0, 0])
-    return position, _long_along(position, float(np.linalg.norm(position)) * sigma_px / side_px, lateral)
+    return position, _long_along(position, np.linalg.norm(position) * sigma_px / side_px, lateral)
 
 
 def _long_along(direction: FloatArray, along_m: float, lateral_m: FloatArray) -> FloatArray:

@@ -38,6 +38,6 @@ class ScanObjects:
         names = {number: str(number) for number in numbers if self._labels.name(str(number)) != DROPPED}
         T_body_sensor = self._frames.find(body_frame, scan.frame_id, scan.stamp_ns)
         # The cosine of the tilt is 1 for a level frame and 0 for an optical one.
-        is_upright = T_body_sensor is None or abs(float(T_body_sensor[2, 2])) > 0.7
+        is_upright = T_body_sensor is None or abs(T_body_sensor[2, 2]) > 0.7
         objects = find_objects(scan.cloud, names, viewpoint=np.zeros(3), upright=is_upright)
         return objects.detections(scan.stamp_ns, scan.frame_id)

@@ -46,7 +46,7 @@ def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
         if len(maps) == 1:
             return each.in_metres()
         moved = each.in_metres().positions - [*each.positions[:, :2].min(axis=0), 0.0] + [end_m, 0.0, 0.0]
-        end_m = float(moved[:, 0].max()) + gap_m
+        end_m = moved[:, 0].max() + gap_m
         placed.append(moved)
     return MapObjects(
         " + ".join(each.source for each in maps),
@@ -139,7 +139,7 @@ def verify(
     its posterior probability suffices to accept it; ``range_m`` of the sensor.
     """
     config = Config()
-    reach_m = float(np.hypot(*query.positions[:, :2].T).max()) + COVERAGE_RANGES * range_m
+    reach_m = np.hypot(*query.positions[:, :2].T).max() + COVERAGE_RANGES * range_m
     registering = registration_config(config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
     best, best_llr = None, -np.inf
     for T_proposed in poses:
