@@ -91,43 +91,49 @@ __all__ = [
     "select_topics",
 ]
 
-_NAMES_OF_MODULES = {
-    "descriptors.class_vectors": ("class_vectors",),
-    "descriptors.constellation": ("Constellations",),
-    "descriptors.descriptor": ("Descriptor",),
-    "descriptors.errors": ("DescriptorError",),
-    "logs.clouds.labelled_cloud": ("LabelledCloud",),
-    "logs.clouds.objects": ("find_objects",),
-    "logs.errors": ("LogError",),
-    "logs.messages": (
-        "GroundTruthPose",
-        "ObjectDetections",
-        "ObjectMapRecord",
-        "Odometry",
-        "TrajectoryRecord",
-        "Transform",
-    ),
-    "logs.reader": ("LogReader",),
-    "logs.selection": ("Selection", "select_topics"),
-    "logs.writer": ("LogWriter",),
-    "slam.common.calibration": ("Calibration",),
-    "slam.common.config": ("Config", "load_config"),
-    "slam.common.errors": ("InputDataError", "SlamError"),
-    "slam.evaluation.result": ("Evaluation",),
-    "slam.formats.landmark_tables": ("landmark_table",),
-    "slam.library": ("calibrate", "evaluate_log", "load_map", "read_map", "read_trajectory", "save_map"),
-    "slam.localization.prior_map": ("PriorMap",),
-    "slam.object_map.map_io": ("SavedMap",),
-    "slam.place_recognition.imported_map": ("ImportedMap", "load_imported_map"),
-    "slam.place_recognition.initial_pose": ("InitialPose",),
-    "slam.replay": ("ReplaySummary", "replay"),
-    "slam.scan_localization": ("ScanLocalization", "ScanLocalizer"),
-    "slam.final_map": ("FinalMap",),
-    "slam.live_slam": ("LiveSlam",),
+_MODULE_OF = {
+    "Calibration": "slam.common.calibration",
+    "Config": "slam.common.config",
+    "Constellations": "descriptors.constellation",
+    "Descriptor": "descriptors.descriptor",
+    "DescriptorError": "descriptors.errors",
+    "Evaluation": "slam.evaluation.result",
+    "FinalMap": "slam.final_map",
+    "GroundTruthPose": "logs.messages",
+    "ImportedMap": "slam.place_recognition.imported_map",
+    "InitialPose": "slam.place_recognition.initial_pose",
+    "InputDataError": "slam.common.errors",
+    "LabelledCloud": "logs.clouds.labelled_cloud",
+    "LogError": "logs.errors",
+    "LogReader": "logs.reader",
+    "LogWriter": "logs.writer",
+    "ObjectDetections": "logs.messages",
+    "ObjectMapRecord": "logs.messages",
+    "Odometry": "logs.messages",
+    "PriorMap": "slam.localization.prior_map",
+    "ReplaySummary": "slam.replay",
+    "SavedMap": "slam.object_map.map_io",
+    "ScanLocalization": "slam.scan_localization",
+    "ScanLocalizer": "slam.scan_localization",
+    "Selection": "logs.selection",
+    "Slam": "slam.live_slam",
+    "SlamError": "slam.common.errors",
+    "TrajectoryRecord": "logs.messages",
+    "Transform": "logs.messages",
+    "calibrate": "slam.library",
+    "class_vectors": "descriptors.class_vectors",
+    "evaluate_log": "slam.library",
+    "find_objects": "logs.clouds.objects",
+    "landmark_table": "slam.formats.landmark_tables",
+    "load_config": "slam.common.config",
+    "load_imported_map": "slam.place_recognition.imported_map",
+    "load_map": "slam.library",
+    "read_map": "slam.library",
+    "read_trajectory": "slam.library",
+    "replay": "slam.replay",
+    "save_map": "slam.library",
+    "select_topics": "logs.selection",
 }
-_PLACE_OF = {name: (module, name) for module, names in _NAMES_OF_MODULES.items() for name in names}
-# To map a robot needs no calibration beforehand.
-_PLACE_OF["Slam"] = _PLACE_OF.pop("LiveSlam")
 
 _IS_INSTALLED = bool(__package__)
 """In a wheel this file is the package ``dslam``, and the folders beside it are its sub-packages; see ``setup.py``."""
@@ -136,9 +142,11 @@ _IS_INSTALLED = bool(__package__)
 def __getattr__(name: str) -> object:
     if name == "__version__":
         return version("descriptellation-slam")
-    if name not in _PLACE_OF:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _PLACE_OF[name]
+    module = _MODULE_OF[name]
+    # To map a robot needs no calibration beforehand.
+    attribute = "LiveSlam" if name == "Slam" else name
     return getattr(import_module(f"dslam.{module}" if _IS_INSTALLED else module), attribute)
 
 

@@ -34,9 +34,6 @@ class Edge:
     covariance: FloatArray
     kind: EdgeKind
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", EdgeKind(self.kind))
-
 
 @frozen
 class Observation:

@@ -116,7 +116,7 @@ def save_map(
             np.count_nonzero(~is_tied),
             len(adrift),
         )
-    drives = [*(earlier_drives or ()), _drive(provenance)]
+    drives = [*(earlier_drives or ()), drive_of(provenance)]
     about = {"format_version": FORMAT_VERSION, **provenance, "drives": json.dumps(drives)}
     with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(METADATA, about)
@@ -238,12 +238,13 @@ def _tied(graph: FactorGraphRecord, *, to_first: bool) -> BoolArray:
 def _drives(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
     try:
         drives = from_json(metadata.get("drives", "[]"))
-        return tuple(_drive(drive) for drive in drives) or (_drive(metadata),)
+        return tuple(drive_of(drive) for drive in drives) or (drive_of(metadata),)
     except (ValueError, TypeError, AttributeError) as error:
         raise SavedMapError(f"{path} is damaged (its list of drives cannot be read: {error}); {MAKE_IT}") from error
 
 
-def _drive(provenance: Mapping[str, str]) -> dict[str, str]:
+def drive_of(provenance: Mapping[str, str]) -> dict[str, str]:
+    """The input of a drive and the version that mapped it."""
     return {key: provenance.get(key, "") for key in ("input_sha256", "version")}
 
 

@@ -26,7 +26,7 @@ from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError, SlamError
 from slam.common.georeference import Georeference
-from slam.object_map.map_io import FORMAT_VERSION, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC
+from slam.object_map.map_io import FORMAT_VERSION, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC, drive_of
 from slam.place_recognition.place_search import PlaceSearch
 
 MAKE_IT = "import it again by 'dslam import'"
@@ -59,7 +59,7 @@ class ImportedMap:
     @property
     def drives(self) -> tuple[Mapping[str, str], ...]:
         """The source in the place of drives, as :class:`slam.object_map.map_io.SavedMap` has them."""
-        return ({key: self.metadata.get(key, "") for key in ("input_sha256", "version")},)
+        return (drive_of(self.metadata),)
 
     def search(self) -> PlaceSearch:
         """The map made ready for queries: 0.5 s for a million objects."""

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
-from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.object_tracks import SurveyScan, poses_of
 from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, is_positive, seen_by, spacing_of
 
 FACTOR = 1.25
@@ -87,7 +87,7 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
 
 def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
     """The scans (K) of a body that heads in the direction of its path."""
-    positions = np.stack([scan.T_odom_body[:3, 3] for scan in scans])
+    positions = poses_of(scans)[:, :3, 3]
     ahead = np.gradient(positions[:, :2], axis=0)
     poses = transform_from_xyz_yaw(positions, np.arctan2(ahead[:, 1], ahead[:, 0]))
     return [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]

@@ -52,6 +52,11 @@ class SurveyScan:
     variances: FloatArray
 
 
+def poses_of(scans: Sequence[SurveyScan]) -> FloatArray:
+    """``T_odom_body`` (K, 4, 4) of scans, one at least."""
+    return np.stack([scan.T_odom_body for scan in scans])
+
+
 @frozen
 class ObjectTracks:
     """Detections (S,) that belong to tracks, ordered by track and time.
@@ -195,7 +200,7 @@ def _follow(
     track, scan_of = np.concatenate(tracks), np.concatenate(numbers)
     order = np.lexsort((scan_of, track))
     track, scan_of, point = track[order], scan_of[order], np.concatenate(points)[order]
-    bodies = np.stack([scan.T_odom_body[:, 3] for scan in scans])
+    bodies = poses_of(scans)[:, :, 3]
     heights = [scan.positions[:, 2] + scan.T_odom_body[2, 3] for scan in scans]
     return ObjectTracks(
         track,

@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.geometry import apply, gravity_frame
-from slam.self_calibration.object_tracks import MAX_DISTANCES, SurveyScan
+from slam.self_calibration.object_tracks import MAX_DISTANCES, SurveyScan, poses_of
 from slam.self_calibration.scan_pairs import MIN_PAIRS, median_range
 
 CLUSTERED = 1.5
@@ -61,7 +61,7 @@ def _offsets_that_stay(scans: Sequence[SurveyScan], size_m: float) -> BoolArray:
     where that has two as near.
     """
     found = [np.zeros(0, dtype=np.bool_)]
-    poses = gravity_frame(np.stack([scan.T_odom_body for scan in scans]))
+    poses = gravity_frame(poses_of(scans))
     classes_m = 1e3 * median_range(scans)
     layered = [
         np.column_stack([apply(T, scan.positions), classes_m * scan.labels])

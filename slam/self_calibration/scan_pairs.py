@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import gravity_frame, invert, travelled_m
 from slam.self_calibration.corrections import BLOCKS, is_beyond_chance
-from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
+from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m, poses_of
 from slam.self_calibration.surveyed_log import headings_of
 
 MOVED_SPACINGS = 0.25
@@ -34,7 +34,7 @@ class ScanPairs:
     def __init__(self, scans: Sequence[SurveyScan], pairs: _Pairs | IntArray, spacing_m: float) -> None:
         self.rows = rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         self.spacing_m = spacing_m
-        self.motions = self.motions_by(np.stack([scan.T_odom_body for scan in scans]))
+        self.motions = self.motions_by(poses_of(scans))
         reference, self._detections = (_detections(scans, rows[:, side], spacing_m) for side in (0, 1))
         self._pair = np.repeat(np.arange(len(rows)), [len(scans[row].labels) for row in rows[:, 1]])
         self._tree = cKDTree(reference)
@@ -128,7 +128,7 @@ def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -
 
 def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> _Pairs:
     """Pairs between which the body goes past its objects."""
-    positions, moved_m = np.stack([scan.T_odom_body[:2, 3] for scan in scans]), MOVED_SPACINGS * spacing_m
+    positions, moved_m = poses_of(scans)[:, :2, 3], MOVED_SPACINGS * spacing_m
     # An odometry that trembles while the body stands goes nowhere.
     return [
         (first, second)

@@ -37,6 +37,7 @@ from slam.self_calibration.object_tracks import (
     follow_objects,
     nearest_of_class_m,
     objects_among,
+    poses_of,
 )
 from slam.self_calibration.resolution import find_resolution
 from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_of
@@ -295,7 +296,7 @@ def _ranges_m(scans: Sequence[SurveyScan]) -> FloatArray:
 
 def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Survey:
     """The survey of scans (at least one), in the order of their stamps; ``tracks``: of their objects, if known."""
-    poses = np.stack([scan.T_odom_body for scan in scans])
+    poses = poses_of(scans)
     headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
     motion = Motion(

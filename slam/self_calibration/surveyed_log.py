@@ -16,7 +16,7 @@ from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
-from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.object_tracks import SurveyScan, poses_of
 from slam.self_calibration.variance_components import CLIP
 
 MAX_DETECTIONS = 150_000
@@ -141,7 +141,7 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
 
 def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
     """Unwrapped headings (K,) rad of the body at scans."""
-    return np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans]))) if scans else np.zeros(0)
+    return np.unwrap(yaw_rad(poses_of(scans))) if scans else np.zeros(0)
 
 
 def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_ns: int) -> BodyMotion:
@@ -156,7 +156,7 @@ def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_
     seconds = np.maximum((after - before) * 1e-9, 1e-9)
     turned = (yaw_rad(T_after) - yaw_rad(T_before) + np.pi) % (2.0 * np.pi) - np.pi
     return BodyMotion(
-        positions=np.stack([scan.T_odom_body[:3, 3] for scan in scans]),
+        positions=poses_of(scans)[:, :3, 3],
         headings=headings_of(scans),
         velocities=(T_after - T_before)[:, :2, 3] / seconds[:, None],
         turn_rates=turned / seconds,

@@ -109,8 +109,3 @@ def test_what_is_no_covariance_becomes_no_factor(variance):
     observation = replace(observed(), covariance=np.diag([1.0, variance, 1.0]))
     with pytest.raises(FactorGraphError, match="landmark 0 from keyframe 0"):
         observation_factors([observation], OBSERVATION_KERNEL_WIDTH, sensor_range_m=30.0)
-
-
-def test_an_edge_of_an_unknown_kind_is_refused():
-    with pytest.raises(ValueError, match="guess"):
-        edge("guess")
