@@ -86,7 +86,7 @@ class Codec:
 
     def __init__(self, record: type, message_class: Any, **shapes: str) -> None:
         self.message_class = message_class
-        self._record = record
+        self.record = record
         fields = message_class.DESCRIPTOR.fields_by_name
         names = [*shapes, *(f.name for f in dataclasses.fields(record) if f.name not in shapes)]
         self._fields = [_Field(name, fields[_MESSAGE_FIELDS.get(name, name)], shapes.get(name, "")) for name in names]
@@ -115,7 +115,7 @@ class Codec:
         for name, value in values.items():
             if isinstance(value, np.ndarray):
                 _check_array(name, value)
-        return self._record(**values)
+        return self.record(**values)
 
     def values(self, message: Any, counters: Counter[str]) -> dict[str, Any]:
         """The arguments of the record of ``message``, whose numbers may be any.
@@ -150,8 +150,8 @@ def _check_array(name: str, array: NDArray[Any]) -> None:
             raise Refusal("time out of range", name)
 
 
-CODECS: Mapping[type, Codec] = {
-    m.ObjectDetections: Codec(
+_CODECS = (
+    Codec(
         m.ObjectDetections,
         pb.ObjectDetections,
         labels="N",
@@ -159,9 +159,9 @@ CODECS: Mapping[type, Codec] = {
         scores="N",
         covariances="N 3 3?",
     ),
-    m.DetectionTruth: Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
-    m.DetectionAssociations: Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
-    m.ObjectMapRecord: Codec(
+    Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
+    Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
+    Codec(
         m.ObjectMapRecord,
         pb.ObjectMap,
         ids="N",
@@ -176,8 +176,8 @@ CODECS: Mapping[type, Codec] = {
         last_seen_ns="N",
         merged_into="N?",
     ),
-    m.TrajectoryRecord: Codec(m.TrajectoryRecord, pb.Trajectory, stamps_ns="N", T_map_body="N T"),
-    m.FactorGraphRecord: Codec(
+    Codec(m.TrajectoryRecord, pb.Trajectory, stamps_ns="N", T_map_body="N T"),
+    Codec(
         m.FactorGraphRecord,
         pb.FactorGraph,
         keyframe_ids="K",
@@ -194,12 +194,11 @@ CODECS: Mapping[type, Codec] = {
         pose_covariances="K 6 6?",
         observation_redundancies="O?",
     ),
-    m.LoopClosureRecord: Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
-    m.StatusRecord: Codec(m.StatusRecord, pb.Status),
-    m.LocalizationRecord: Codec(
-        m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"
-    ),
-}
+    Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
+    Codec(m.StatusRecord, pb.Status),
+    Codec(m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"),
+)
+CODECS: Mapping[type, Codec] = {codec.record: codec for codec in _CODECS}
 
 
 def take_rows(record: _Record, **rows: NDArray[np.int64]) -> _Record:

@@ -7,7 +7,7 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, transform_from_xyz_yaw, yaw_rad
-from slam.registration.pose_voting import vote_for_poses
+from slam.place_recognition.place_search import vote_for_poses
 
 QUERY = np.array([[-10.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
 """The last one is not matched."""
