@@ -26,7 +26,6 @@ from logs.messages import (
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
-from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import IntArray
 from slam.common.config import Config
@@ -88,8 +87,10 @@ class Slam:
         self._first_keyframe = len(known)
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
-        track = OdometryTrack(self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m)
-        self._frontend = Frontend(config.calibration.detection, self._frames, track, self._mapper, self.counters)
+        self._track = OdometryTrack(
+            self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m
+        )
+        self._frontend = Frontend(config.calibration.detection, self._frames, self._track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
         self._closer.initial_pose = None if prior_map is None else initial_pose
         self._condenser = GraphCondenser(
@@ -101,7 +102,7 @@ class Slam:
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
         self._check = DriveCheck(config.calibration)
-        self._schedule = SnapshotSchedule(self._first_keyframe, UPDATE_KEYFRAMES)
+        self._schedule = SnapshotSchedule(self._first_keyframe)
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
 
@@ -214,7 +215,7 @@ class Slam:
         added_ns = self._frontend.add_odometry(odometry)
         updates = self._advance()
         for stamp_ns in added_ns:
-            if (pose := self._frontend.pose_at(stamp_ns)) is not None:
+            if (pose := self._track.at(stamp_ns)) is not None:
                 updates += self._output.at(pose, is_localized=self.state != State.LOST)
         return updates
 

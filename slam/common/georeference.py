@@ -7,7 +7,7 @@ the ellipsoid; z is the height above that of the origin. So a map of 100 km is d
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from pydantic_core import from_json
@@ -54,7 +54,7 @@ class Georeference:
 
     def to_json(self) -> str:
         """JSON for the metadata of maps and logs."""
-        return json.dumps({name: getattr(self, name) for name in self.__dataclass_fields__})
+        return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> Georeference:

@@ -11,6 +11,7 @@ import numpy as np
 from logs.messages import SceneLines, ScenePoints
 from logs.scene import class_colors
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import apply, invert
@@ -23,17 +24,16 @@ from slam.odometry.keyframe import Keyframe
 class SnapshotSchedule:
     """Schedule of the snapshots: each holds the whole map, so that one is due when a hundredth of the keyframes is new.
 
-    ``first_keyframe``: the number of keyframes before the drive; ``update_keyframes``: every so many bring the estimate
-    up to date.
+    ``first_keyframe``: the number of keyframes before the drive. One is due when the estimate has been brought up to
+    date.
     """
 
-    def __init__(self, first_keyframe: int, update_keyframes: int) -> None:
+    def __init__(self, first_keyframe: int) -> None:
         self._first = self._shown = first_keyframe
-        self._update_keyframes = update_keyframes
 
     def is_due(self, keyframes: int) -> bool:
         """Whether one is due now, and is taken, with so many keyframes."""
-        is_updated = (keyframes - 1) % self._update_keyframes == 0
+        is_updated = (keyframes - 1) % UPDATE_KEYFRAMES == 0
         if not is_updated or 100 * (keyframes - self._shown) <= keyframes - self._first:
             return False
         self._shown = keyframes

@@ -70,10 +70,6 @@ class Frontend:
         self._waiting += added_ns
         return added_ns
 
-    def pose_at(self, stamp_ns: int) -> OdometryPose | None:
-        """The pose of the track at a time, as it is corrected by now."""
-        return self._track.at(stamp_ns)
-
     def break_after(self, travel_m: float, first: Keyframe) -> int:
         """Let a new segment begin after that travel, with the keyframe ``first``: the robot was kidnapped; returns the
         stamp [ns] of the first pose of the segment.

@@ -10,7 +10,7 @@ from slam.display.snapshot import SnapshotSchedule
 
 
 def taken(keyframes: int, *, first: int = 0) -> list[int]:
-    schedule = SnapshotSchedule(first, 5)
+    schedule = SnapshotSchedule(first)
     return [count - first for count in range(first + 1, first + keyframes + 1) if schedule.is_due(count)]
 
 
@@ -27,6 +27,6 @@ def test_later_snapshots_are_spaced_by_share_of_drive():
 
 
 def test_no_keyframe_is_shown_twice():
-    schedule = SnapshotSchedule(0, 5)
+    schedule = SnapshotSchedule(0)
     assert schedule.is_due(1)
     assert not schedule.is_due(1)
