@@ -79,7 +79,7 @@ class Mapper:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
         if pose.segment == self.segment and not is_keyframe_due(
             self.keyframes[-1],
-            pose.stamp_ns,
+            pose,
             self._active.T_local_odom @ pose.T_odom_body,
             self._config.keyframe_distance_m,
             sensor_range_m=self._config.sensor_range_m,

@@ -31,21 +31,25 @@ class Keyframe:
 
 
 def is_keyframe_due(
-    last: Keyframe, stamp_ns: int, T_local_body: FloatArray, distance_m: float, *, sensor_range_m: float
+    last: Keyframe, pose: OdometryPose, T_local_body: FloatArray, distance_m: float, *, sensor_range_m: float
 ) -> bool:
     """Whether the body came so far since the last keyframe of its segment, or moved so long ago, that one is due.
 
+    Wheels that turn while the body stands are motion, too: between keyframes the trajectory follows the odometry.
+
     Args:
         last: the last keyframe.
-        stamp_ns: the time now.
+        pose: the pose now, by the odometry.
         T_local_body: (4, 4), where landmarks and odometry have the body now.
         distance_m: from one keyframe to the next.
         sensor_range_m: of the detector.
     """
-    T_step = relative(last.T_local_body, T_local_body)
-    turn_rad, moved_m = float(rotation_angle_rad(T_step)), float(np.linalg.norm(T_step[:3, 3]))
+    T_steps = relative(
+        np.array([last.T_local_body, last.odometry.T_odom_body]), np.array([T_local_body, pose.T_odom_body])
+    )
+    turns_rad, moved_m = rotation_angle_rad(T_steps), np.linalg.norm(T_steps[:, :3, 3], axis=1)
     # With less motion the robot stands still; by an eighteenth of a circle the view changes.
-    has_moved = moved_m >= 0.1 / 30.0 * sensor_range_m or turn_rad >= 0.02
-    has_turned = turn_rad >= np.deg2rad(20.0)
-    is_late = stamp_ns - last.odometry.stamp_ns >= INTERVAL_S * 1e9
-    return bool(moved_m >= distance_m or has_turned or (is_late and has_moved))
+    has_moved = bool(np.any((moved_m >= 0.1 / 30.0 * sensor_range_m) | (turns_rad >= 0.02)))
+    has_turned = turns_rad[0] >= np.deg2rad(20.0)
+    is_late = pose.stamp_ns - last.odometry.stamp_ns >= INTERVAL_S * 1e9
+    return bool(moved_m[0] >= distance_m or has_turned or (is_late and has_moved))
