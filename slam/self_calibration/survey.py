@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
-from slam.common.geometry import roll_pitch_yaw_deg, travelled_m
+from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, travelled_m
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.corrections import (
@@ -30,6 +30,7 @@ from slam.self_calibration.frames import (
 )
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (
+    ROUNDING,
     Detectability,
     ObjectTracks,
     SurveyScan,
@@ -309,7 +310,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
     tracks = tracks or objects_among(follow_objects(scans, headings))
     biases = centroid_biases(tracks)
     median_range_m = float(np.median(ranges))
-    components = estimate_components(without_bias(tracks, biases), motion)
+    components = _components(without_bias(tracks, biases), motion, is_planar=_is_planar(scans))
     # A detection errs by its own noise and by what changes with the view.
     variance = components.white(median_range_m**2)[0] + components.variances.view if components is not None else 0.0
     return Survey(
@@ -330,6 +331,29 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         detectability=detectability_of(tracks),
         clutter_density=clutter_density(scans, len(tracks.track), np.sqrt(variance)),
     )
+
+
+def _is_planar(scans: Sequence[SurveyScan]) -> bool:
+    """Whether all detections lie in one plane of the body, as those of a sensor that measures no heights."""
+    T_body_gravity = [invert(scan.T_odom_body) @ gravity_frame(scan.T_odom_body) for scan in scans]
+    points = np.concatenate([apply(T, scan.positions) for T, scan in zip(T_body_gravity, scans, strict=True)])
+    squares = np.linalg.eigvalsh(np.cov(points.T, bias=True))
+    return bool(squares[0] <= ROUNDING * squares[-1])
+
+
+def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> ComponentEstimate | None:
+    """The noise of odometry and detections. Where a body leans whose sensor measures no heights, those of all objects
+    seem to change: that is noise of heights, and tells nothing else.
+    """
+    if not is_planar:
+        return estimate_components(tracks, motion)
+    estimate = estimate_components(replace(tracks, heights=np.zeros_like(tracks.heights)), motion)
+    if estimate is None:
+        return None
+    _, row = np.unique(tracks.track, return_inverse=True)
+    means = np.bincount(row, tracks.heights) / np.bincount(row)
+    rise = float(np.mean((tracks.heights - means[row]) ** 2))
+    return replace(estimate, variances=replace(estimate.variances, rise=rise))
 
 
 def _spacing(scans: list[SurveyScan]) -> float:

@@ -165,6 +165,24 @@ def test_the_variance_that_messages_claim_is_compared_with_that_which_they_have(
     assert np.isnan(summarize(drive.scans).claimed_ratio)
 
 
+def test_a_body_that_leans_changes_the_noise_of_heights_only_where_none_are_measured():
+    level = SurveyedDrive(0, NOISE, scans=300, objects=60).scans
+    leaning = []
+    for number, scan in enumerate(level):
+        tilt = np.eye(4)
+        tilt[:3, :3] = Rotation.from_euler("x", 3.0 * np.sin(number), degrees=True).as_matrix()
+        positions = scan.positions @ tilt[:3, :3].T
+        leaning.append(replace(scan, T_odom_body=scan.T_odom_body @ tilt, positions=positions))
+    found, usual = (summarize(scans).components for scans in (leaning, level))
+    assert found is not None
+    assert usual is not None
+    assert found.variances.tangential == pytest.approx(usual.variances.tangential, rel=0.1)
+    assert found.variances.tilt_by_travel == usual.variances.tilt_by_travel == 0.0
+    heights = np.concatenate([scan.positions[:, 2] for scan in leaning])
+    assert usual.variances.rise == 0.0
+    assert found.variances.rise == pytest.approx(np.var(heights), rel=0.1)
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_lengths_of_a_survey_scale_with_the_log(scale):
     small, large = (
