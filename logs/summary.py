@@ -6,7 +6,6 @@ import os
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from logs.closures import find_final_decisions
 from logs.container.limits import ReadingLimits
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.selection import Selection, select_all, select_topics
 from logs.topics import RawMessage, RecordKind, TopicInfo
 
@@ -23,7 +23,7 @@ MAX_CLASSES = 20_000
 OTHER_CLASSES = "(other classes)"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TopicSummary:
     """One topic. Its times are the stamps of its records where it has any, but for frames, which share a topic, and
     topics that do not decode, those at which it was logged. ``rate_hz`` is None below two messages; ``length_m`` of the
@@ -50,7 +50,7 @@ class TopicSummary:
     length_m: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from logs.decoders.parts import Context, Detection, Records, detection_records
 from logs.errors import TopicSelectionError
+from logs.records import frozen
 from logs.topics import RawMessage
 from logs.validation import Refusal, stamp_ns
 
 _PARTS = ("position", "x", "y", "z", "label", "score")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FieldMapping:
     """Where the detections of a message are: the field with their list, and the field of each of their parts."""
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import LogError
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry
+from logs.records import frozen
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
 from logs.writer import LogWriter
 
@@ -24,7 +24,7 @@ TOPICS: dict[type[DriveRecord], str] = {
 """A map is that of the true objects."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DriveSummary:
     """What was written: messages a topic, objects detected, seconds from the first record to the last."""
 

@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ UNLABELLED = "object"
 _DELIMITERS = ",;\t"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Column:
     """One column of a table: its name as the file has it, and the factor of the unit that the name ends in."""
 

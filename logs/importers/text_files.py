@@ -6,15 +6,15 @@ import gzip
 import hashlib
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
 from logs.errors import DatasetError
+from logs.records import frozen
 from logs.storage.regular_file import max_unpacked_bytes, read_regular
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SourceText:
     """A text file in memory; ``name`` is what messages call it, ``sha256`` that of the file as it is, packed or not."""
 

@@ -7,12 +7,12 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
@@ -25,7 +25,7 @@ Value = gtsam.Pose3 | FloatArray
 """The pose of a keyframe, or the position (3,) m of a landmark."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Optimization:
     """How the batch optimisation ended; ``error``: the cost at its end, in nats."""
 

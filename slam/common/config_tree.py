@@ -6,7 +6,6 @@ import difflib
 import json
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -14,6 +13,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
+from logs.records import frozen
 from logs.storage.regular_file import open_regular
 from slam.common.errors import ConfigurationError
 
@@ -37,7 +37,7 @@ class Branch(BaseModel):
         return hash(self.model_dump_json())
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Setting:
     """One value of a tree by its dotted key; ``default`` is the value itself where there is none."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -11,12 +11,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from logs.messages import ObjectMapRecord
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.fleet.part import Part
 from slam.fleet.presence import REPORTED, Presence
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Change:
     """A landmark that changed. ``kind``: "appeared", "gone" or "moved"; ``probability`` of that; it happened between
     ``after`` and ``before`` (UTC), the sessions that tell. ``position`` (3,) m in the map, for a moved object where it

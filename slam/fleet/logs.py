@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter
 
 from logs.digest import file_sha256
+from logs.records import frozen
 from logs.storage.placement import write_text
 from slam.common.errors import FleetError
 
 MEMBERS_NAME = "logs.json"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FleetLog:
     """A log by the name that people know, where it is or was, and the ``sha256`` of its content."""
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.geometry import blend
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class OdometryPose:
     """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it,
     ``speed_mps`` is the speed of the step that led to it, the greatest possible where that is not known.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from logs.messages import Odometry
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import rigid
@@ -19,7 +20,7 @@ from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, is_beyond_lim
 HISTORY = 6000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Correction:
     """The correction of a pose of the track by detections.
 

@@ -7,7 +7,6 @@ frames have z up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -27,7 +26,7 @@ TILT_SIGMA_RAD = 0.005
 """Uncertainty of roll and pitch between the two frames."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RegistrationConfig:
     """Registration of one constellation of objects with another.
 

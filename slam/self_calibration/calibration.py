@@ -7,10 +7,11 @@ units of the sensor range, not that of a good sensor.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.errors import InputDataError
@@ -98,7 +99,7 @@ _CHANGES = {
 """What a change within the log says: of its value, and of that in degrees."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibratedLog:
     """``config``: the effective configuration; ``estimated``: the values of the calibration, by their keys, that the
     log decided; ``notes``: its corrections and faults, for people.

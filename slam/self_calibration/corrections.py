@@ -23,7 +23,6 @@ terms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -74,7 +73,7 @@ class BodyMotion:
     turn_rates: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Correction:
     """The ``value`` of a term without the others; ``gain``: share of the held-out motion
     that it explains, among all others and by its value there alone, the smaller one; ``is_sure``: whether both are more
@@ -92,7 +91,7 @@ class Correction:
         return self.is_sure and self.gain >= MIN_GAIN
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Change:
     """By how much the ``value`` of a term is larger from the scan ``scan`` (its number) on."""
 

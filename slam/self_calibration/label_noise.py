@@ -11,10 +11,10 @@ scans.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.self_calibration.object_tracks import SurveyScan, follow_objects, objects_among
 from slam.self_calibration.variance_components import LEAST_PAIRS
@@ -29,7 +29,7 @@ odometry jumps, positions tell little.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LabelNoise:
     """``accuracy``: the probability that a label is right, NaN where too few objects could be followed or there is one
     class only; ``renamed_ns``: the stamp of the scan from which on classes have other names, None where they keep them.

@@ -9,7 +9,7 @@ way round: distances in the direction of the larger noise are divided by the rat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
@@ -121,7 +121,7 @@ def _noise_ratio(tracks: ObjectTracks) -> float:
     return 1.0 if is_exact else float(np.clip(along / max(across, along / MAX_RATIO), 1.0 / MAX_RATIO, MAX_RATIO))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Detectability:
     """Rate of detection of an object in view: in every ``period``-th scan, as several sensors take turns, with a
     ``probability``; NaN where none was tracked.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, travelled_m
@@ -63,7 +64,7 @@ ROUNDS = 10
 """Corrections are found one after another, the one that explains most first: a large one is seen in part at first."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Survey:
     """The survey of the beginning of a log.
 

@@ -28,11 +28,11 @@ that the pairs have of a component while all others are held.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import roots_genlaguerre
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import view_change
 from slam.self_calibration.object_tracks import ROUNDING, ObjectTracks
@@ -61,7 +61,7 @@ TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class NoiseComponents:
     """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], of its height beyond that
     [m^2], by the change of the view along the ground and in height [m^2 / rad]; of the odometry's jitter,
@@ -92,7 +92,7 @@ LENGTH_POWERS = np.array([2, 0, 2, 0, 2, 2, 2, 2, 1, 2, 2, 1, 0, -1, 0, 0, 0, -1
 """With which power of the unit of length each variance scales."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Motion:
     """Travel [m], heading [rad] and time [s] of each scan (K,), for their differences; ``height_m`` (K,) of bodies."""
 
@@ -107,7 +107,7 @@ class Motion:
         return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.heading_rad)))])
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ComponentEstimate:
     """``variances`` with their ``standard_errors``; from ``pairs`` tracked pairs of detections."""
 
@@ -155,7 +155,7 @@ def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     return tracks.of(kept)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Displacements:
     """Displacements of objects between two scans, ordered by the pair of scans, all lengths in units of ``unit_m``.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import LogError
+from logs.records import frozen
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
@@ -42,7 +43,7 @@ class DriveTask:
         return ", ".join(each for each in (self.variant, self.faults, f"seed {self.seed}") if each)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MappedDrive:
     """``evaluation``: the JSON of 'dslam evaluate'; or, as ``error``, why there is none.
 

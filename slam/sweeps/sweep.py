@@ -8,13 +8,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.selection import OUTPUT_PREFIX, select_topics
 from logs.topics import RecordKind
 from slam.common.config import Config
@@ -37,7 +37,7 @@ DEFAULT_DEGRADATIONS = (
 EVERY_FAULT = "every fault"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Sweep:
     """``results`` by task; ``computed`` of them are new, the others were there before."""
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from logs.reader import LogItem
+from logs.records import frozen
 
 MIN_MESSAGES = 16
 """Messages of a topic that are needed to distinguish a step of its clock from jitter, or to tell its drift."""
@@ -52,7 +53,7 @@ def _badness(delay_s: float) -> float:
     return delay_s if delay_s >= 0.0 else -10.0 * delay_s
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ClockStep:
     """The clock of a topic was set forward by ``step_ns``, as was known by its stamp ``stamp_ns``."""
 
@@ -68,7 +69,7 @@ class ClockStep:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ClockDrift:
     """The clock of detections loses ``rate`` seconds in a second of the odometry's, from the stamp ``since_ns`` on."""
 

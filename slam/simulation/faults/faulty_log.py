@@ -6,7 +6,6 @@ import heapq
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.messages import Record
 from logs.reader import LogReader
+from logs.records import frozen
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
 from logs.writer import LogWriter
@@ -35,7 +35,7 @@ _InOrder = Iterator[tuple[int, int, Message[Record] | RawMessage]]
 """Messages with their log times and their numbers in the log."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FaultSummary:
     """Detections in the input and in the output, messages of the output by topic, and what was left out, by reason."""
 

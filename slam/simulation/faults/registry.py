@@ -5,17 +5,18 @@ from __future__ import annotations
 import difflib
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from logs.records import frozen
 from slam.common.errors import ConfigurationError
 from slam.simulation.faults import detections, objects, odometry, stamps
 from slam.simulation.faults.recording import Recording
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fault:
     """A function that changes a recording, with a value for each of its parameters, or any number of labels."""
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
+from logs.records import frozen
 from slam.backend.editable_graph import EditableGraph
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 
@@ -17,7 +18,7 @@ _PREFIX = __name__.removesuffix("tools.lab.drives.parts")
 """Of the names of our packages: "dslam." in a wheel."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Part:
     """What switches a part off: ``settings`` ("key=value"), and ``replaced``, functions and constants by their full
     names with their replacements, where there is no setting.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
@@ -14,7 +12,7 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw, travelle
 from tools.lab.retrieval.labelled_map import LabelledMap
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Scenario:
     """Differences of a query from the map (Section IV-B): visual range and, where ``noisy``, the noise as written.
 

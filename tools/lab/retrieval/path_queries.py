@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +18,7 @@ from slam.object_map.submap import Submap
 from tools.lab.retrieval.labelled_map import LabelledMap
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Scenario:
     """Differences of a query from the map.
 
