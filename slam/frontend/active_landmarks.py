@@ -167,15 +167,14 @@ class ActiveLandmarks:
                 there are too few confirmed ones. They may be of moving objects.
         """
         landmarks, indices = self._map.rows[rows], self._local.slots(rows)
+        seen = scan.seen_from(self.T_local_body)
         if len(rows):
             positions, covariances = self._local.predict(indices)
-            seen = scan.seen_from(self.T_local_body)
             distances, _ = squared_distances(seen.positions - positions, covariances + seen.covariances)
             self._detections_innovation_ratio = float(np.median(distances)) / GATE
         corrects = landmarks["state"] == LandmarkState.CONFIRMED
         if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
-        seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[corrects] - self.T_local_body[:3, 3]
         slip = self._correct(indices[corrects], offsets, seen.covariances[corrects])
         others = ~corrects

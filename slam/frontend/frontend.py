@@ -7,6 +7,7 @@ long.
 from __future__ import annotations
 
 import logging
+from bisect import bisect_right, insort
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,10 +15,8 @@ from dataclasses import replace
 from logs.messages import DetectionAssociations, ObjectDetections, Odometry
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
-from slam.frontend.input.scan import Scan
-from slam.frontend.input.scan_placer import ScanPlacer
-from slam.frontend.input.scan_queue import ScanQueue
-from slam.frontend.input.sensor_frames import SensorFrames
+from slam.frontend.input.scan import Scan, in_metres, make_scan
+from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked
 from slam.odometry.keyframe import Keyframe
@@ -32,7 +31,11 @@ REJOINING_SCANS = 20
 
 
 class Frontend:
-    """Tracks the odometry and places the scans of one drive; ``counters`` counts the records."""
+    """Tracks the odometry and places the scans of one drive; ``counters`` counts the records.
+
+    Detections wait in the order of their stamps, so that a single stamp from the future holds up nothing. The
+    ``frames`` may still grow.
+    """
 
     def __init__(
         self,
@@ -43,8 +46,11 @@ class Frontend:
         counters: Counter[str],
     ) -> None:
         self._config = config
-        self._placer = ScanPlacer(config, frames)
-        self._scans = ScanQueue(config.time_offset_s)
+        self._frames = frames
+        self._odometry: Odometry | None = None
+        self._missing: set[str] = set()  # frames without a transform to the body
+        self._scans: list[ObjectDetections] = []
+        self._used_ns, self._used_frames = -1, set[str]()  # of the last scans
         self._track = track
         self._mapper = mapper
         self._tracker = mapper.tracker
@@ -61,11 +67,15 @@ class Frontend:
 
     def add_detections(self, detections: ObjectDetections) -> None:
         """Let detections wait for the odometry."""
-        self._scans.add(detections)
+        insort(self._scans, detections, key=self._time_ns)
+
+    def _time_ns(self, detections: ObjectDetections) -> int:
+        """When detections were made, on the clock of the odometry."""
+        return detections.stamp_ns + round(self._config.time_offset_s * 1e9)
 
     def add_odometry(self, odometry: Odometry) -> list[int]:
         """Follow the odometry; returns the stamps of the poses that this adds to the track."""
-        self._placer.follow(odometry)
+        self._odometry = odometry
         added_ns = [pose.stamp_ns for pose in self._track.add(odometry)]
         self._waiting += added_ns
         return added_ns
@@ -85,7 +95,10 @@ class Frontend:
         """
         if self._track.latest is None:
             return
-        for detections in self._scans.take(self.latest_ns):
+        count = bisect_right(self._scans, self.latest_ns, key=self._time_ns)
+        ready = self._scans[:count]
+        del self._scans[:count]
+        for detections in ready:
             yield from self._place(detections)
         overdue_ns = self.latest_ns - round(MAX_GAP_S * 1e9)
         if self._untold and self._untold[0][1].stamp_ns <= overdue_ns:
@@ -103,18 +116,24 @@ class Frontend:
         yield from self._map_untold()
         yield from self._poses_until(self.latest_ns)
         self._counters["detections_without_odometry"] += len(self._scans)
-        missing = self._placer.describe_missing()
-        if missing and self._counters["detections_used"]:
-            logger.warning("%s: detections in that frame are dropped", missing)
-        elif missing:
+        if not self._missing or self._odometry is None:
+            return
+        body_frame = self._odometry.child_frame_id
+        trees = {self._frames.tree_of(frame) for frame in (*self._missing, body_frame)}
+        missing = (
+            f"no transform leads from {', '.join(sorted(self._missing))} to {body_frame} (frames that "
+            f"belong together: {'; '.join(', '.join(tree) for tree in sorted(trees))})"
+        )
+        if not self._counters["detections_used"]:
             raise InputDataError(
                 f"{missing}, the body frame of the odometry, so no detection could be placed; record "
                 "/tf_static, or pass --set calibration.detection.assume_body_frame=true if the detections are in "
                 "the body frame"
             )
+        logger.warning("%s: detections in that frame are dropped", missing)
 
     def _place(self, detections: ObjectDetections) -> Iterator[OdometryPose | DetectionAssociations]:
-        pose = self._track.at(self._scans.time_ns(detections))
+        pose = self._track.at(self._time_ns(detections))
         if pose is None:
             self._counters["detections_without_odometry"] += 1
             return
@@ -166,16 +185,23 @@ class Frontend:
 
     def _scan(self, detections: ObjectDetections, pose: OdometryPose) -> Scan | None:
         """The scan of detections made at ``pose``; None where they cannot be used."""
-        if (fault := self._scans.fault_of(detections)) is not None:
-            self._counters[fault] += 1
+        stamp_ns, frame = detections.stamp_ns, detections.frame_id
+        is_late = stamp_ns < self._used_ns
+        if is_late or (stamp_ns == self._used_ns and frame in self._used_frames):
+            self._counters["detections_out_of_order" if is_late else "detections_duplicated"] += 1
             return None
-        scan = self._placer.place(detections, pose)
-        if scan is None:
+        assert self._odometry is not None  # as there is a pose
+        T_odom_body = pose.T_odom_body
+        T_body_sensor = find_sensor(self._frames, detections, self._odometry, T_odom_body, self._config)
+        if T_body_sensor is None:
             self._counters["detections_without_transform"] += 1
+            self._missing.add(frame.lstrip("/"))
             return None
-        self._scans.note_used(detections)
+        scan = make_scan(in_metres(detections, self._config), T_body_sensor, self._config, T_odom_body[2, :3])
+        self._used_frames = {frame} | (self._used_frames if stamp_ns == self._used_ns else set())
+        self._used_ns = stamp_ns
         self._counters["detections_used"] += 1
-        self._counters["detections_without_frame"] += not (detections.frame_id or self._config.assume_body_frame)
+        self._counters["detections_without_frame"] += not (frame or self._config.assume_body_frame)
         self._counters["objects_used"] += len(scan.positions)
         self._counters["objects_filtered"] += len(detections.positions) - len(scan.positions)
         return scan

@@ -1,6 +1,7 @@
 """From messages to placed scans: which poses are handed out, when, and as what."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,8 +29,8 @@ START_NS = 10**9
 class Drive:
     """A front end and what it hands out; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
 
-    def __init__(self, *, frame_id: str = "base_link") -> None:
-        config = Config()
+    def __init__(self, *, frame_id: str = "base_link", time_offset_s: float = 0.0) -> None:
+        config = Config().calibrated({"detection.time_offset_s": time_offset_s})
         self.counters = Counter[str]()
         object_map = ObjectMap(config.calibration.objects)
         self.mapper = Mapper(config, object_map, FactorGraph())
@@ -110,13 +111,26 @@ def test_detections_before_and_after_the_odometry_are_counted() -> None:
     assert (drive.counters["detections_used"], drive.counters["detections_without_odometry"]) == (5, 3)
 
 
-def test_detections_that_come_twice_are_used_once() -> None:
+def test_scans_are_taken_in_the_order_of_their_stamps_on_the_clock_of_the_odometry() -> None:
+    drive = Drive(time_offset_s=0.5e-9 * STEP_NS)
+    for steps in (900, 1, 0):
+        drive.frontend.add_detections(drive.detections(START_NS + steps * STEP_NS))
+    drive.drive(2, sees=False)
+    assert [each.stamp_ns for each in drive.associations] == [START_NS]
+    drive.drive(1, sees=False)
+    assert [each.stamp_ns for each in drive.associations] == [START_NS, START_NS + STEP_NS]
+
+
+def test_detections_that_come_twice_or_late_are_used_once() -> None:
     drive = Drive()
     drive.drive(5)
-    drive.frontend.add_detections(drive.detections(START_NS + 4 * STEP_NS))
+    for step, frame_id in ((4, "base_link"), (4, ""), (4, "base_link"), (3, "base_link")):
+        detections = replace(drive.detections(START_NS + step * STEP_NS), frame_id=frame_id)
+        drive.frontend.add_detections(detections)
+        drive.take(drive.frontend.advance())
     drive.drive(5)
-    assert len(drive.associations) == drive.counters["detections_used"] == 10
-    assert drive.counters["detections_duplicated"] == 1
+    assert len(drive.associations) == drive.counters["detections_used"] == 11
+    assert (drive.counters["detections_duplicated"], drive.counters["detections_out_of_order"]) == (2, 1)
 
 
 def test_poses_wait_for_a_scan_but_not_forever() -> None:
@@ -180,7 +194,7 @@ def test_break_at_an_earlier_keyframe_is_not_rejoined() -> None:
 def test_missing_transform_is_an_error_at_the_end() -> None:
     drive = Drive(frame_id="lidar")
     drive.drive(5)
-    with pytest.raises(InputDataError, match="lidar"):
+    with pytest.raises(InputDataError, match="no transform leads from lidar to base_link"):
         drive.take(drive.frontend.finish())
     assert drive.counters["detections_without_transform"] == 5
 

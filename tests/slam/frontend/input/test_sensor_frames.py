@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from logs.messages import Transform
+from logs.messages import Odometry, Transform
+from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
-from slam.common.geometry import invert
-from slam.frontend.input.sensor_frames import SensorFrames
+from slam.common.geometry import apply, invert
+from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
+from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
 from tests.logs.examples import random_transform
+
+T_ODOM_BODY = pose_at(5.0, 1.0, yaw=0.5)
 
 
 def frames(**T: np.ndarray) -> SensorFrames:
@@ -83,3 +87,40 @@ def test_a_loop_is_named():
         found.find("base", "c")
     assert frames(base__a=np.eye(4), b__c=np.eye(4), c__b=np.eye(4)).find("base", "a") is not None
     assert frames(base__a=np.eye(4), a__a=np.eye(4)).find("base", "a") is not None
+
+
+def seen_by_body(frame_id: str, at, config=DetectionCalibration(), **T: np.ndarray):  # noqa: B008
+    """Where a detection ``at`` (3,) is in the frame of the body, with these frames."""
+    detections = detections_of(at, stamp_ns=10, frame_id=frame_id)
+    odometry = Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link")
+    T_body_sensor = find_sensor(frames(**T), detections, odometry, T_ODOM_BODY, config)
+    return None if T_body_sensor is None else apply(T_body_sensor, detections.positions)
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "expected"),
+    [("sensor", [5.0, 0.0, 2.0]), ("base_link", [4.0, 0.0, 0.0]), ("/base_link", [4.0, 0.0, 0.0]), ("", [4.0, 0, 0])],
+)
+def test_detections_come_out_in_the_body_frame(frame_id, expected):
+    found = seen_by_body(frame_id, (4.0, 0.0, 0.0), base_link__sensor=pose_at(1.0, z=2.0))
+    np.testing.assert_allclose(found, [expected], atol=1e-12)
+
+
+@pytest.mark.parametrize("T_map_odom", [None, pose_at(-3.0, 7.0, yaw=1.0)])
+def test_detections_in_the_odometry_frame_or_a_map_of_it_are_seen_from_the_pose(T_map_odom):
+    """Of another program that publishes map -> odom: its map is connected with the body by the odometry alone."""
+    T = np.eye(4) if T_map_odom is None else T_map_odom
+    at = apply(T @ T_ODOM_BODY, np.array([[4.0, 0.0, 0.0]]))
+    found = seen_by_body("odom", at) if T_map_odom is None else seen_by_body("map", at, map__odom=T)
+    np.testing.assert_allclose(found, [[4.0, 0.0, 0.0]], atol=1e-12)
+
+
+def test_a_sensor_that_nothing_connects_has_no_place():
+    assert seen_by_body("camera", (4.0, 0.0, 0.0), base_link__sensor=np.eye(4)) is None
+
+
+def test_detections_of_a_tracker_are_taken_from_the_odometry_frame_whatever_they_say():
+    at = apply(T_ODOM_BODY, np.array([[4.0, 0.0, 0.0]]))
+    for frame in ("base_link", "", "odom", "nowhere"):
+        found = seen_by_body(frame, at, DetectionCalibration(assume_odometry_frame=True))
+        np.testing.assert_allclose(found, [[4.0, 0.0, 0.0]], atol=1e-12)
