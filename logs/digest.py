@@ -7,10 +7,10 @@ import json
 import os
 
 from logs.errors import UnreadableLogError
-from logs.storage.regular_file import open_regular
+from logs.storage.regular_file import AnyPath, open_regular
 
 
-def file_sha256(path: str | os.PathLike[str]) -> str:
+def file_sha256(path: AnyPath) -> str:
     """Hexadecimal SHA-256 of the file at ``path``, read in pieces.
 
     Raises:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import heapq
-import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
@@ -19,6 +18,7 @@ from logs.records import frozen
 from logs.selection import Selection
 from logs.storage.mcap_file import McapFile
 from logs.storage.opening import find_files, open_file
+from logs.storage.regular_file import AnyPath
 from logs.topics import Channel, RawMessage, TopicInfo
 
 
@@ -50,7 +50,7 @@ class LogReader:
             whole recording.
     """
 
-    def __init__(self, path: str | os.PathLike[str], limits: ReadingLimits | None = None) -> None:
+    def __init__(self, path: AnyPath, limits: ReadingLimits | None = None) -> None:
         self.path = Path(path)
         self._limits = limits or ReadingLimits()
         self.files = find_files(self.path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from logs.errors import TopicSelectionError
 from logs.reader import LogReader
 from logs.records import frozen
 from logs.selection import Selection, select_all, select_topics
+from logs.storage.regular_file import AnyPath
 from logs.topics import RawMessage, RecordKind, TopicInfo
 
 MAX_CLASSES = 20_000
@@ -80,7 +80,7 @@ class LogSummary:
 
 
 def summarize(
-    path: str | os.PathLike[str], overrides: Mapping[str, str] | None = None, limits: ReadingLimits | None = None
+    path: AnyPath, overrides: Mapping[str, str] | None = None, limits: ReadingLimits | None = None
 ) -> LogSummary:
     """Read the whole log at ``path``; ``overrides`` (kind -> topic) as for :func:`logs.selection.select_topics`.
 

@@ -18,6 +18,7 @@ from logs.encoders import definition_of, encode
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record
 from logs.storage.placement import check_replaceable, partial_path, put_in_place
+from logs.storage.regular_file import AnyPath
 from logs.topics import RawMessage
 from logs.validation import LAST_NS
 
@@ -41,7 +42,7 @@ class LogWriter:
         UnwritableLogError: by every method, when the file cannot be created, written or finished.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, refusals: tuple[type[Exception], ...] = ()) -> None:
+    def __init__(self, path: AnyPath, *, refusals: tuple[type[Exception], ...] = ()) -> None:
         self.path = Path(path)
         self._refusals = refusals
         self.partial_path = partial_path(self.path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from logs.container.limits import RESULT_LIMITS
 from logs.messages import ObjectMapRecord, Record, TrajectoryRecord
 from logs.reader import LogReader
 from logs.selection import Selection
+from logs.storage.regular_file import AnyPath
 from logs.topics import RecordKind
 from slam.common.calibration import Calibration
 from slam.common.config import Config
@@ -25,7 +25,7 @@ from slam.prepared_log import calibrate_logs
 _FINAL_MAP, _FINAL_TRAJECTORY = "/slam/map", "/slam/trajectory_stamped"
 
 
-def read_map(path: str | os.PathLike[str]) -> ObjectMapRecord:
+def read_map(path: AnyPath) -> ObjectMapRecord:
     """The confirmed landmarks of a log that ``replay`` wrote, or of a map of any kind: saved, imported or of a fleet.
 
     Raises:
@@ -43,7 +43,7 @@ def read_map(path: str | os.PathLike[str]) -> ObjectMapRecord:
     raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that 'dslam replay' wrote")
 
 
-def load_map(path: str | os.PathLike[str]) -> PriorMap:
+def load_map(path: AnyPath) -> PriorMap:
     """A map to localize in or to extend: of a drive (``SavedMap``), or imported or of a fleet (``ImportedMap``).
 
     Raises:
@@ -53,7 +53,7 @@ def load_map(path: str | os.PathLike[str]) -> PriorMap:
     return load_prior_map(path)
 
 
-def save_map(path: str | os.PathLike[str], saved: PriorMap) -> None:
+def save_map(path: AnyPath, saved: PriorMap) -> None:
     """Write a map that ``load_map`` or ``load_imported_map`` returned, for example with some landmarks left out.
 
     Raises:
@@ -66,7 +66,7 @@ def save_map(path: str | os.PathLike[str], saved: PriorMap) -> None:
         write_map(Path(path), saved)
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> TrajectoryRecord:
+def read_trajectory(path: AnyPath) -> TrajectoryRecord:
     """The optimised trajectory of a log that ``replay`` wrote: ``stamps_ns`` (N,), ``T_map_body`` (N, 4, 4).
 
     Raises:
@@ -79,9 +79,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> TrajectoryRecord:
     return found
 
 
-def calibrate(
-    *logs: str | os.PathLike[str], config: Config | None = None, topics: Mapping[str, str] | None = None
-) -> Calibration:
+def calibrate(*logs: AnyPath, config: Config | None = None, topics: Mapping[str, str] | None = None) -> Calibration:
     """The calibration of a robot's sensors from all of its logs together, for ``Slam`` and in ``config.calibration``.
 
     Args:
@@ -98,9 +96,9 @@ def calibrate(
 
 
 def evaluate_log(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
-    reference: str | os.PathLike[str] | None = None,
+    reference: AnyPath | None = None,
     topics: Mapping[str, str] | None = None,
 ) -> Evaluation:
     """Compare a log that ``replay`` wrote with the truth; ``to_json_dict()`` of the result holds every figure.
@@ -117,7 +115,7 @@ def evaluate_log(
     return evaluate(read_records(path, reference=reference, topics=topics))
 
 
-def _last_record(path: str | os.PathLike[str], selection: Selection) -> Record | None:
+def _last_record(path: AnyPath, selection: Selection) -> Record | None:
     with LogReader(path, RESULT_LIMITS) as reader:
         found = None
         for entry in reader.records(selection):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,6 +15,7 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
+from logs.storage.regular_file import AnyPath
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
@@ -133,7 +133,7 @@ class LiveSlam:
         self.catch_up()
         return self._slam.finish()
 
-    def save(self, path: str | os.PathLike[str], final: FinalMap, provenance: Mapping[str, str] | None = None) -> None:
+    def save(self, path: AnyPath, final: FinalMap, provenance: Mapping[str, str] | None = None) -> None:
         """Write the map of the drive, which ``finish`` returned, for later drives.
 
         ``provenance``: metadata of the map; by default the settings and the calibration.

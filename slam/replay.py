@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
@@ -16,6 +15,7 @@ from logs.errors import LogError, UnwritableLogError
 from logs.reader import LogReader
 from logs.records import frozen
 from logs.storage.placement import partial_path
+from logs.storage.regular_file import AnyPath
 from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
@@ -58,8 +58,8 @@ class ReplaySummary:
 
 
 def replay(
-    source: str | os.PathLike[str],
-    output: str | os.PathLike[str],
+    source: AnyPath,
+    output: AnyPath,
     config: Config = DEFAULTS,
     *,
     topics: Mapping[str, str] | None = None,
@@ -67,7 +67,7 @@ def replay(
     initial_pose: InitialPose | None = None,
     extend: bool = True,
     online: bool = False,
-    map_path: str | os.PathLike[str] | None = None,
+    map_path: AnyPath | None = None,
     copy: Collection[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> ReplaySummary:

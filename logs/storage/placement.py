@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
+from logs.storage.regular_file import AnyPath
 
 SPECIAL = "it is a device, a pipe or a socket, which a file would replace; give the name of a file"
 
@@ -47,7 +48,7 @@ def put_in_place(part: Path, path: Path) -> None:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def replacing(path: AnyPath) -> Iterator[Path]:
     """``NAME.part`` to be written, which takes the name at the end; after an error it is removed.
 
     Raises:
@@ -65,7 +66,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             part.unlink()
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: AnyPath, text: str) -> None:
     """Write a text file, whole or not at all; halves of surrogate pairs, which UTF-8 has no place for, are escaped.
 
     Raises:

@@ -7,6 +7,7 @@ import os
 import stat
 from io import BufferedReader
 
+AnyPath = str | os.PathLike[str]
 MAX_BYTES = 1_000_000_000
 """Of a file that is read as a whole: a day of detections as a table."""
 
@@ -18,7 +19,7 @@ def max_unpacked_bytes(packed_bytes: int) -> int:
     return max(100 * packed_bytes, 64_000_000)
 
 
-def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
+def open_regular(path: AnyPath) -> BufferedReader:
     """Open a file to read its bytes.
 
     Raises:
@@ -34,7 +35,7 @@ def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
     return stream
 
 
-def read_regular(path: str | os.PathLike[str]) -> bytes:
+def read_regular(path: AnyPath) -> bytes:
     """The bytes of a file of at most ``MAX_BYTES``.
 
     Raises:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 
 from logs.reader import LogReader
+from logs.storage.regular_file import AnyPath
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray
@@ -23,7 +22,7 @@ PriorMap = SavedMap | ImportedMap
 """A map that drives made, or a landmark-only map without a trajectory."""
 
 
-def load_prior_map(path: str | os.PathLike[str]) -> PriorMap:
+def load_prior_map(path: AnyPath) -> PriorMap:
     """Read a map of either kind: saved by a replay, or imported or made by a fleet.
 
     Raises:

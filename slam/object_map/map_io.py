@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from logs.reader import LogReader
 from logs.records import frozen
 from logs.scene import class_colors
 from logs.selection import Selection
+from logs.storage.regular_file import AnyPath
 from logs.topics import RecordKind
 from logs.writer import LogWriter
 from slam.backend.edge_kind import EdgeKind
@@ -150,7 +150,7 @@ def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord
         raise SavedMapError(f"{path} was not written, because it could not be used: {fault}")
 
 
-def load_map(path: str | os.PathLike[str]) -> SavedMap:
+def load_map(path: AnyPath) -> SavedMap:
     """Read a map log.
 
     Raises:
@@ -235,7 +235,7 @@ def _tied(graph: FactorGraphRecord, *, to_first: bool) -> BoolArray:
     return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))
 
 
-def _drives(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
+def _drives(path: AnyPath, metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
     try:
         drives = from_json(metadata.get("drives", "[]"))
         return tuple(drive_of(drive) for drive in drives) or (drive_of(metadata),)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -22,6 +21,7 @@ from logs.reader import LogReader
 from logs.records import frozen
 from logs.scene import class_colors
 from logs.storage.arrays import read_arrays
+from logs.storage.regular_file import AnyPath
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError, SlamError
@@ -160,7 +160,7 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
             writer.add_array(f"pair_{name}", getattr(imported.pairs, name))
 
 
-def load_imported_map(path: str | os.PathLike[str]) -> ImportedMap:
+def load_imported_map(path: AnyPath) -> ImportedMap:
     """Open a map that :func:`save_imported_map` has written; its index stays in the file.
 
     Raises:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
@@ -32,6 +31,7 @@ from logs.reader import LogReader
 from logs.records import frozen
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
+from logs.storage.regular_file import AnyPath
 from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries, clean_poses, series_of
@@ -153,9 +153,9 @@ def _last(records: Sequence[_Record]) -> _Record | None:
 
 
 def read_records(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     *,
-    reference: str | os.PathLike[str] | None = None,
+    reference: AnyPath | None = None,
     calib: Path | None = None,
     topics: Mapping[str, str] | None = None,
 ) -> EvaluationRecords:
@@ -190,7 +190,7 @@ def _read_poses(reference: Path, calib: Path | None, path: PoseSeries) -> PoseSe
     return PoseSeries(trajectory.stamps_ns, trajectory.T_world_body)
 
 
-def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
+def _read(path: AnyPath, topics: Mapping[str, str] | None) -> EvaluationRecords:
     with LogReader(path, RESULT_LIMITS) as reader:
         there = reader.topics()
         provenance = reader.metadata().get("dslam", {})
