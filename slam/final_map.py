@@ -20,7 +20,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import invert
+from slam.common.geometry import apply_each, invert
 from slam.display.map_topics import Message
 from slam.localization.pose_output import MAP_FRAME
 from slam.object_map.landmarks import LandmarkState, ObjectMap
@@ -135,8 +135,7 @@ def place_landmarks(
     keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in keyframes]
     last = np.searchsorted(keyframe_stamps_ns, landmarks["last_seen_ns"][own], side="right") - 1
     T_map_local = (T_map_body @ invert(T_local_body))[np.maximum(last, 0)]
-    R = T_map_local[:, :3, :3]
-    positions = np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
+    R, positions = T_map_local[:, :3, :3], apply_each(T_map_local, landmarks["position_local"][own])
     around = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
     object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=around)
     in_graph = graph.landmarks

@@ -48,6 +48,11 @@ def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     return points_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3]
 
 
+def apply_each(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
+    """Points (N, 3) of frame b in frames a, each by a transform (N, 4, 4) of its own."""
+    return np.asarray(np.einsum("nij,nj->ni", T_a_b[:, :3, :3], points_b) + T_a_b[:, :3, 3])
+
+
 def skew(vectors: FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) that turn a vector b into the cross product of ``vectors`` (..., 3) and b."""
     matrices = np.zeros((*vectors.shape, 3))
@@ -95,6 +100,11 @@ def least_eigenvalues(P: FloatArray) -> FloatArray:
     """Least eigenvalue (N,) of each of the symmetric matrices (N, n, n); -inf of those that are not finite."""
     is_finite = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     return np.where(is_finite, np.linalg.eigvalsh(np.where(is_finite[:, None, None], P, 0.0))[:, 0], -np.inf)
+
+
+def squared_mahalanobis(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distances (N,) of errors (N, D) with their covariances (N, D, D)."""
+    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
 
 
 def rotation_angle_rad(T: FloatArray) -> FloatArray:
@@ -145,10 +155,14 @@ def rigid(T: FloatArray) -> FloatArray:
     return make_transform(Rotation.from_matrix(T[:3, :3]).as_matrix(), T[:3, 3])
 
 
+def step_lengths(positions: FloatArray) -> FloatArray:
+    """Distance (N - 1,) from each of the positions (N, D) to the next."""
+    return np.asarray(np.linalg.norm(np.diff(positions, axis=0), axis=1))
+
+
 def travelled_m(positions: FloatArray) -> FloatArray:
     """Path length (N,) from the first position to each of (N, D)."""
-    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])[: len(positions)]
+    return np.concatenate([[0.0], np.cumsum(step_lengths(positions))])[: len(positions)]
 
 
 def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> FloatArray:

@@ -18,7 +18,7 @@ from slam.backend.graph_record import make_graph_record
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import SUBMAP_RANGES, Config
-from slam.common.geometry import covariance_in_axes, gravity_frame, invert
+from slam.common.geometry import apply_each, covariance_in_axes, gravity_frame, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
 
 
@@ -100,7 +100,7 @@ def _observations(saved: SavedMap, cell: IntArray, T_map_place: FloatArray, cell
     places = cell[keyframes]
     T_place_map = invert(T_map_place[places])
     R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[keyframes, :3, :3]
-    positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[landmarks]) + T_place_map[:, :3, 3]
+    positions = apply_each(T_place_map, objects.positions[landmarks])
     # A landmark nearer to a place has no bearing there; the places beside it observe it.
     is_far = np.linalg.norm(positions, axis=1) > 0.02 * cell_m
     covariances = R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2)

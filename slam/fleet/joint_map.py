@@ -18,7 +18,7 @@ from slam.backend.factors import Edge, EdgeKind
 from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import invert
+from slam.common.geometry import apply_each, invert, squared_mahalanobis
 from slam.fleet.joins import Join
 from slam.fleet.part import Part, Visit, common_metadata
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
@@ -110,8 +110,7 @@ def _placed(
     T_from, T_to = (poses[[getattr(edge, end) for edge in closures]] for end in ("from_keyframe", "to_keyframe"))
     T_error = invert(np.array([edge.T_from_to for edge in closures])) @ invert(T_from) @ T_to
     errors = RigidTransform.from_matrix(T_error).as_exp_coords()
-    whitened = np.linalg.solve(np.array([edge.covariance for edge in closures]), errors[:, :, None])[:, :, 0]
-    agree = np.einsum("ni,ni->n", errors, whitened) <= MAX_DEVIATIONS**2
+    agree = squared_mahalanobis(errors, np.array([edge.covariance for edge in closures])) <= MAX_DEVIATIONS**2
     return poses, list(compress(joins, agree.tolist()))
 
 
@@ -172,7 +171,7 @@ def _moved(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tu
     """
     nearest = cKDTree(saved.graph.T_map_body[:, :3, 3]).query(points)[1]
     T = (T_joint_place @ invert(saved.graph.T_map_body))[nearest]
-    return np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3], T[:, :3, :3]
+    return apply_each(T, points), T[:, :3, :3]
 
 
 def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mapping[int, IntArray]) -> None:

@@ -23,7 +23,15 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import covariance_in_axes, left_jacobian, make_transform, rigid, rotation_of, skew
+from slam.common.geometry import (
+    covariance_in_axes,
+    left_jacobian,
+    make_transform,
+    rigid,
+    rotation_of,
+    skew,
+    squared_mahalanobis,
+)
 from slam.odometry.noise_scale import GATE
 
 POSE = 6
@@ -136,8 +144,7 @@ class LocalMap:
         entries = np.arange(3 * count).reshape(count, 3)
         blocks = entries[:, :, None], entries[:, None, :]
         own = S[blocks] + covariances
-        distances = np.einsum("ki,ki->k", innovations, np.linalg.solve(own, innovations[..., None])[..., 0])
-        excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights, beyond the gate
+        excess = np.maximum(squared_mahalanobis(innovations, own) / GATE - 1.0, 0.0)  # Huber's weights, beyond the gate
         S[blocks] = own + excess[:, None, None] * covariances
         # One triangular solution for the gain and for what it is applied to.
         known = np.column_stack([HP, innovations.ravel(), effects])

@@ -15,7 +15,7 @@ from slam.backend.factors import Observation
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
-from slam.common.geometry import relative
+from slam.common.geometry import apply_each, relative
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
 
@@ -73,7 +73,7 @@ class ObservationGroup:
         return sum_observations(
             np.full(len(observations), last.id),
             np.array([each.landmark for each in observations]),
-            np.einsum("nij,nj->ni", R, [each.position for each in observations]) + T[:, :3, 3],
+            apply_each(T, np.array([each.position for each in observations])),
             R @ _covariances(observations) @ np.swapaxes(R, 1, 2),
             np.array([each.covariance_inflation for each in observations]),
         )

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import gravity_frame, invert, travelled_m
+from slam.common.geometry import apply_each, gravity_frame, invert, travelled_m
 from slam.self_calibration.corrections import BLOCKS, is_beyond_chance
 from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m, poses_of
 from slam.self_calibration.surveyed_log import headings_of
@@ -70,7 +70,7 @@ class ScanPairs:
         counts = np.maximum(np.bincount(self._pair, minlength=len(found)), 1)
         for column, T in enumerate((motions, invert(motions))):
             moved = self._detections.copy()
-            moved[:, :3] = np.einsum("nij,nj->ni", T[self._pair, :3, :3], moved[:, :3]) + T[self._pair, :3, 3]
+            moved[:, :3] = apply_each(T[self._pair], moved[:, :3])
             distances, _ = self._tree.query(moved, distance_upper_bound=self.spacing_m)
             squares = np.minimum(distances, self.spacing_m) ** 2 + (RESOLVED_SPACINGS * self.spacing_m) ** 2
             found[:, column] = 0.5 * np.bincount(self._pair, np.log(squares), minlength=len(found)) / counts

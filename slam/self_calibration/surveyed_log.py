@@ -11,7 +11,7 @@ import numpy as np
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration, OdometryCalibration
-from slam.common.geometry import apply, gravity_frame, interpolate, invert, yaw_rad
+from slam.common.geometry import apply, gravity_frame, interpolate, invert, step_lengths, yaw_rad
 from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
@@ -165,7 +165,7 @@ def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_
 
 def _path_length(poses: FloatArray) -> float:
     """Length [m] of the path through poses (K, 4, 4); single messages that are far off add little."""
-    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    steps_m = step_lengths(poses[:, :3, 3])
     moved = steps_m > 0.0
     return float(np.minimum(steps_m, CLIP * np.median(steps_m[moved])).sum()) if moved.any() else 0.0
 

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import step_lengths, transform_from_xyz_yaw, travelled_m
 from slam.simulation.config import DriveConfig
 
 START_NS = 1_700_000_000_000_000_000
@@ -71,22 +71,20 @@ def plan_drive(tour: FloatArray, config: DriveConfig) -> DrivePlan:
     Raises:
         SimulationError: the tour has no length.
     """
-    steps = np.linalg.norm(np.diff(tour, axis=0), axis=1)
-    corner_m = np.concatenate([[0.0], np.cumsum(steps)])
+    corner_m = travelled_m(tour)
     if corner_m[-1] <= 0.0:
         raise SimulationError(f"a tour of {len(tour)} points without length cannot be driven")
-    keep = np.concatenate([[True], steps > 0.0])
+    keep = np.concatenate([[True], step_lengths(tour) > 0.0])
     count = max(2, int(np.ceil(corner_m[-1] / 0.25)) + 1)  # samples of a tour 0.25 m apart
     tour_m = np.linspace(0.0, corner_m[-1], count)
     xy = np.stack([np.interp(tour_m, corner_m[keep], tour[keep, axis]) for axis in range(2)], axis=1)
     xy = _smooth(xy, config.corner_smoothing_m / (tour_m[1] - tour_m[0]))
     # A tour that doubles back meets itself; samples that fall together have no direction.
-    apart = np.concatenate([[True], np.linalg.norm(np.diff(xy, axis=0), axis=1) > 1e-9])
+    apart = np.concatenate([[True], step_lengths(xy) > 1e-9])
     tour_m, xy = tour_m[apart], xy[apart]
     if len(xy) < 2:
         raise SimulationError("the rounded tour has no length; make it longer or corner_smoothing_m smaller")
-    along = np.diff(xy, axis=0)  # (S - 1, 2)
-    ds_m = np.linalg.norm(along, axis=1)
+    along, ds_m = np.diff(xy, axis=0), step_lengths(xy)  # (S - 1, 2), (S - 1,)
     segment_yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
     yaw = np.concatenate([segment_yaw[:1], 0.5 * (segment_yaw[1:] + segment_yaw[:-1]), segment_yaw[-1:]])
     turn_rad = np.abs(np.diff(yaw))

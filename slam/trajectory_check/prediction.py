@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import polar_cells
+from slam.common.geometry import apply_each, polar_cells
 
 CLUTTER = 0.1
 """Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
@@ -59,7 +59,7 @@ class VisitPredictor:
             summed; and how many (Q,) are predicted, 0 where the trajectory places no detection of another visit there.
         """
         R, t = T_world_body[:, :3, :3], T_world_body[:, :3, 3]
-        points = np.einsum("nij,nj->ni", R[self._scan_of], self._positions) + t[self._scan_of]
+        points = apply_each(T_world_body[self._scan_of], self._positions)
         tree = KDTree(points)
         gains, counts = np.zeros(len(queries)), np.zeros(len(queries), dtype=np.int64)
         for place, query in enumerate(queries.tolist()):

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, least_eigenvalues
+from slam.common.geometry import apply, invert, least_eigenvalues, squared_mahalanobis
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
@@ -38,8 +38,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
     usable = np.isfinite(errors).all(axis=1) & (least_eigenvalues(covariances) > 0.0)
     if not usable.any():
         return {"nees": None, "count": 0}
-    whitened = np.linalg.solve(covariances[usable], errors[usable][:, :, None])[:, :, 0]
-    squares = np.einsum("ni,ni->n", errors[usable], whitened)
+    squares = squared_mahalanobis(errors[usable], covariances[usable])
     return {"nees": float(np.mean(squares)) / errors.shape[1], "count": len(squares)}
 
 

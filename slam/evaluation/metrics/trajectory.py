@@ -6,7 +6,7 @@ import numpy as np
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, rotation_angle_rad, travelled_m
+from slam.common.geometry import apply, invert, rotation_angle_rad, step_lengths, travelled_m
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path
 
@@ -47,7 +47,7 @@ def evaluate_trajectory(
     T_world_map = align_path(est.positions, gt.positions)
     aligned = apply(T_world_map, est.positions)
     errors_m = np.linalg.norm(aligned - gt.positions, axis=1)
-    steps_m = np.linalg.norm(np.diff(gt.positions, axis=0), axis=1)
+    steps_m = step_lengths(gt.positions)
     is_driven = (np.diff(gt.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
     translation_percent, rotation_deg_per_100m = compute_relative_error(est.T_world_body, gt.T_world_body)
     return TrajectoryErrors(

@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert
+from slam.common.geometry import apply, invert, step_lengths
 from slam.display.map_layers import OTHER_COLOR, Layer, MapPicture, class_layers, count_classes, strokes
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
@@ -63,7 +63,7 @@ def compose_picture(
     lost, found = _losses(records, evaluation, estimate, spans_ns)
     true, false, undecided = _closures(evaluation, estimate)
     whole = next((each for each in (path, truth, odometry) if len(each)), path)
-    driven_m = float(np.nansum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    driven_m = float(np.nansum(step_lengths(path)))
     figures = {
         "path {:.0f} m": errors.length_m if errors else driven_m or None,
         count_classes(labels): len(labels) or None,
@@ -135,7 +135,7 @@ def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
 
 def _broken(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> FloatArray:
     """A path with a row of NaN in the longest step within each span (J, 2)."""
-    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    steps_m = step_lengths(positions)
     jumps = list[int]()
     for first_ns, last_ns in spans_ns:
         begin = max(np.searchsorted(stamps_ns, first_ns, side="right") - 1, 0)
