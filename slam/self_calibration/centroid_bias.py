@@ -25,7 +25,9 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
     """Bias (C,) m of each class, 0 where there is none that is significant."""
     count = int(tracks.labels.max()) + 1 if len(tracks.labels) else 0
     biases = np.zeros(count)
-    first, second = _view_changes(tracks)
+    first, second = tracks.pairs(4, 8, 16)
+    is_turned = np.linalg.norm(tracks.rays[second] - tracks.rays[first], axis=1) > LEAST_VIEW_CHANGE
+    first, second = first[is_turned], second[is_turned]
     turned = tracks.rays[first] - tracks.rays[second]
     moved = tracks.points[second] - tracks.points[first]
     block = tracks.scan[second] * BLOCKS // (int(tracks.scan.max()) + 1) if len(second) else second
@@ -50,17 +52,6 @@ def without_bias(tracks: ObjectTracks, biases: FloatArray) -> ObjectTracks:
     """The tracks with each detection moved outwards by the bias of its class."""
     outwards = biases[tracks.labels][:, None] * tracks.rays
     return replace(tracks, offsets=tracks.offsets + outwards, points=tracks.points + outwards)
-
-
-def _view_changes(tracks: ObjectTracks) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (P,) of detections of one track, 4, 8 and 16 detections apart, between which the view changed."""
-    firsts, seconds, rays = [], [], tracks.rays
-    for lag in (4, 8, 16):
-        first = tracks.followed(lag)
-        first = first[np.linalg.norm(rays[first + lag] - rays[first], axis=1) > LEAST_VIEW_CHANGE]
-        firsts.append(first)
-        seconds.append(first + lag)
-    return np.concatenate(firsts), np.concatenate(seconds)
 
 
 def _regress(x: FloatArray, y: FloatArray) -> float:

@@ -56,7 +56,6 @@ MAX_PAIRS = 100_000
 """More pairs of detections tell nothing new."""
 ROUNDS = 10
 CAUCHY = 2.0
-LAGS = (2, 4, 8, 16)
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 _SIGNS = np.array(list(product((1.0, -1.0), repeat=BLOCKS)))
 
@@ -170,7 +169,9 @@ def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
 
 def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     """Apparent motion by the differences of all terms; None where too few objects could be tracked."""
-    first, second = _lagged(tracks)
+    first, second = tracks.pairs(2, 4, 8, 16)
+    every = max(-(-len(first) // MAX_PAIRS), 1)
+    first, second = first[::every], second[::every]
     if len(first) < MIN_PAIRS or _views(tracks) < BLOCKS:
         return None
     effects = _effects(tracks, motion)
@@ -187,9 +188,8 @@ def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
 
 def _views(tracks: ObjectTracks) -> float:
     """How many views of objects there are that do not share their errors: those of each track, by changes of 1 rad."""
-    before = tracks.followed(1)
     offsets = np.column_stack([tracks.offsets, np.zeros(len(tracks.offsets))])
-    changes = view_change(offsets[before], offsets[before + 1])
+    changes = view_change(*(offsets[rows] for rows in tracks.pairs(1)))
     return len(np.unique(tracks.track)) + float(changes.sum())
 
 
@@ -202,15 +202,6 @@ def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:
     """The share by which squared residuals (B,) of blocks are less, and whether that is more than chance."""
     gains = before - after
     return float(gains.sum() / max(float(before.sum()), 1e-300)), is_beyond_chance(gains)
-
-
-def _lagged(tracks: ObjectTracks) -> tuple[IntArray, IntArray]:
-    """Rows (P,) of detections of one track that are so many detections apart, ``MAX_PAIRS`` at most."""
-    firsts = [tracks.followed(lag) for lag in LAGS]
-    first = np.concatenate(firsts)
-    second = np.concatenate([each + lag for each, lag in zip(firsts, LAGS, strict=True)])
-    every = max(-(-len(first) // MAX_PAIRS), 1)
-    return first[::every], second[::every]
 
 
 def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:

@@ -57,6 +57,11 @@ def poses_of(scans: Sequence[SurveyScan]) -> FloatArray:
     return np.stack([scan.T_odom_body for scan in scans])
 
 
+def ranges_m(scans: Sequence[SurveyScan]) -> FloatArray:
+    """Horizontal distances (N,) m of all objects of scans, one at least."""
+    return np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
+
+
 @frozen
 class ObjectTracks:
     """Detections (S,) that belong to tracks, ordered by track and time.
@@ -87,10 +92,11 @@ class ObjectTracks:
         """Some of the detections, by mask or rows."""
         return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
-    def followed(self, lag: int) -> IntArray:
-        """Rows (P,) of the detections whose track has another one ``lag`` rows later."""
-        first = np.arange(max(len(self.track) - lag, 0), dtype=np.int64)
-        return np.asarray(first[self.track[first] == self.track[first + lag]], dtype=np.int64)
+    def pairs(self, *lags: int) -> tuple[IntArray, IntArray]:
+        """Rows (P,) of two detections of one track that are so many detections apart."""
+        firsts = [np.flatnonzero(self.track[:-lag] == self.track[lag:]) for lag in lags]
+        seconds = [first + lag for first, lag in zip(firsts, lags, strict=True)]
+        return np.concatenate(firsts), np.concatenate(seconds)
 
 
 def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool = True) -> ObjectTracks:
@@ -111,10 +117,10 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_
 
 def _noise_ratio(tracks: ObjectTracks) -> float:
     """The noise along the ray by that across it, from the medians of the steps of tracks; 1 where there are few."""
-    row = tracks.followed(1) + 1
+    before, row = tracks.pairs(1)
     if len(row) < LEAST_STEPS:
         return 1.0
-    steps, offsets = tracks.points[row] - tracks.points[row - 1], tracks.offsets[row]
+    steps, offsets = tracks.points[row] - tracks.points[before], tracks.offsets[row]
     along = np.median(np.abs(np.einsum("ni,ni->n", steps, offsets)))
     across = np.median(np.abs(steps[:, 1] * offsets[:, 0] - steps[:, 0] * offsets[:, 1]))
     is_exact = max(along, across) < ROUNDING * np.mean(offsets**2)

@@ -15,7 +15,6 @@ from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_de
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.corrections import (
-    BodyMotion,
     Change,
     Correction,
     estimate_corrections,
@@ -40,6 +39,7 @@ from slam.self_calibration.object_tracks import (
     nearest_of_class_m,
     objects_among,
     poses_of,
+    ranges_m,
 )
 from slam.self_calibration.resolution import find_resolution
 from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_of
@@ -120,7 +120,8 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     corrected = _resolution(logs, given)
     corrected |= _frame(logs, given.with_values(corrected), given)
     known = given.with_values(corrected)
-    labels = _label_noise(logs, known)
+    scans, motion = scans_of(logs, known)
+    labels = estimate_label_noise(scans, motion.headings)
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
     now = known.with_values(corrected)
@@ -130,14 +131,16 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         level = {"detection.time_offset_s": known.detection.time_offset_s + delay_s} | _of_sensor(
             {term: value for term, value in aligned.items() if term != "climb_share"}, now
         )
-        if _is_chance("climb_share", aligned["climb_share"], *scans_of(logs, now.with_values(level))):
+        scans, motion = scans_of(logs, now.with_values(level))
+        tracks = objects_among(follow_objects(scans, motion.headings))
+        if is_chance(tracks, motion, "climb_share", aligned["climb_share"]):  # by how followed objects seem to move
             unaligned = unaligned | {"climb_share": aligned.pop("climb_share")}
     corrected |= _of_sensor(aligned, now)
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
-        tracks = objects_among(follow_objects(scans, motion.headings)) if len(scans) > 1 else None
-        found = estimate_corrections(tracks, motion) if tracks is not None else ()
+        tracks = objects_among(follow_objects(scans, motion.headings))
+        found = estimate_corrections(tracks, motion)
         change = _first_change(found, corrected, known, given, scans)
         if not change:
             break
@@ -146,12 +149,13 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     if not any(np.any(scan.positions) for scan in scans):
         return None
     now = known.with_values(corrected)
-    later = find_change(tracks, motion) if tracks is not None else None
+    later = find_change(tracks, motion)
+    suspected = {SETTINGS[each.term]: _value(each, now) for each in found if each.is_earned and each.term in SETTINGS}
     return replace(
         summarize(scans, tracks),
         labels=labels,
         corrected=corrected,
-        suspected=_suspected(found, now) | {key: value for key, value in _of_sensor(unaligned, now).items() if value},
+        suspected=suspected | {key: value for key, value in _of_sensor(unaligned, now).items() if value},
         delay_s=delay_s,
         lacks_heading=_lacks_heading(scans, motion.headings),
         detour=detour,
@@ -182,11 +186,6 @@ def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]
     return changed | climb
 
 
-def _is_chance(term: str, value: float, scans: list[SurveyScan], motion: BodyMotion) -> bool:
-    """Whether a term may explain by chance how objects that are followed seem to move."""
-    return is_chance(objects_among(follow_objects(scans, motion.headings)), motion, term, value)
-
-
 def _first_change(
     found: tuple[Correction, ...],
     corrected: Mapping[str, float],
@@ -212,7 +211,7 @@ def _first_change(
             if abs(each.value) > bias_m:
                 shift_m = _value(each, now)
                 # No body is so large by what its sensor sees.
-                is_possible = abs(shift_m) < MAX_SHARE * np.quantile(_ranges_m(scans), RANGE_QUANTILE)
+                is_possible = abs(shift_m) < MAX_SHARE * np.quantile(ranges_m(scans), RANGE_QUANTILE)
                 return {key: shift_m} if is_possible else {}
         is_wanted = is_rest or (each.is_earned and abs(each.value) > MIN_SHARE)
         if each.term in SCALES and is_wanted and not given.is_given(key):
@@ -220,11 +219,6 @@ def _first_change(
             # Objects that seem to move with the body are in another frame than is believed.
             return {key: scale} if abs(scale / _known(key, known) - 1.0) < MAX_SHARE else {}
     return {}
-
-
-def _suspected(found: tuple[Correction, ...], now: Calibration) -> dict[str, float]:
-    """What corrections that are earned, but were not made, would change."""
-    return {SETTINGS[each.term]: _value(each, now) for each in found if each.is_earned and each.term in SETTINGS}
 
 
 def _value(each: Correction, now: Calibration) -> float:
@@ -286,29 +280,13 @@ def _lacks_heading(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> boo
     return is_constant and better_frame(scans, {"ahead": facing_ahead(scans)}) is not None
 
 
-def _label_noise(logs: Sequence[SurveyedLog], known: Calibration) -> LabelNoise:
-    scans, motion = scans_of(logs, known)
-    return estimate_label_noise(scans, motion.headings) if len(scans) > 1 else LabelNoise()
-
-
-def _ranges_m(scans: Sequence[SurveyScan]) -> FloatArray:
-    """Horizontal distances (N,) m of all objects of all scans."""
-    return np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
-
-
-def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Survey:
-    """The survey of scans (at least one), in the order of their stamps; ``tracks``: of their objects, if known."""
+def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
+    """The survey of scans (at least one), in the order of their stamps, by the ``tracks`` of their objects."""
     poses = poses_of(scans)
     headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
-    motion = Motion(
-        travelled_m(poses[:, :2, 3]),
-        headings,
-        stamps_s,
-        poses[:, 2, 3],
-    )
-    ranges = _ranges_m(scans)
-    tracks = tracks or objects_among(follow_objects(scans, headings))
+    motion = Motion(travelled_m(poses[:, :2, 3]), headings, stamps_s, poses[:, 2, 3])
+    ranges = ranges_m(scans)
     biases = centroid_biases(tracks)
     median_range_m = float(np.median(ranges))
     components = _components(without_bias(tracks, biases), motion, is_planar=_is_planar(scans))
@@ -357,7 +335,7 @@ def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> Com
     return replace(estimate, variances=replace(estimate.variances, rise=rise))
 
 
-def _spacing(scans: list[SurveyScan]) -> float:
+def _spacing(scans: Sequence[SurveyScan]) -> float:
     distances = np.concatenate([nearest_of_class_m(scan.positions[:, :2], scan.labels) for scan in scans])
     distances = distances[np.isfinite(distances)]
     return float(np.median(distances)) if len(distances) else float("nan")

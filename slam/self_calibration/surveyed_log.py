@@ -16,7 +16,7 @@ from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
-from slam.self_calibration.object_tracks import SurveyScan, poses_of
+from slam.self_calibration.object_tracks import SurveyScan, poses_of, ranges_m
 from slam.self_calibration.variance_components import CLIP
 
 MAX_DETECTIONS = 150_000
@@ -174,17 +174,13 @@ def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
     """The scans without detections that are implausibly far away."""
     if not scans:
         return scans
-    limit_m = FAR_OFF * np.median(np.concatenate([_ranges(scan) for scan in scans]))
-    near = [_ranges(scan) <= limit_m for scan in scans]
+    limit_m = FAR_OFF * np.median(ranges_m(scans))
+    near = [ranges_m([scan]) <= limit_m for scan in scans]
     return [
         replace(scan, positions=scan.positions[kept], labels=scan.labels[kept], variances=scan.variances[kept])
         for scan, kept in zip(scans, near, strict=True)
         if kept.any()
     ]
-
-
-def _ranges(scan: SurveyScan) -> FloatArray:
-    return np.hypot(scan.positions[:, 0], scan.positions[:, 1])
 
 
 def _upright_scan(

@@ -207,12 +207,12 @@ def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
     """
     lag = 1
     while True:
-        first = tracks.followed(lag)
+        first, second = tracks.pairs(lag)
         if len(first) < LEAST_PAIRS:
             return
         begins = np.unique(tracks.scan[first])
-        first = first[np.isin(tracks.scan[first], begins[:: max(len(first) // USED_PAIRS, 1)])]
-        yield first, first + lag
+        is_used = np.isin(tracks.scan[first], begins[:: max(len(first) // USED_PAIRS, 1)])
+        yield first[is_used], second[is_used]
         lag *= 2
 
 

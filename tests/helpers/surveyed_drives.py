@@ -11,7 +11,9 @@ from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.calibrated_odometry import CalibratedOdometry
-from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan
+from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects, objects_among
+from slam.self_calibration.survey import Survey, summarize
+from slam.self_calibration.surveyed_log import headings_of
 from slam.self_calibration.variance_components import Motion, NoiseComponents
 
 INTERVAL_S = 0.2
@@ -20,6 +22,11 @@ VIEWS = 720
 NO_NOISE = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
 """Standard deviations of a good detector and a good odometry."""
+
+
+def summary_of(scans: list[SurveyScan]) -> Survey:
+    """The survey of scans."""
+    return summarize(scans, objects_among(follow_objects(scans, headings_of(scans))))
 
 
 class SurveyedDrive:

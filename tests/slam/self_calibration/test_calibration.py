@@ -14,9 +14,9 @@ from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
 from slam.self_calibration.corrections import TERMS, Change
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
-from slam.self_calibration.survey import Survey, summarize
+from slam.self_calibration.survey import Survey
 from slam.self_calibration.variance_components import ComponentEstimate
-from tests.helpers.surveyed_drives import NO_NOISE, SurveyedDrive
+from tests.helpers.surveyed_drives import NO_NOISE, SurveyedDrive, summary_of
 
 NOISE = {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05, "heading_by_turn": 0.03}
 
@@ -33,7 +33,7 @@ def value_of(config: Config, key: str) -> object:
 
 @pytest.fixture(scope="module")
 def surveyed() -> Survey:
-    return summarize(SurveyedDrive(0, NOISE, scans=500, objects=60).scans)
+    return summary_of(SurveyedDrive(0, NOISE, scans=500, objects=60).scans)
 
 
 def scaled(survey: Survey, factor: float) -> Survey:

@@ -13,13 +13,13 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.self_calibration.corrections import Correction
-from slam.self_calibration.survey import Survey, summarize
+from slam.self_calibration.survey import Survey
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.self_calibration.variance_components import ComponentEstimate
 from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
-from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, with_odometry
+from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, summary_of, with_odometry
 
 ON_BODY = DetectionCalibration(assume_body_frame=True)
 ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
@@ -161,8 +161,8 @@ def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypat
 def test_the_variance_that_messages_claim_is_compared_with_that_which_they_have():
     drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1}, scans=200, objects=30)
     scans = [replace(scan, variances=np.full(len(scan.labels), 0.2**2)) for scan in drive.scans]
-    assert summarize(scans).claimed_ratio == pytest.approx((0.1 / 0.2) ** 2, rel=0.3)
-    assert np.isnan(summarize(drive.scans).claimed_ratio)
+    assert summary_of(scans).claimed_ratio == pytest.approx((0.1 / 0.2) ** 2, rel=0.3)
+    assert np.isnan(summary_of(drive.scans).claimed_ratio)
 
 
 def test_a_body_that_leans_changes_the_noise_of_heights_only_where_none_are_measured():
@@ -186,7 +186,7 @@ def test_a_body_that_leans_changes_the_noise_of_heights_only_where_none_are_meas
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_lengths_of_a_survey_scale_with_the_log(scale):
     small, large = (
-        summarize(SurveyedDrive(0, {"radial": 0.1}, scans=60, objects=30, scale=factor).scans)
+        summary_of(SurveyedDrive(0, {"radial": 0.1}, scans=60, objects=30, scale=factor).scans)
         for factor in (1.0, scale)
     )
     for name in ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"):
