@@ -1,7 +1,5 @@
 """Apparent velocities of landmarks."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

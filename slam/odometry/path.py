@@ -1,7 +1,5 @@
 """The path of a drive as the odometry has it: every pose, without objects, as a drive may have millions."""
 
-from __future__ import annotations
-
 from array import array
 from bisect import bisect_left
 from dataclasses import replace
