@@ -211,6 +211,11 @@ class ObjectMapRecord:
         )
 
     @property
+    def is_confirmed(self) -> NDArray[np.bool_]:
+        """Which objects (N,) are confirmed landmarks."""
+        return np.array([state == "confirmed" for state in self.states], dtype=np.bool_)
+
+    @property
     def classes(self) -> IntArray:
         """The most probable class (N,) of each object; ties go to the class that comes first in the vocabulary."""
         return np.argmax(self.class_probabilities, axis=1) if self.vocabulary else np.zeros(0, dtype=np.int64)

@@ -91,7 +91,7 @@ def _fit(known: ImportedMap, seen: Submap) -> tuple[int, bool]:
 def _own_rows(objects: ObjectMapRecord, trajectory: TrajectoryRecord) -> list[int]:
     """The confirmed landmarks that the drive itself has seen."""
     since_ns = trajectory.stamps_ns.min(initial=np.iinfo(np.int64).max)
-    seen = (objects.first_seen_ns >= since_ns) & (np.array(objects.states) == "confirmed")
+    seen = (objects.first_seen_ns >= since_ns) & objects.is_confirmed
     return np.flatnonzero(seen).tolist()
 
 

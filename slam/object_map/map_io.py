@@ -194,7 +194,7 @@ def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> BoolArray:
 
 def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
     """The same map without its tentative and retired landmarks."""
-    return of_rows(objects, np.array([state == "confirmed" for state in objects.states], dtype=np.bool_))
+    return of_rows(objects, objects.is_confirmed)
 
 
 def of_rows(objects: ObjectMapRecord, kept: BoolArray) -> ObjectMapRecord:

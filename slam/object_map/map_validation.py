@@ -65,7 +65,7 @@ def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
     is_normalised = np.abs(probabilities.sum(axis=1) - 1.0) <= 1e-6  # rounding
     trace, least = np.trace(objects.covariances, axis1=1, axis2=2), least_eigenvalues(objects.covariances)
     faults = {
-        "is not confirmed": np.array([state != "confirmed" for state in objects.states]),
+        "is not confirmed": ~objects.is_confirmed,
         "has a position that is not finite": ~np.isfinite(objects.positions).all(axis=1),
         "has a matrix that is not a covariance": ~((trace > 0.0) & (least >= -1e-6 * np.abs(trace))),
         "has class probabilities that do not sum to 1": ~is_normalised | (probabilities < 0.0).any(axis=1),

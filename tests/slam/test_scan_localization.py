@@ -68,13 +68,13 @@ def test_objects_that_are_missing_added_or_of_another_class_are_tolerated(street
     classes = len(street[0].vocabulary)
     rng = np.random.default_rng(2)
     for query in queries:
-        some = part(query, rng.random(len(query)) < 0.7)
+        some = part(query, rng.random(len(query.labels)) < 0.7)
         labels = some.labels.copy()
-        wrong = rng.permutation(len(some))[: len(some) // 5]
+        wrong = rng.permutation(len(some.labels))[: len(some.labels) // 5]
         labels[wrong] = (labels[wrong] + rng.integers(1, classes, len(wrong))) % classes
         found = localizer.localize(scan_of(street, replace(some, labels=labels)))
         assert error_m(found, query) < 0.05
-        assert set(np.setdiff1d(np.arange(len(some)), wrong)) <= set(found.pairs[:, 0])
+        assert set(np.setdiff1d(np.arange(len(some.labels)), wrong)) <= set(found.pairs[:, 0])
 
 
 def test_objects_of_classes_that_the_map_lacks_are_left_out_and_pairs_count_all(street, localizer, queries):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from logs.messages import ObjectMapRecord
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
 from slam.evaluation.inputs.protocol import Protocol
@@ -35,7 +35,7 @@ def match_by_detections(
         there is none; ``is_object``: it shows an object, though the true map may lack it (a moving one, for instance).
     """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
-    rows = confirmed_rows(map_est)
+    rows = np.flatnonzero(map_est.is_confirmed)
     if has_prior_map:
         rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
     shown = pd.Series([landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows], dtype=object)
@@ -135,8 +135,3 @@ def evaluate_landmarks(
 
 def _distances_m(T_world_map: FloatArray, positions_est: FloatArray, positions_gt: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1))
-
-
-def confirmed_rows(map_est: ObjectMapRecord) -> IntArray:
-    """Rows of the confirmed landmarks."""
-    return np.array([row for row, state in enumerate(map_est.states) if state == "confirmed"], dtype=np.int64)

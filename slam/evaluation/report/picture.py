@@ -10,7 +10,6 @@ from slam.common.geometry import apply, invert, step_lengths
 from slam.display.map_layers import OTHER_COLOR, Layer, MapPicture, class_layers, count_classes, strokes
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.landmarks import confirmed_rows
 from slam.evaluation.result import Evaluation
 
 ODOMETRY = "#d97706"
@@ -49,8 +48,7 @@ def compose_picture(
         truth = _broken(records.true_path.stamps_ns, aligned, spans_ns)
     objects, landmarks, labels = records.object_map, np.zeros((0, 3)), list[str]()
     if objects is not None:
-        rows = confirmed_rows(objects)
-        rows = rows[np.isfinite(objects.positions[rows]).all(axis=1)]
+        rows = np.flatnonzero(objects.is_confirmed & np.isfinite(objects.positions).all(axis=1))
         landmarks, labels = objects.positions[rows], [objects.labels[row] for row in rows]
     if known is not None:
         around = known(np.concatenate([path, landmarks]))

@@ -107,7 +107,7 @@ def _measure(
 
 def _localize(localizer: ScanLocalizer, objects: LabelledMap, query: LocalQuery) -> dict[str, float]:
     """The errors of the accepted and of the likeliest pose, infinite where there is none, and the time it took."""
-    scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query)))
+    scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query.labels)))
     asked = localizer.query(scan)
     started = time.process_time()
     verified = localizer.propose(asked)

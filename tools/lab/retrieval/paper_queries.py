@@ -44,9 +44,6 @@ class LocalQuery:
     objects: IntArray
     T_map_query_gt: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.labels)
-
 
 def draw_queries(
     objects: LabelledMap, tour: FloatArray, scenario: Scenario, *, count: int, rng: np.random.Generator
@@ -64,7 +61,7 @@ def draw_queries(
         at = rng.uniform(0.0, along[-1])
         place = np.array([np.interp(at, along, tour[:, 0]), np.interp(at, along, tour[:, 1]), 0.0])
         queries.append(_observe(objects, transform_from_xyz_yaw(place, rng.uniform(-np.pi, np.pi)), scenario, rng))
-    if not any(len(query) for query in queries):
+    if not any(len(query.labels) for query in queries):
         raise SimulationError(f"no object lies within {scenario.radius_m:g} m of the trajectory")
     return queries
 
