@@ -45,7 +45,7 @@ class LogMapper:
         self._map(self.clocks.finish(), log_time_ns)
         self._inputs.check()
         self.log.write_updates(self.slam.catch_up(), log_time_ns)
-        self.slam.counters.update(Counter(counters) + Counter(self._inputs.counters))
+        self.slam.counters.update(Counter(counters) + self._inputs.counters)
         return self.slam.finish()
 
     def latency_s(self) -> dict[str, float]:

@@ -62,9 +62,13 @@ class PairIndex:
     """
 
     def __init__(self, likelihood: LearnedLikelihood, unit_m: float | None = None) -> None:
-        self._likelihood = likelihood
+        self.likelihood = likelihood
+        self.restart(unit_m)
+
+    def restart(self, unit_m: float | None) -> None:
+        """Forget all pairs; lengths of further ones are in another length of a spacing."""
         self.unit_m = unit_m
-        self.words: Words = np.zeros((likelihood.architecture.cells, 0), dtype=np.uint64)
+        self.words: Words = np.zeros((self.likelihood.architecture.cells, 0), dtype=np.uint64)
         self.ends = np.zeros((0, 2), dtype=np.uint32)
         self.lengths = np.zeros(0, dtype=np.float32)
         self.classes = np.zeros(0, dtype=np.uint32)
@@ -92,10 +96,6 @@ class PairIndex:
         index.words, index.ends, index.lengths, index.classes = words, ends, lengths, classes
         index._sorted = int(np.searchsorted(classes, FILLER))
         return index
-
-    def emptied(self, unit_m: float) -> PairIndex:
-        """An empty index with the same likelihood and another length of a spacing."""
-        return PairIndex(self._likelihood, unit_m)
 
     def __len__(self) -> int:
         return int(np.count_nonzero(self.classes != FILLER))
@@ -130,7 +130,7 @@ class PairIndex:
             self.unit_m = spacing_m(positions)
         plane = positions[:, :2] / self.unit_m
         tree = cKDTree(plane)
-        sizes = self._likelihood.architecture
+        sizes = self.likelihood.architecture
         ends = find_ends(plane, labels, tree, sizes.partners, centres=centres)
         if numbers is not None:
             ends = ends[(numbers[ends] >= 0).all(axis=1)]
@@ -142,7 +142,7 @@ class PairIndex:
         blocks = []
         for start in range(0, len(ends), PAIRS_AT_ONCE):
             pairs = gather_pairs(plane, labels, ends[start : start + PAIRS_AT_ONCE], tree, sizes)
-            blocks.append(_packed(self._likelihood.bits(pairs).T))
+            blocks.append(_packed(self.likelihood.bits(pairs).T))
         if not blocks:
             return
         if not len(self.ends) and len(ends) > PAIRS_AT_ONCE:
@@ -190,8 +190,8 @@ class PairIndex:
     def _ask(self, pairs: Pairs, labels: IntArray, noise: FloatArray) -> _Asked:
         """What the pairs of a query ask of the index, with a noise (N,) of each object in spacings."""
         sigmas = np.sqrt(np.mean(noise[pairs.ends] ** 2, axis=1))
-        hits, misses = self._likelihood.worths(pairs, sigmas)
-        cells, owners = cells_of(pairs, self._likelihood.architecture), pairs.owners
+        hits, misses = self.likelihood.worths(pairs, sigmas)
+        cells, owners = cells_of(pairs, self.likelihood.architecture), pairs.owners
         inside = np.flatnonzero(cells >= 0)
         owners, cells = owners[inside], cells[inside]
         counts = np.bincount(owners, minlength=len(pairs))
@@ -214,12 +214,12 @@ class PairIndex:
         """The pairs of a query, those with most around them if there are too many."""
         tree = cKDTree(plane[:, :2])
         ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
-        pairs = gather_pairs(plane[:, :2], labels, ends, tree, self._likelihood.architecture)
+        pairs = gather_pairs(plane[:, :2], labels, ends, tree, self.likelihood.architecture)
         # So many tell enough. The shortest are often of one object mapped twice.
         most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:240]
         if len(most) == len(ends):
             return pairs
-        return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self._likelihood.architecture)
+        return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self.likelihood.architecture)
 
     def _windows(self, asked: _Asked) -> Iterator[tuple[IntArray, IntArray, Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.

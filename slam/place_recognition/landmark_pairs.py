@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.pair_index import PairIndex, PairMatches
 from descriptors.descriptellation_lr.pairs import length_tolerances, spacing_m
 from descriptors.index import VectorIndex
@@ -28,14 +29,14 @@ class Batch:
     vocabulary: tuple[str, ...]
 
 
-class LearnedPairs:
+class LearnedPairs(PairIndex):
     """Pairs by their learned likelihood ratio."""
 
-    def __init__(self, index: PairIndex) -> None:
-        self._index = index
+    def __init__(self, likelihood: LearnedLikelihood) -> None:
+        super().__init__(likelihood)
         self._batches = list[Batch]()
 
-    def add(self, batch: Batch) -> None:
+    def enter(self, batch: Batch) -> None:
         """Add landmarks; all are indexed again if their spacing has changed by a quarter since they were."""
         self._batches.append(batch)
         is_first = len(self._batches) == 1
@@ -43,16 +44,11 @@ class LearnedPairs:
             batch.positions if is_first else np.concatenate([each.positions[each.centres] for each in self._batches])
         )
         new = [batch]
-        if self._index.unit_m is None or abs(np.log(unit_m / self._index.unit_m)) > np.log(1.25):
-            self._index, new = self._index.emptied(unit_m), self._batches
+        if self.unit_m is None or abs(np.log(unit_m / self.unit_m)) > np.log(1.25):
+            self.restart(unit_m)
+            new = self._batches
         for each in new:
-            self._index.add(each.positions, each.labels, numbers=each.entries, centres=each.centres)
-
-    def search(
-        self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
-    ) -> PairMatches:
-        """As :meth:`PairIndex.search`."""
-        return self._index.search(positions, labels, sigmas_m=sigmas_m, allowed=allowed)
+            self.add(each.positions, each.labels, numbers=each.entries, centres=each.centres)
 
 
 class VectorPairs:
@@ -65,7 +61,7 @@ class VectorPairs:
         self._plane, self._segments = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
         self._vocabulary: tuple[str, ...] = ()
 
-    def add(self, batch: Batch) -> None:
+    def enter(self, batch: Batch) -> None:
         """Add landmarks."""
         self._vocabulary = batch.vocabulary
         self._index.add(self._constellations(batch.positions, batch.labels, batch.centres))
@@ -106,4 +102,4 @@ def make_landmark_pairs(config: Config) -> LandmarkPairs:
         DescriptorError: there is none of that name.
     """
     index = make_index(config.loop_closure.descriptor)
-    return LearnedPairs(index) if isinstance(index, PairIndex) else VectorPairs(config, index)
+    return LearnedPairs(index.likelihood) if isinstance(index, PairIndex) else VectorPairs(config, index)

@@ -81,7 +81,7 @@ class PlaceRetriever:
             segment,
             self._map.labels.vocabulary,
         )
-        self._pairs.add(batch)
+        self._pairs.enter(batch)
         self._search = None
 
     def class_shares(self) -> FloatArray:

@@ -123,4 +123,4 @@ def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> d
 
 def count_detections(table: pd.DataFrame) -> dict[str, int]:
     """Number of detections of each true object."""
-    return {name: int(count) for name, count in table["object"].value_counts().items() if name != FALSE_POSITIVE}
+    return dict(table["object"][table["object"] != FALSE_POSITIVE].value_counts())

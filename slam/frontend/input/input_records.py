@@ -1,5 +1,6 @@
 """The records of a log as the mapper takes them: objects in three dimensions, under their names in the map."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -35,21 +36,18 @@ class InputRecords:
         self._lifter = ImageLifter(config.calibration.detection, frames)
         self._frame = ""
         self._placed = 0
-        self._repeated = 0
+        self._repeated = Counter[str]()
         self._latest: dict[str, tuple[ObjectDetections, FloatArray | None]] = {}
         self._T_odom_body: FloatArray | None = None
 
     @property
-    def counters(self) -> dict[str, int]:
+    def counters(self) -> Counter[str]:
         """Objects in images that could not be placed, by the reason, and ``detections_repeated``: scans left out."""
-        return {**self._lifter.counters, **({"detections_repeated": self._repeated} if self._repeated else {})}
+        return self._lifter.counters + self._repeated
 
     def prepare(self, records: Iterable[Record]) -> Iterator[Record]:
         """The records to map, without those that only help to place others."""
-        for record in records:
-            prepared = self._prepared(record)
-            if prepared is not None:
-                yield prepared
+        return (prepared for prepared in map(self._prepared, records) if prepared is not None)
 
     def _prepared(self, record: Record) -> Record | None:
         if isinstance(record, (CameraModel, DepthImage)):
@@ -67,7 +65,7 @@ class InputRecords:
         if not isinstance(record, ObjectDetections):
             return record
         if self._repeats(record):
-            self._repeated += 1
+            self._repeated["detections_repeated"] += 1
             return None
         return self._labels.apply(record)
 

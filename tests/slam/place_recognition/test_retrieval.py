@@ -141,7 +141,7 @@ class _Batches:
     def __init__(self) -> None:
         self.added: list[Batch] = []
 
-    def add(self, batch: Batch) -> None:
+    def enter(self, batch: Batch) -> None:
         self.added.append(batch)
 
 
@@ -191,7 +191,7 @@ def test_vectors_see_lengths_in_sensor_ranges(places, sensor_range_m):
         descriptor = _Recorded()
         landmarks = VectorPairs(config, VectorIndex(descriptor))
         scaled = query.positions * range_m / CONFIG.sensor_range_m
-        landmarks.add(Batch(scaled, query.labels, entries, entries, 0, places.map.labels.vocabulary))
+        landmarks.enter(Batch(scaled, query.labels, entries, entries, 0, places.map.labels.vocabulary))
         seen.append(descriptor.seen[0].positions)
     np.testing.assert_allclose(seen[0], seen[1])
 
@@ -203,7 +203,7 @@ def test_matches_by_vectors_are_pairs_of_one_length_in_one_segment(places):
     for segment, more in ((0, [[20.0, 0.0, 0.0]]), (1, [])):
         positions = np.concatenate([ends, np.reshape(more, (-1, 3))])
         rows = np.arange(len(positions))
-        landmarks.add(Batch(positions, np.zeros_like(rows), rows, rows, segment, ("tree",)))
+        landmarks.enter(Batch(positions, np.zeros_like(rows), rows, rows, segment, ("tree",)))
     found = landmarks.search(ends, np.zeros(2, dtype=np.int64), sigmas_m=np.full(2, 0.1))
     assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1}), frozenset({3, 4})}
     allowed = np.array([True, True, True, True, False])
@@ -226,11 +226,11 @@ def test_places_of_segments_are_told_apart(descriptor):
 def test_landmarks_are_indexed_again_when_their_spacing_has_changed(places):
     places.add(50.0, 100.0)
     places.index(200.0)
-    before_m = places.retriever._pairs._index.unit_m
+    before_m = places.retriever._pairs.unit_m
     for row in range(4):
         places.add(400.0, 101.0 + row, seed=10 + row)
     places.index()
-    assert places.retriever._pairs._index.unit_m < before_m / 1.25
+    assert places.retriever._pairs.unit_m < before_m / 1.25
     assert places.found_m(50.0) == [50.0]
 
 

@@ -126,7 +126,7 @@ def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
         pairs.add(objects.positions, objects.labels)
     else:
         pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
-        pairs.add(Batch(objects.positions, objects.labels, rows, rows, 0, objects.vocabulary))
+        pairs.enter(Batch(objects.positions, objects.labels, rows, rows, 0, objects.vocabulary))
     return PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary)), index.nbytes
 
 
