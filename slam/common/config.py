@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
@@ -112,6 +112,10 @@ class Config(Branch):
     def calibrated(self, values: Mapping[str, float]) -> Config:
         """The same with other values of some dotted keys of the calibration, like "odometry.yaw_sigma"."""
         return self.model_copy(update={"calibration": self.calibration.with_values(values)})
+
+    def closing(self, **values: Any) -> Config:
+        """The same with other values of some settings of loop closures."""
+        return self.model_copy(update={"loop_closure": self.loop_closure.model_copy(update=values)})
 
     @property
     def keyframe_distance_m(self) -> float:

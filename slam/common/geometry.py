@@ -100,6 +100,11 @@ def least_eigenvalues(P: FloatArray) -> FloatArray:
     return np.where(is_finite, np.linalg.eigvalsh(np.where(is_finite[:, None, None], P, 0.0))[:, 0], -np.inf)
 
 
+def unit_vectors(vectors: FloatArray) -> FloatArray:
+    """The directions (N, D) of vectors (N, D); zero vectors stay as they are."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
+
+
 def squared_mahalanobis(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     """Squared Mahalanobis distances (N,) of errors (N, D) with their covariances (N, D, D)."""
     return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))

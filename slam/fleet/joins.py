@@ -69,8 +69,7 @@ def find_joins(query_map: SavedMap, references: Sequence[SavedMap], config: Conf
     """Where places of a map are, likelier than not, in condensed maps before it, which are numbered in their order."""
     first_rows = np.cumsum([0, *(len(saved.objects.ids) for saved in references)])
     # Where many maps overlap, a few of them suffice to join a place to all.
-    closing = config.loop_closure.model_copy(update={"max_candidates": 8})
-    config = config.model_copy(update={"loop_closure": closing})
+    config = config.closing(max_candidates=8)
     localizer = ScanLocalizer([saved.objects for saved in references], config)
     places = len(query_map.graph.keyframe_ids)
     joins = []

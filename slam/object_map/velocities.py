@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import unit_vectors
 
 
 def velocities(landmarks: NDArray[np.void], rows: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -18,6 +19,6 @@ def velocities(landmarks: NDArray[np.void], rows: IntArray) -> tuple[FloatArray,
     mean = (times / count)[:, None, None]
     linear = 2.0 * landmarks["sum_tc"][rows] - mean * landmarks["sum_c"][rows]
     squares = landmarks["sum_ttc"][rows] - mean * linear
-    along = slopes / np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)[:, None]
+    along = unit_vectors(slopes)
     variances = np.maximum(np.einsum("ni,nij,nj->n", along, squares, along), 0.0)
     return slopes / spreads[:, None], np.sqrt(variances) / spreads

@@ -15,6 +15,7 @@ import numpy as np
 
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.geometry import unit_vectors
 from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
@@ -86,7 +87,7 @@ class ObjectTracks:
     @property
     def rays(self) -> FloatArray:
         """Unit vectors (N, 2) from the body to the detections."""
-        return np.asarray(self.offsets / np.maximum(np.linalg.norm(self.offsets, axis=1), 1e-12)[:, None])
+        return unit_vectors(self.offsets)
 
     def of(self, chosen: BoolArray | IntArray) -> ObjectTracks:
         """Some of the detections, by mask or rows."""
@@ -251,7 +252,7 @@ class _OpenTracks:
         tracks = np.full(len(points), -1, dtype=np.int64)
         goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
         ranges = np.hypot(offsets[:, 0], offsets[:, 1])
-        rays = offsets / np.maximum(ranges, 1e-300)[:, None]
+        rays = unit_vectors(offsets)
         along, across = self._units
         axes = np.stack([rays / along, rays[:, ::-1] * [-1.0, 1.0] / across], axis=1)
         nearest = _nearest(points, labels, self._points, self._labels, axes)

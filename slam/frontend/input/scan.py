@@ -13,7 +13,7 @@ from logs.messages import ObjectDetections
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import apply
+from slam.common.geometry import apply, unit_vectors
 from slam.frontend.input.label_map import DROPPED
 
 
@@ -149,6 +149,6 @@ def with_expected_noise(scan: Scan, ranges: FloatArray, config: DetectionCalibra
 def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: DetectionCalibration) -> FloatArray:
     """(N, 3, 3) m^2 of detections in the directions of (N, 3) m, at ``ranges`` (N,) m, whose message gives none."""
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges
-    sights = positions / np.maximum(np.linalg.norm(positions, axis=1), 1e-12)[:, None]
+    sights = unit_vectors(positions)
     along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
     return np.asarray(sigmas[:, None, None] ** 2 * (np.eye(3) + along))

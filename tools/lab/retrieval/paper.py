@@ -78,11 +78,9 @@ def localizer_config(method: str, *, noisy: bool = False) -> Config:
 
     The map is exact. The noise that grows with the range is halved between the two submaps that are compared.
     """
-    config = Config()
     per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
-    config = config.calibrated({"objects.landmark_sigma_m": 0.05, "objects.landmark_sigma_per_m": per_m})
-    closing = config.loop_closure.model_copy(update={"descriptor": method})
-    return config.model_copy(update={"loop_closure": closing})
+    noise = {"objects.landmark_sigma_m": 0.05, "objects.landmark_sigma_per_m": per_m}
+    return Config().calibrated(noise).closing(descriptor=method)
 
 
 def _measure(

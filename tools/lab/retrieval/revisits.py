@@ -100,7 +100,9 @@ class _AskingSlam(Slam):
         self._truth = truth
         self._protocol = Protocol(revisit_m=config.closure_travel_m)
         self._asked_m = -np.inf
-        self._retrievers = {name: PlaceRetriever(_for(name, config), self._object_map) for name in descriptors}
+        # As many places are proposed as are counted.
+        configs = {name: config.closing(descriptor=name, max_candidates=RECALL_AT[-1]) for name in descriptors}
+        self._retrievers = {name: PlaceRetriever(each, self._object_map) for name, each in configs.items()}
         self.answers: list[dict[str, Any]] = []
         self.index_s = defaultdict[str, float](float)
 
@@ -142,9 +144,3 @@ class _AskingSlam(Slam):
         near &= travelled_m <= travelled_m[-1] - self._protocol.revisit_m
         T_local_body = np.array([keyframes[row].T_local_body for row in np.flatnonzero(near)]).reshape(-1, 4, 4)
         return gravity_frame(T_local_body @ invert(T_world_body[near]) @ T_world_body[-1])
-
-
-def _for(descriptor: str, config: Config) -> Config:
-    """The configuration of a retrieval that proposes as many places as are counted."""
-    closing = config.loop_closure.model_copy(update={"descriptor": descriptor, "max_candidates": RECALL_AT[-1]})
-    return config.model_copy(update={"loop_closure": closing})
