@@ -51,10 +51,8 @@ def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequenc
 
 def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
     """The quarter turn (3, 3) of detections, in the axes of the body, for which there is more evidence than for the
-    axes as they are; the identity where there is none. ``scans``: (K) in the order of their stamps.
+    axes as they are; the identity where there is none. ``scans``: (K), two at least, in the order of their stamps.
     """
-    if len(scans) < 2:
-        return np.eye(3)
     pairs = ScanPairs.of(scans, spacing_of(scans))
     turns = sorted(np.rint(Rotation.create_group("O").as_matrix()), key=lambda turn: -np.trace(turn))
     distances = [pairs.log_distances(seen_by(make_transform(turn, np.zeros(3)), pairs.motions)) for turn in turns]
@@ -66,16 +64,14 @@ def is_unit_right(scans: Sequence[SurveyScan]) -> bool:
     """Whether the travel of the odometry brings scans (K), in the order of their stamps, nearer to one another than its
     inverse does.
     """
-    return len(scans) > 1 and is_positive(_evidence(scans, spacing_of(scans)))
+    return is_positive(_evidence(scans, spacing_of(scans)))
 
 
 def find_unit(scans: Sequence[SurveyScan]) -> float:
     """The power of two by which lengths of the odometry must be multiplied; 1 where no other one is sure.
 
-    ``scans``: (K) in the order of their stamps.
+    ``scans``: (K), two at least, in the order of their stamps.
     """
-    if len(scans) < 2:
-        return 1.0
     spacing_m, factors = spacing_of(scans), 2.0 ** np.arange(-OCTAVES, OCTAVES + 1)
     found = [_evidence(scans, spacing_m, factor) for factor in factors.tolist()]
     best = np.argmax([np.sum(each) for each in found])

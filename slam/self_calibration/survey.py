@@ -248,6 +248,8 @@ def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) 
     messages name; what was given by hand is kept.
     """
     scans, _ = scans_of(logs, known)
+    if len(scans) < 2:
+        return {}
     orientation = _orientation(scans, known, given)
     as_they_are = scans_of(logs, known.with_values(orientation))[0] if orientation else scans
     may_have_a_unit = known.odometry.length_scale == 1.0 and not given.is_given("odometry.length_scale")

@@ -192,5 +192,3 @@ def test_few_pairs_of_scans_tell_no_unit(scans):
 def test_without_shared_objects_there_is_no_unit(scans):
     rng = np.random.default_rng(0)
     assert find_unit([replace(e, positions=rng.uniform(-15.0, 15.0, e.positions.shape)) for e in scans]) == 1.0
-    assert find_unit([]) == find_unit(scans[:1]) == 1.0
-    assert not is_unit_right(scans[:1])
