@@ -109,12 +109,12 @@ class Survey:
 
 
 def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Survey | None:
-    """The survey of logs of one robot; None where no detection could be placed on the odometry.
+    """The survey of logs of one robot, one at least; None where no detection could be placed on the odometry.
 
     ``given``: what is known of the calibration; values that were given are neither estimated nor changed.
     """
     given = given or Calibration()
-    detour = max((log.detour() for log in logs), default=1.0)
+    detour = max(log.detour() for log in logs)
     corrected = _resolution(logs, given)
     corrected |= _frame(logs, given.with_values(corrected), given)
     known = given.with_values(corrected)
