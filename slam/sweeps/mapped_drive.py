@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import LogError
-from logs.records import frozen
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
@@ -41,7 +40,7 @@ class DriveTask:
         return ", ".join(each for each in (self.variant, self.faults, f"seed {self.seed}") if each)
 
 
-@frozen
+@dataclass(frozen=True, slots=True)
 class MappedDrive:
     """``evaluation``: the JSON of 'dslam evaluate'; or, as ``error``, why there is none.
 
