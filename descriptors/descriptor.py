@@ -1,5 +1,7 @@
 """What a descriptor is."""
 
+from __future__ import annotations
+
 from typing import Protocol
 
 from descriptors.arrays import Float32Array

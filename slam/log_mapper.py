@@ -1,5 +1,7 @@
 """The messages of a log, from a file or as they come: through the estimator into the output."""
 
+from __future__ import annotations
+
 import time
 from array import array
 from collections import Counter

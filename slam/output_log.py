@@ -1,5 +1,7 @@
 """The log that a drive is mapped into: estimates, and what viewers are shown of them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 

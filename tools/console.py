@@ -1,5 +1,7 @@
 """Output to the terminal: results to standard output, progress to standard error."""
 
+from __future__ import annotations
+
 import json
 import logging
 import sys

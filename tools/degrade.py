@@ -1,5 +1,7 @@
 """dslam degrade."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 from typing import Annotated
 

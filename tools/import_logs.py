@@ -1,5 +1,7 @@
 """dslam import."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated

@@ -1,5 +1,7 @@
 """A descriptor made by a trained network."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np

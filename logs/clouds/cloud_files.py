@@ -3,6 +3,8 @@
 Open3D ignores unsigned integers in PLY, in which labels are published. Greg Turk, "The PLY polygon file format".
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Mapping
 from pathlib import Path

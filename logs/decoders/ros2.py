@@ -1,5 +1,7 @@
 """Messages of ROS 2, read by the definitions that the log itself carries."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from logs.decoders import ros2_clouds as clouds

@@ -1,5 +1,7 @@
 """sensor_msgs/msg/PointCloud2 whose points have a class, and perhaps an instance."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

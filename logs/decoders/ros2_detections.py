@@ -10,6 +10,8 @@ that is empty, of the array's.
   marker's text, else its namespace.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Objects clustered from the scans of a KITTI odometry sequence, in the files of GOSMatch."""
 
+from __future__ import annotations
+
 import hashlib
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Detections from a table of named columns: one row an object, the rows of one stamp a scan."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

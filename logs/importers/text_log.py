@@ -1,5 +1,7 @@
 """A drive in plain text files: poses of the odometry, a table of detections and, for evaluation, the true poses."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from heapq import merge
 from pathlib import Path

@@ -1,5 +1,7 @@
 """One MCAP file, whole or damaged, in the order of log time and in bounded memory."""
 
+from __future__ import annotations
+
 import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping

@@ -1,5 +1,7 @@
 """Giving a finished file its name."""
 
+from __future__ import annotations
+
 import errno
 import os
 from collections.abc import Iterator

@@ -1,5 +1,7 @@
 """Factors and variables of the graph: added, changed and removed."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,5 +1,7 @@
 """The factor graph: poses of keyframes, positions of landmarks, and the factors between them."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace

@@ -4,6 +4,8 @@ Everything is checked here before GTSAM sees it, since GTSAM does not check that
 GTSAM's order: rotation, then translation.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 
 import gtsam

@@ -1,5 +1,7 @@
 """Conversion of the factor graph to a record of a log and back."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np

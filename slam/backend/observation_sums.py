@@ -1,5 +1,7 @@
 """Observations of one landmark from one keyframe, summed up into one."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The array types that signatures name; shapes, units and frames stand in the docstrings."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 

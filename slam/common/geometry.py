@@ -4,6 +4,8 @@
 equal.
 """
 
+from __future__ import annotations
+
 import math
 import warnings
 

@@ -1,5 +1,7 @@
 """Publishes estimates for Foxglove over a WebSocket during the drive."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from logs.encoders import definition_of, encode

@@ -1,5 +1,7 @@
 """Lines and marks of a picture of a map, with names and colours."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterator, Sequence
 

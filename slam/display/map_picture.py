@@ -1,5 +1,7 @@
 """One picture of a map from above: trajectories, landmarks by class, loop closures."""
 
+from __future__ import annotations
+
 import warnings
 from io import BytesIO
 from pathlib import Path

@@ -2,6 +2,8 @@
 anywhere.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 
 import numpy as np

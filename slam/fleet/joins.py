@@ -3,6 +3,8 @@
 One index has all earlier maps, so the time of a query does not grow with their number.
 """
 
+from __future__ import annotations
+
 import json
 from collections import defaultdict
 from collections.abc import Sequence

@@ -1,5 +1,7 @@
 """The graph of a map as g2o text."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 

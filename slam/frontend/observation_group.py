@@ -5,6 +5,8 @@ observations are transformed to the frame of a later keyframe without loss, by t
 the odometry would be common to all objects in view and not average out over them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Observations on their way from the scans into the factor graph."""
 
+from __future__ import annotations
+
 from collections import Counter, defaultdict
 from dataclasses import replace
 

@@ -1,5 +1,7 @@
 """Fixes of satellites: where in a georeferenced map the robot may be, and where on earth a map lies."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,5 +1,7 @@
 """The poses that the estimator publishes during the drive."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from logs.messages import Odometry, Record, SlamPose, Transform

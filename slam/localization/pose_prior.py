@@ -1,5 +1,7 @@
 """The prior of the robot's pose: the odometry, or anywhere in the map where the odometry has failed."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from logs.records import frozen

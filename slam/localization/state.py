@@ -1,5 +1,7 @@
 """Localization state of the robot."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -17,6 +17,8 @@ where v_r is the share, of all poses in A, of those that the registration r does
 fits.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

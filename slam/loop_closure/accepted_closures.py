@@ -2,6 +2,8 @@
 revoked.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

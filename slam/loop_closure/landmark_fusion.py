@@ -5,6 +5,8 @@ travel than lies between two closures, an object may have a landmark for each of
 these landmarks have nearly the same position.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection
 
 import numpy as np

@@ -4,6 +4,8 @@
 is registered at each of them, and its posterior probability decides.
 """
 
+from __future__ import annotations
+
 import logging
 from bisect import bisect_left
 from collections import deque

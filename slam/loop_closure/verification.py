@@ -1,5 +1,7 @@
 """Verification: registers a query at a proposed place and computes the log-likelihood ratio and prior of the result."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

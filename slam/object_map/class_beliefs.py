@@ -1,5 +1,7 @@
 """The classes of landmarks, from the labels that were measured."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray

@@ -1,5 +1,7 @@
 """Figures of a saved map."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

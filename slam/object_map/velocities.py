@@ -1,5 +1,7 @@
 """Apparent velocities of landmarks."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,5 +1,7 @@
 """The trajectory between keyframes: the odometry, interpolated to meet the optimised keyframes."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray

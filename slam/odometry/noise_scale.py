@@ -14,6 +14,8 @@ A slip is a step whose error n contradicts the calibrated noise, even where the 
 explains the innovations of at least three landmarks. The estimate of n is its posterior mean W' y.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.special import chdtrc, chdtri
 

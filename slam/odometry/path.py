@@ -1,5 +1,7 @@
 """The path of a drive as the odometry has it: every pose, without objects, as a drive may have millions."""
 
+from __future__ import annotations
+
 from array import array
 from bisect import bisect_left
 from dataclasses import replace

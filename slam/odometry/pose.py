@@ -1,5 +1,7 @@
 """A pose on the track of the odometry."""
 
+from __future__ import annotations
+
 from dataclasses import field, replace
 
 import numpy as np

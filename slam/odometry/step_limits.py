@@ -1,5 +1,7 @@
 """Which steps of the odometry no body can have made: silences and jumps."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import islice
 

@@ -1,5 +1,7 @@
 """The odometry as one track: poses by time, the travel so far, where it breaks, and where it was corrected."""
 
+from __future__ import annotations
+
 import math
 from collections import Counter, deque
 from dataclasses import replace

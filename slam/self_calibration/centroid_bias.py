@@ -6,6 +6,8 @@ seen at p - b u, u the unit vector of the viewing ray. Between two scans with ra
 it does not average out over the objects in view.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -21,6 +21,8 @@ A term *changes* at the begin of a block if a second value of it from there on i
 terms.
 """
 
+from __future__ import annotations
+
 from itertools import product
 
 import numpy as np

@@ -8,6 +8,8 @@ A log may also begin to call all classes by other names: then the labels of all 
 scans.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -12,6 +12,8 @@ J. Royal Statistical Society B, 1977): the existence probability of integrated t
 IEEE Trans. Automatic Control, 1994), with clutter that is estimated from the log. No length and no noise is known.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from slam.common.arrays import FloatArray

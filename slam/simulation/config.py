@@ -1,5 +1,7 @@
 """Configuration of a simulated drive: every number has its unit, range and meaning; unknown keys are refused."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -3,6 +3,8 @@
 Classes are named, and about as frequent, as in cities mapped by hand: mostly trees, then signs, bollards and lamps.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 
 import numpy as np

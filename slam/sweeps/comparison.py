@@ -1,5 +1,7 @@
 """Comparison of groups of drives: differences between groups that exceed those between repetitions."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The folder that keeps the results of a sweep, so that one that was interrupted continues."""
 
+from __future__ import annotations
+
 import json
 import re
 from dataclasses import asdict

@@ -3,6 +3,8 @@
 ``run_sweep`` is where to begin reading.
 """
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing

@@ -1,5 +1,7 @@
 """Checks the final trajectory of a drive against its odometry and its online estimate."""
 
+from __future__ import annotations
+
 from itertools import compress
 
 import numpy as np

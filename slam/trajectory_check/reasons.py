@@ -1,5 +1,7 @@
 """Likely reasons why the final trajectory of a drive is worse than another one."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 
 from slam.common.calibration import Calibration

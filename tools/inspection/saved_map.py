@@ -1,5 +1,7 @@
 """dslam info, of a saved map."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,7 @@
 """dslam view."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

@@ -1,5 +1,7 @@
 """The thresholds of the evaluation."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields, replace
 from typing import Self
 

@@ -1,5 +1,7 @@
 """Position errors and classes of the landmarks of the final map, and the objects without a landmark."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any

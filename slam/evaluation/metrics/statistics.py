@@ -1,5 +1,7 @@
 """Fractions and percentiles; undefined values are None."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,5 +1,7 @@
 """A drive in the frame of its map: estimate, odometry, truth, landmarks and closures."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import numpy as np

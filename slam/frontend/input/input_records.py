@@ -1,5 +1,7 @@
 """The records of a log as the mapper takes them: objects in three dimensions, under their names in the map."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterable, Iterator
 

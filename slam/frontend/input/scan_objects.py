@@ -1,5 +1,7 @@
 """From labelled scans of a LiDAR to the objects in them."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from logs.messages import LabelledScan, ObjectDetections

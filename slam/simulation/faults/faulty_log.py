@@ -1,5 +1,7 @@
 """A log with faults: read, changed, and written as another log."""
 
+from __future__ import annotations
+
 import heapq
 import zlib
 from collections import Counter

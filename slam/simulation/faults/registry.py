@@ -1,5 +1,7 @@
 """The faults by their names, and how they are typed."""
 
+from __future__ import annotations
+
 import difflib
 import inspect
 from collections.abc import Callable, Sequence
@@ -48,7 +50,7 @@ class Fault:
 
 def _parameters(function: Callable[..., None]) -> list[inspect.Parameter]:
     """The numbers that a fault takes, with their defaults."""
-    every = inspect.signature(function).parameters.values()
+    every = inspect.signature(function, eval_str=True).parameters.values()
     return [parameter for parameter in every if parameter.kind is parameter.POSITIONAL_OR_KEYWORD][1:]
 
 

@@ -1,5 +1,7 @@
 """Faults of stamps, rates and gaps. Each public function is a fault."""
 
+from __future__ import annotations
+
 from typing import Annotated
 
 import numpy as np

@@ -173,7 +173,7 @@ def test_a_body_that_leans_changes_the_noise_of_heights_only_where_none_are_meas
         tilt[:3, :3] = Rotation.from_euler("x", 3.0 * np.sin(number), degrees=True).as_matrix()
         positions = scan.positions @ tilt[:3, :3].T
         leaning.append(replace(scan, T_odom_body=scan.T_odom_body @ tilt, positions=positions))
-    found, usual = (summarize(scans).components for scans in (leaning, level))
+    found, usual = (summary_of(scans).components for scans in (leaning, level))
     assert found is not None
     assert usual is not None
     assert found.variances.tangential == pytest.approx(usual.variances.tangential, rel=0.1)

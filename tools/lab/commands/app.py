@@ -1,5 +1,7 @@
 """dslam benchmark."""
 
+from __future__ import annotations
+
 import typer
 
 from tools.lab.commands.descriptors import descriptors

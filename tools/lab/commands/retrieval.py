@@ -1,5 +1,7 @@
 """dslam benchmark retrieval."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -1,5 +1,7 @@
 """The drives in a folder: one a subfolder, as text files."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 

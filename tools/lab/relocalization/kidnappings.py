@@ -3,6 +3,8 @@
 ``benchmark_relocalization`` is where to begin reading.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
