@@ -14,9 +14,8 @@ from gtsam.symbol_shorthand import L, X
 
 from logs.records import frozen
 from slam.backend.edge_kind import EdgeKind as EdgeKind
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, least_eigenvalues
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import least_eigenvalues
 
 PRIOR_SIGMA_RAD = 1e-4
 CLOSURE_KERNEL_WIDTH = 1.0

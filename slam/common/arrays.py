@@ -1,4 +1,4 @@
-"""The array types that signatures name; shapes, units and frames stand in the docstrings."""
+"""The array types that signatures name, and what of arrays needs NumPy alone; shapes and units stand in docstrings."""
 
 from __future__ import annotations
 
@@ -9,3 +9,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex128]
+
+
+def least_eigenvalues(P: FloatArray) -> FloatArray:
+    """Least eigenvalue (N,) of each of the symmetric matrices (N, n, n); -inf of those that are not finite."""
+    is_finite = np.asarray(np.isfinite(P).all(axis=(1, 2)))
+    return np.where(is_finite, np.linalg.eigvalsh(np.where(is_finite[:, None, None], P, 0.0))[:, 0], -np.inf)

@@ -96,12 +96,6 @@ def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArra
     return R.T @ covariance_a @ R
 
 
-def least_eigenvalues(P: FloatArray) -> FloatArray:
-    """Least eigenvalue (N,) of each of the symmetric matrices (N, n, n); -inf of those that are not finite."""
-    is_finite = np.asarray(np.isfinite(P).all(axis=(1, 2)))
-    return np.where(is_finite, np.linalg.eigvalsh(np.where(is_finite[:, None, None], P, 0.0))[:, 0], -np.inf)
-
-
 def unit_vectors(vectors: FloatArray) -> FloatArray:
     """The directions (N, D) of vectors (N, D); zero vectors stay as they are."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])

@@ -10,8 +10,7 @@ import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
-from slam.common.arrays import BoolArray, IntArray
-from slam.common.geometry import least_eigenvalues
+from slam.common.arrays import BoolArray, IntArray, least_eigenvalues
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:

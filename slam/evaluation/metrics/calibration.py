@@ -12,8 +12,8 @@ import pandas as pd
 from scipy.spatial.transform import RigidTransform
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
-from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, least_eigenvalues, squared_mahalanobis
+from slam.common.arrays import FloatArray, least_eigenvalues
+from slam.common.geometry import apply, invert, squared_mahalanobis
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
