@@ -49,7 +49,7 @@ def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
 
 
 def apply_each(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
-    """Points (N, 3) of frame b in frames a, each by a transform (N, 4, 4) of its own."""
+    """Points (N, 3) m of frame b in frame a, each by its own transform (N, 4, 4)."""
     return np.asarray(np.einsum("nij,nj->ni", T_a_b[:, :3, :3], points_b) + T_a_b[:, :3, 3])
 
 
