@@ -315,10 +315,13 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
 
 
 def _is_planar(scans: Sequence[SurveyScan]) -> bool:
-    """Whether all detections lie in one plane of the body, as those of a sensor that measures no heights."""
+    """Whether the nearer half of the detections, without absurd ones, lies in one plane of the body, as all detections
+    of a sensor do that measures no heights.
+    """
     T_body_gravity = [invert(scan.T_odom_body) @ gravity_frame(scan.T_odom_body) for scan in scans]
     points = np.concatenate([apply(T, scan.positions) for T, scan in zip(T_body_gravity, scans, strict=True)])
-    squares = np.linalg.eigvalsh(np.cov(points.T, bias=True))
+    ranges = np.linalg.norm(points, axis=1)
+    squares = np.linalg.eigvalsh(np.cov(points[ranges <= np.median(ranges)].T, bias=True))
     return bool(squares[0] <= ROUNDING * squares[-1])
 
 
@@ -333,7 +336,8 @@ def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> Com
         return None
     _, row = np.unique(tracks.track, return_inverse=True)
     means = np.bincount(row, tracks.heights) / np.bincount(row)
-    rise = float(np.mean((tracks.heights - means[row]) ** 2))
+    # The median of chi-squared with one degree of freedom is 0.455.
+    rise = float(np.median((tracks.heights - means[row]) ** 2)) / 0.455
     return replace(estimate, variances=replace(estimate.variances, rise=rise))
 
 
