@@ -69,7 +69,7 @@ class ScanLocalizer:
         self._retriever = PlaceRetriever(config, object_map)
         self._retriever.index_inactive_landmarks(self._scan.odometry)
         mapped = [each.positions[:, :2] for each in maps]
-        self._verifier = Verifier(config, self._retriever, keyframes, lambda number: np.eye(4), mapped)
+        self._verifier = Verifier(config, self._retriever, keyframes, lambda number: np.eye(4), None, mapped)
         self._acceptance = Acceptance(config, self._verifier)
 
     def localize(self, scan: ObjectDetections) -> ScanLocalization:

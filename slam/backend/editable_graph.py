@@ -25,7 +25,7 @@ from slam.backend.factors import (
 from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import adjoint, invert
+from slam.common.geometry import adjoint, apply_each, invert
 
 
 class AttachedKeyframes:
@@ -241,6 +241,22 @@ class EditableGraph:
         if keyframe in self._fixed_poses:
             return self._fixed_poses[keyframe]
         return self._solver.pose(keyframe) if values is None else values.atPose3(X(keyframe)).matrix()
+
+    def observed_positions(self, landmarks: IntArray) -> FloatArray:
+        """Positions (N, 3) m in the map of landmarks by their own observations, without those of landmarks that were
+        merged into them, from the poses of the keyframes; NaN for landmarks without any.
+        """
+        return np.array([self._observed_position(landmark) for landmark in landmarks.tolist()]).reshape(-1, 3)
+
+    def _observed_position(self, landmark: int) -> FloatArray:
+        seen = [self._factors[number] for number in self._observations.get(landmark, ())]
+        observations = [each for each in seen if isinstance(each, Observation)]
+        if not observations:
+            return np.full(3, np.nan)
+        T = np.array([self.pose(each.keyframe) for each in observations])
+        in_map = apply_each(T, np.array([each.position for each in observations]))
+        variances = [each.covariance_inflation * np.trace(each.covariance) for each in observations]
+        return np.asarray(np.average(in_map, axis=0, weights=1.0 / np.array(variances)))
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""

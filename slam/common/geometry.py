@@ -132,6 +132,17 @@ def gravity_frame(T: FloatArray) -> FloatArray:
     return transform_from_xyz_yaw(T[..., :3, 3], yaw_rad(T))
 
 
+def fit_yaw_translation(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
+    """``T_b_a`` (4, 4), a yaw about the common vertical and a 3-D translation, that brings points (N, 3) of a nearest
+    to those of b, by least squares in the plane. Where they are one point, or lie above one another, the yaw is 0.
+    """
+    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    a, b = (points_a - mean_a)[:, :2] @ (1.0, 1.0j), (points_b - mean_b)[:, :2] @ (1.0, 1.0j)
+    T_b_a = transform_from_xyz_yaw(np.zeros(3), np.angle(np.vdot(a, b)))
+    T_b_a[:3, 3] = mean_b - T_b_a[:3, :3] @ mean_a
+    return T_b_a
+
+
 def polar_cells(points: FloatArray, range_m: float, rings: int, sectors: int) -> tuple[IntArray, IntArray]:
     """Ring and sector (N,) of points (N, 2 or more) m in the plane: ``rings`` of equal width reach up to ``range_m``,
     points beyond it have higher numbers.

@@ -74,7 +74,7 @@ class LoopCloser:
         self._keyframes = keyframes
         self._retriever = PlaceRetriever(config, object_map, imported)
         mapped = [] if imported is None else [imported.positions]
-        self._verifier = Verifier(config, self._retriever, keyframes, graph.pose, mapped)
+        self._verifier = Verifier(config, self._retriever, keyframes, graph.pose, graph.observed_positions, mapped)
         self._acceptance = Acceptance(config, self._verifier)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self.continuity = ContinuityMonitor(config.localization, config.sensor_range_m)

@@ -11,7 +11,7 @@ from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import covariance_in_axes, gravity_frame, invert, yaw_rad
+from slam.common.geometry import covariance_in_axes, fit_yaw_translation, gravity_frame, invert, yaw_rad
 from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratios
@@ -38,10 +38,12 @@ class Verifier:
         retriever: PlaceRetriever,
         keyframes: Sequence[Keyframe],
         pose: Callable[[int], FloatArray],
+        observed_positions: Callable[[IntArray], FloatArray] | None = None,
         mapped: Sequence[FloatArray] = (),
     ) -> None:
-        """``keyframes``: of the prior map, to which others are added; ``pose``: ``T_map_body`` (4, 4) of each;
-        ``mapped`` (N, 2) m each: objects of maps without keyframes, among which the robot may be anywhere.
+        """``keyframes``: of the prior map, to which others are added; ``pose``: ``T_map_body`` (4, 4) of each, and
+        ``observed_positions`` (N, 3) m of landmarks, both as the graph has them; ``mapped`` (N, 2) m each: objects of
+        maps without keyframes, among which the robot may be anywhere.
         """
         self._config, objects = config, config.calibration.objects
         self._registration = registration_config(config)
@@ -52,6 +54,7 @@ class Verifier:
         self._sensor_range_m = config.sensor_range_m
         self._retriever = retriever
         self._pose = pose
+        self._observed_positions = observed_positions
         self._keyframes = keyframes
         self.track = KeyframeTrack(config.calibration)
         for keyframe in keyframes:
@@ -88,19 +91,46 @@ class Verifier:
         prior = self._prior(query, place, reference)
         seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
         exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
+        # The query's tilt is the odometry's; the registration is upright.
+        T_local_body = T_local_query @ query.T_gravity_body
+        in_body = covariance_in_axes(covariance + self._shared_covariance, query.T_gravity_body[:3, :3])
         return Candidate(
             query=query.keyframe,
             reference=reference,
             place=place,
-            # The query's tilt is the odometry's; the registration is upright.
-            T_reference_query=invert(reference.T_local_body) @ T_local_query @ query.T_gravity_body,
+            T_reference_query=self._T_reference_body(
+                reference, T_local_body, submap.of(np.isin(submap.rows, met)), in_body
+            ),
             T_local_query=T_local_query,
-            covariance=covariance_in_axes(covariance + self._shared_covariance, query.T_gravity_body[:3, :3]),
+            covariance=in_body,
             log_likelihood_ratios=ratios,
             pairs=np.column_stack([seen, met])[exists],
             odometry_penalty=-prior.log_mass(T_local_query, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
         )
+
+    def _T_reference_body(
+        self, reference: Keyframe, T_local_body: FloatArray, matched: Submap, covariance: FloatArray
+    ) -> FloatArray:
+        """The pose (4, 4) in a reference keyframe of a body that is at ``T_local_body`` (4, 4) among landmarks.
+
+        The keyframe and the landmarks are where they were in the local map when they were seen last. Landmarks that the
+        robot recognised after a while have moved others since, but no keyframes. Where the observations in the graph
+        contradict the local map by more than ``GATE_SIGMA`` standard deviations in heading, x and y, they tell where
+        the landmarks are from the keyframe.
+        """
+        T_reference_body: FloatArray = invert(reference.T_local_body) @ T_local_body
+        if reference.is_prior or self._observed_positions is None:
+            return T_reference_body
+        observed = self._observed_positions(matched.rows)
+        if not np.isfinite(observed).all():
+            return T_reference_body
+        T_map_local = fit_yaw_translation(matched.positions, observed)
+        T_observed: FloatArray = invert(self._pose(reference.id)) @ T_map_local @ T_local_body
+        T_between = invert(T_reference_body) @ T_observed
+        apart = np.array([yaw_rad(T_between), *T_between[:2, 3]])
+        is_moved = apart @ np.linalg.solve(covariance[2:5, 2:5], apart) > GATE_SIGMA**2
+        return T_observed if is_moved else T_reference_body
 
     def unmatched(self, query: Query, place: Place) -> FloatArray:
         """LLR (N,) of each object of the query at a place where it cannot be registered: none has a match."""

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import make_transform, transform_from_xyz_yaw
+from slam.common.geometry import fit_yaw_translation, make_transform
 
 
 def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
@@ -29,11 +29,7 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Floa
                 f"the {len(points)} {name} points are within {spread:.3g} m of one another in the plane, "
                 "so no heading can be found; evaluate a drive that moves"
             )
-    mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
-    est, gt = (points_est - mean_est)[:, :2] @ (1.0, 1.0j), (points_gt - mean_gt)[:, :2] @ (1.0, 1.0j)
-    turn = transform_from_xyz_yaw(np.zeros(3), np.angle(np.vdot(est, gt)))
-    turn[:3, 3] = mean_gt - turn[:3, :3] @ mean_est
-    return turn
+    return fit_yaw_translation(points_est, points_gt)
 
 
 def align_path(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:

@@ -47,6 +47,26 @@ def test_a_landmark_that_comes_and_goes_between_two_updates_was_never_there() ->
     np.testing.assert_array_equal(graph.poses(), twin.poses())
 
 
+def test_observed_positions_are_means_by_information_of_own_observations_only():
+    graph = FactorGraph()
+    T = pose_at(2.0, 1.0, yaw=0.5)
+    graph.add_keyframe(0, T)
+    near, far, other = np.array([4.0, 1.0, 0.0]), np.array([5.0, 3.0, 1.0]), np.array([9.0, 9.0, 9.0])
+    graph.add_observations(
+        [
+            Observation(0, 5, near, SEEN_COVARIANCE),
+            Observation(0, 5, far, SEEN_COVARIANCE, covariance_inflation=3.0),
+            Observation(0, 6, other, SEEN_COVARIANCE),
+        ]
+    )
+    graph.alias_landmarks({6: 5})
+    mean = (3.0 * near + far) / 4.0
+    np.testing.assert_allclose(
+        graph.observed_positions(np.array([6, 5, 77])),
+        [*apply(T, np.array([other, mean])), [np.nan] * 3],
+    )
+
+
 @pytest.mark.parametrize("update_between", [True, False])
 def test_a_removed_landmark_may_be_seen_again(update_between):
     graph = build(noisy_edges(), sightings())

@@ -161,7 +161,7 @@ class Drive:
         parts.keyframes = self.keyframes
         config = Config.model_validate({"loop_closure": settings})
         self.map = Map()
-        self.closer = LoopCloser(config, self.map, SimpleNamespace(pose=None), self.keyframes)  # type: ignore[arg-type]
+        self.closer = LoopCloser(config, self.map, SimpleNamespace(pose=None, observed_positions=None), self.keyframes)  # type: ignore[arg-type]
         self.prior = prior
         self.lost_after_m: float | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, gravity_frame, invert, make_transform, yaw_rad
 from slam.localization.pose_prior import failure_probability
@@ -76,13 +77,21 @@ class Scene:
         self.keyframes = make_keyframes(second_segment=second_segment)
         world = objects + np.array([STEP_M * HERE, 0.0, 0.0])
         self.landmarks = Landmarks(make_submap(world, labels, first_row=0))
-        pose = lambda number: self.keyframes[number].odometry.T_odom_body  # noqa: E731
-        self.verifier = Verifier(self.config, self.landmarks, self.keyframes, pose)  # type: ignore[arg-type]
+        self.verifier = self.make_verifier()
         T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
         seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
         before_m = STEP_M * QUERY - self.config.closure_travel_m
         self.query = Query(self.keyframes[QUERY], seen, T_local_gravity, before_m)
         self.place = Place(T_local_gravity, STEP_M * HERE, 0, "descriptor")
+
+    def make_verifier(
+        self,
+        pose: Callable[[int], FloatArray] | None = None,
+        observed_positions: Callable[[IntArray], FloatArray] | None = None,
+    ) -> Verifier:
+        """Where the graph has the keyframes where the odometry has them, unless ``pose`` tells others."""
+        pose = pose or (lambda number: self.keyframes[number].odometry.T_odom_body)
+        return Verifier(self.config, self.landmarks, self.keyframes, pose, observed_positions)  # type: ignore[arg-type]
 
     def verified(self, place: Place | None = None) -> Candidate:
         found = self.verifier.verify(self.query, place or self.place)
@@ -105,6 +114,32 @@ def test_the_relative_pose_is_that_of_the_bodies_tilt_included():
     assert (found.query.id, found.reference.id) == (QUERY, HERE)
     np.testing.assert_allclose(found.T_reference_query, invert(body(HERE)) @ body(QUERY), atol=1e-6)
     assert len(found.pairs) == 12
+
+
+@pytest.mark.parametrize(("moved_m", "is_moved"), [(6.0, True), (0.3, False)])
+def test_the_graph_tells_where_landmarks_are_that_have_moved_in_the_local_map(moved_m, is_moved):
+    scene = Scene(scattered())
+    seen = scene.landmarks.reference.positions
+    T_map_local = pose_at(3.0, -2.0, yaw=0.7)
+    # The graph has its own frame, in which the keyframe is where the landmarks were when it saw them.
+    scene.verifier = scene.make_verifier(
+        pose=lambda number: T_map_local @ body(number),
+        observed_positions=lambda rows: apply(T_map_local, seen[rows]),
+    )
+    T_moved = pose_at(moved_m, -0.5 * moved_m, yaw=0.02 * moved_m)
+    scene.landmarks.reference = replace(scene.landmarks.reference, positions=apply(T_moved, seen))
+    found = scene.verified(replace(scene.place, T_local_query=T_moved @ scene.place.T_local_query))
+    expected = body(QUERY) if is_moved else T_moved @ body(QUERY)
+    np.testing.assert_allclose(found.T_reference_query, invert(body(found.reference.id)) @ expected, atol=1e-6)
+
+
+def test_landmarks_that_the_graph_has_not_seen_are_where_the_local_map_has_them():
+    scene = Scene(scattered())
+    scene.verifier = scene.make_verifier(
+        pose=lambda number: pose_at(50.0) @ body(number),
+        observed_positions=lambda rows: np.where(rows[:, None] == 3, np.nan, 0.0) + np.zeros(3),
+    )
+    np.testing.assert_allclose(scene.verified().T_reference_query, invert(body(HERE)) @ body(QUERY), atol=1e-6)
 
 
 def test_where_a_query_cannot_be_registered_no_object_has_a_match():
