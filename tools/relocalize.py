@@ -79,7 +79,7 @@ def relocalize(
             progress=progress,
         )
     if picture is not None and summary.relocalization_times_s:
-        draw_drive(output, picture, known)
+        draw_drive(output, picture)
     is_found = bool(summary.relocalization_times_s)
     if json:
         console.show_json({"output": str(output), "found": is_found, **asdict(summary)})

@@ -3,60 +3,126 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from logs.container.names import visible
+from logs.scene import CLASS_COLORS
 from logs.storage.placement import replacing
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.display.map_layers import Layer, MapPicture
 
 _INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
+CLASS_MARKERS = "os^DvPXhp*<>"
+"""As matplotlib names them."""
 
 
-def draw_map(path_png: str | Path, picture: MapPicture) -> None:
-    """Draw a map from above into a PNG file, by way of ``NAME.part``: x to the right, y up, equal scales.
+class MapPicture:
+    """A map from above: x to the right, y up, equal scales. What is drawn later is above what was drawn before.
 
-    The same picture gives the same bytes.
-
-    Raises:
-        EvaluationError: there is nothing to draw.
-        UnwritableLogError: the file cannot be written.
+    All of it is in the key by its name, with its ``count`` in brackets. The same calls give the same bytes.
     """
-    figure, png = _compose(picture), BytesIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of letters that are in no font
-        figure.savefig(png, format="png", dpi=figure.dpi, metadata={"Software": None})  # no version of matplotlib
-    with replacing(path_png) as part:
-        part.write_bytes(png.getvalue())
 
-
-def _compose(picture: MapPicture) -> Figure:
-    layers = [layer for layer in picture.layers if len(layer.positions)]
-    if not layers:
-        raise EvaluationError("no position to draw")
-    low, high = _limits(np.concatenate([layer.positions for layer in layers])[:, :2])
-    # A dollar sign in a name is one.
-    with rc_context({"text.parse_math": False}):
-        height_in = float(min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
-        figure = Figure(figsize=(16.0, height_in), dpi=100.0, facecolor="white")
-        figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
-        axes = figure.add_subplot()
-        _prepare(axes, low, high)
-        for number, layer in enumerate(layers, start=2):  # above the grid
-            _draw(axes, layer, number)
-        figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
-        axes.set_title(_cut(picture.title, 60), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30)
+    def __init__(self, title: str, subtitle: str) -> None:
+        self.figure = Figure(dpi=100.0, facecolor="white")
+        self.figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
+        self._axes = axes = self.figure.add_subplot()
+        axes.set_aspect("equal", adjustable="box", anchor="NW")
+        axes.set_xlabel("x [m]", fontsize=13, color=_INK)
+        axes.set_ylabel("y [m]", fontsize=13, color=_INK)
+        axes.tick_params(labelsize=12, colors=_MUTED, length=0)
+        axes.grid(visible=True, color=_GRID, linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.spines[:].set_visible(False)
+        # A dollar sign in a name is one.
+        axes.set_title(
+            _cut(title, 60), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30, parse_math=False
+        )
         place: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (0.0, 6.0), "textcoords": "offset points"}
-        axes.annotate(picture.subtitle, (0.0, 1.0), **place, fontsize=13, color=_MUTED)
-    return figure
+        axes.annotate(subtitle, (0.0, 1.0), **place, fontsize=13, color=_MUTED)
+        self._drawn = list[FloatArray]()
+
+    def add_line(
+        self, name: str, positions: FloatArray, color: str, width: float, *, style: Any = "-", count: int | None = None
+    ) -> None:
+        """Join positions (N, 3) m by a line that is broken at NaN; ``style``: of matplotlib."""
+        if len(positions):
+            xy = self._next(positions)
+            self._axes.plot(*xy, color=color, linewidth=width, linestyle=style, **self._entry(name, count))
+
+    def add_strokes(self, name: str, ends: FloatArray, color: str, width: float) -> None:
+        """Join each pair of ends (C, 2, 3) m."""
+        lines = np.concatenate([ends, np.full((len(ends), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+        self.add_line(name, lines, color, width, count=len(ends))
+
+    def add_marks(
+        self,
+        name: str,
+        positions: FloatArray,
+        color: str,
+        marker: str,
+        *,
+        size: float = 7.0,
+        count: int | None = None,
+    ) -> None:
+        """Mark positions (N, 3) m; ``marker``: as matplotlib names it; ``size``: diameter."""
+        if len(positions):
+            x, y = self._next(positions)
+            edge: dict[str, Any] = {"linewidths": 0.07 * size, "edgecolors": "white"}
+            self._axes.scatter(x, y, s=size**2, c=color, marker=marker, **edge, **self._entry(name, count))
+
+    def add_landmarks(self, positions: FloatArray, labels: Sequence[str]) -> None:
+        """Mark landmarks (L, 3) m: the most frequent classes, ties by name, each by its colour, then all others."""
+        counts = sorted(Counter(labels).items(), key=lambda item: (-item[1], item[0]))[: len(CLASS_COLORS)]
+        names = np.array(labels, dtype=np.str_)
+        for (name, count), color, marker in zip(counts, CLASS_COLORS, CLASS_MARKERS, strict=False):
+            self.add_marks(name, positions[names == name], color, marker, count=count)
+        rest = positions[~np.isin(names, [name for name, _ in counts])]
+        self.add_marks("other", rest, "#9ca3af", "o", count=len(rest))
+
+    def save(self, path_png: str | Path) -> None:
+        """Write a PNG file, by way of ``NAME.part``.
+
+        Raises:
+            EvaluationError: there is nothing to draw.
+            UnwritableLogError: the file cannot be written.
+        """
+        if not self._drawn:
+            raise EvaluationError("no position to draw")
+        low, high = _limits(np.concatenate(self._drawn))
+        self._axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        self.figure.set_size_inches(16.0, min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
+        key = self.figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
+        for text in key.get_texts():
+            text.set_parse_math(False)
+        png = BytesIO()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of letters that are in no font
+            self.figure.savefig(png, format="png", metadata={"Software": None})  # no version of matplotlib
+        with replacing(path_png) as part:
+            part.write_bytes(png.getvalue())
+
+    def _next(self, positions: FloatArray) -> FloatArray:
+        """x and y (2, N) of what is drawn next."""
+        self._drawn.append(positions[:, :2])
+        return positions[:, :2].T
+
+    def _entry(self, name: str, count: int | None) -> dict[str, Any]:
+        """Its entry in the key, and its place above the grid and what was drawn before."""
+        label = _cut(name, 40) + ("" if count is None else f" ({count})")
+        # The key leaves out what begins with an underscore.
+        return {"label": f" {label}" if label.startswith("_") else label, "zorder": len(self._drawn) + 1}
+
+
+def count_classes(labels: Sequence[str]) -> str:
+    """The numbers of landmarks and classes, for the subtitle."""
+    return f"landmarks {len(labels)}, classes {len(set(labels))}"
 
 
 def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -66,31 +132,6 @@ def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     # A straight street must not become a strip: the short side is widened to half of the long one.
     missing = np.maximum(0.5 * np.max(high - low) - (high - low), 0.0)
     return low - 0.5 * missing, high + 0.5 * missing
-
-
-def _prepare(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal", adjustable="box", anchor="NW")
-    axes.set_xlabel("x [m]", fontsize=13, color=_INK)
-    axes.set_ylabel("y [m]", fontsize=13, color=_INK)
-    axes.tick_params(labelsize=12, colors=_MUTED, length=0)
-    axes.grid(visible=True, color=_GRID, linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[:].set_visible(False)
-
-
-def _draw(axes: Axes, layer: Layer, zorder: int) -> None:
-    name = _cut(layer.name, 40) + ("" if layer.count is None else f" ({layer.count})")
-    if name.startswith("_"):
-        name = f" {name}"  # the key leaves out what begins with an underscore
-    x, y = layer.positions[:, :2].T
-    if layer.size:
-        edge: dict[str, Any] = {"linewidths": 0.07 * layer.size, "edgecolors": "white"}
-        axes.scatter(x, y, s=layer.size**2, c=layer.color, marker=layer.marker, zorder=zorder, label=name, **edge)
-    else:
-        style = (0, (6, 4)) if layer.is_dashed else "-"
-        axes.plot(x, y, color=layer.color, linewidth=layer.width, linestyle=style, zorder=zorder, label=name)
 
 
 def _cut(name: str, most: int) -> str:

@@ -74,10 +74,6 @@ class SavedMap:
         """Positions (N, 3) m of its landmarks."""
         return self.objects.positions
 
-    def positions_around(self, path: FloatArray) -> FloatArray:
-        """Positions (K, 3) m of all landmarks; the ``path`` (N, 3) is ignored."""
-        return self.objects.positions
-
 
 def save_map(
     path: Path,

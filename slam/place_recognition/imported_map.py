@@ -81,14 +81,6 @@ class ImportedMap:
             observations=observations,
         )
 
-    def positions_around(self, path: FloatArray) -> FloatArray:
-        """Positions (K, 3) m of the objects in a rectangle around a path (N, 3), one row at least."""
-        low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
-        margin_m = 0.5 * (high - low).max()
-        plane = self.positions[:, :2]
-        inside = ((plane >= low - margin_m) & (plane <= high + margin_m)).all(axis=1)
-        return np.asarray(self.positions[inside], dtype=np.float64)
-
 
 def make_imported_map(
     positions: FloatArray,

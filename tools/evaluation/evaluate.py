@@ -60,10 +60,9 @@ def evaluate(
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
     evaluation = evaluate(records, map_alignment=None if map_run is None else _locate_map_of(map_run))
     if picture is not None:
-        from slam.display.map_picture import draw_map
         from slam.evaluation.report.picture import compose_picture
 
-        draw_map(picture, compose_picture(records, evaluation, title=log.stem))
+        compose_picture(records, evaluation, log.stem).save(picture)
     results = evaluation.to_json_dict()
     if as_json:
         console.show_json(results)

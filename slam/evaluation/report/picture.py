@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from logs.messages import FactorGraphRecord
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import apply, invert, step_lengths
-from slam.display.map_layers import OTHER_COLOR, Layer, MapPicture, class_layers, count_classes, strokes
+from slam.display.map_picture import MapPicture, count_classes
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.result import Evaluation
@@ -18,25 +16,18 @@ ODOMETRY = "#d97706"
 TRUE_CLOSURE, FALSE_CLOSURE, UNDECIDED_CLOSURE = "#14b8a6", "#ff0000", "#d6249f"
 
 
-def compose_picture(
-    records: EvaluationRecords,
-    evaluation: Evaluation,
-    *,
-    title: str,
-    known: Callable[[FloatArray], FloatArray] | None = None,
-) -> MapPicture:
+def compose_picture(records: EvaluationRecords, evaluation: Evaluation, title: str) -> MapPicture:
     """Bring the odometry into the map frame by its first pose, the truth by the alignment of the estimate.
 
     A closure joins the estimated positions of its two keyframes. Without a final trajectory the online poses are drawn.
-    Truth that could not be aligned is left out. Paths are broken, by a row of NaN, at discontinuities of the odometry.
-    The robot is marked as lost where it lost its place: before the discontinuity, not at its start in a given map.
+    Truth that could not be aligned is left out, and of a given map what is far from the path. Paths are broken, by a
+    row of NaN, at discontinuities of the odometry. The robot is marked as lost where it lost its place: before the
+    discontinuity, not at its start in a given map.
 
     Args:
         records: of the drive.
         evaluation: of these records.
         title: of the picture.
-        known: the landmarks (K, 3) of a given map around positions (N, 3), which are drawn in the place of those of the
-            drive.
     """
     # Where a run did not finish, its poses as they were at their time.
     estimate = records.final_path or records.online_path
@@ -50,14 +41,11 @@ def compose_picture(
         truth = _broken(records.true_path.stamps_ns, aligned, spans_ns)
     objects, landmarks, labels = records.object_map, np.zeros((0, 3)), list[str]()
     if objects is not None:
-        rows = np.flatnonzero(objects.is_confirmed & np.isfinite(objects.positions).all(axis=1))
+        is_shown = objects.is_confirmed & np.isfinite(objects.positions).all(axis=1)
+        if records.has_prior_map and len(path):
+            is_shown &= _are_around(path, objects.positions)
+        rows = np.flatnonzero(is_shown)
         landmarks, labels = objects.positions[rows], [objects.labels[row] for row in rows]
-    if known is not None:
-        around = known(np.concatenate([path, landmarks]))
-        shown = [Layer("landmarks of the map", around, OTHER_COLOR, size=7.0, count=len(around))]
-        labels = []
-    else:
-        shown = [*class_layers(landmarks, labels)]
     lost, found = _losses(records, evaluation, estimate, spans_ns)
     true, false, undecided = _closures(evaluation, estimate)
     whole = next((each for each in (path, truth, odometry) if len(each)), path)
@@ -68,23 +56,28 @@ def compose_picture(
         "ATE {:.3f} m": errors.ate_m if errors else None,
         "odometry alone {:.3f} m": evaluation.odometry.ate_m if evaluation.odometry else None,
     }
-    return MapPicture(
-        title,
-        "   ·   ".join(text.format(value) for text, value in figures.items() if value is not None),
-        [
-            strokes("loop closures", undecided, UNDECIDED_CLOSURE, 1.2),
-            *shown,
-            Layer("odometry", odometry, ODOMETRY, width=1.6),
-            strokes("true loop closures", true, TRUE_CLOSURE, 1.6),
-            Layer("estimate", path, "#0b5cad", width=2.8),
-            Layer("ground truth", truth, "#6b7280", width=1.2, is_dashed=True),
-            Layer("start", whole[:1], "#16a34a", size=13.0),
-            Layer("end", whole[-1:], "#dc2626", size=13.0, marker="s"),
-            Layer("lost", lost, "#b91c1c", size=13.0, marker="v", count=len(lost)),
-            Layer("found", found, "#15803d", size=13.0, marker="^", count=len(found)),
-            strokes("false loop closures", false, FALSE_CLOSURE, 4.0),
-        ],
-    )
+    subtitle = "   ·   ".join(text.format(value) for text, value in figures.items() if value is not None)
+    picture = MapPicture(title, subtitle)
+    picture.add_strokes("loop closures", undecided, UNDECIDED_CLOSURE, 1.2)
+    picture.add_landmarks(landmarks, labels)
+    picture.add_line("odometry", odometry, ODOMETRY, 1.6)
+    picture.add_strokes("true loop closures", true, TRUE_CLOSURE, 1.6)
+    picture.add_line("estimate", path, "#0b5cad", 2.8)
+    picture.add_line("ground truth", truth, "#6b7280", 1.2, style=(0, (6, 4)))
+    picture.add_marks("start", whole[:1], "#16a34a", "o", size=13.0)
+    picture.add_marks("end", whole[-1:], "#dc2626", "s", size=13.0)
+    picture.add_marks("lost", lost, "#b91c1c", "v", size=13.0, count=len(lost))
+    picture.add_marks("found", found, "#15803d", "^", size=13.0, count=len(found))
+    picture.add_strokes("false loop closures", false, FALSE_CLOSURE, 4.0)
+    return picture
+
+
+def _are_around(path: FloatArray, positions: FloatArray) -> BoolArray:
+    """Which positions (L, 3) are in a rectangle around a path (N, 3), half as far away as it is long."""
+    low, high = np.nanmin(path[:, :2], axis=0), np.nanmax(path[:, :2], axis=0)
+    margin_m = 0.5 * (high - low).max()
+    plane = positions[:, :2]
+    return np.asarray(((plane >= low - margin_m) & (plane <= high + margin_m)).all(axis=1))
 
 
 def _losses(

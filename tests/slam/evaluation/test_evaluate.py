@@ -166,8 +166,11 @@ def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
 
 
 def drawn(records: EvaluationRecords) -> dict[str, FloatArray]:
-    picture = compose_picture(records, evaluate(records), title="map")
-    return {layer.name: layer.positions for layer in picture.layers if len(layer.positions)}
+    """Positions (N, 2) of lines and marks by their names in the key."""
+    (axes,) = compose_picture(records, evaluate(records), "map").figure.axes
+    lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in axes.lines}
+    marks = {str(marks.get_label()): np.asarray(marks.get_offsets()) for marks in axes.collections}
+    return {name.partition(" (")[0]: positions for name, positions in (lines | marks).items()}
 
 
 def test_the_picture_is_in_the_map_frame() -> None:
@@ -191,8 +194,18 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
     jump = {"edge_transforms": np.eye(4)[None], "edge_covariances": np.eye(6)[None], "edge_kinds": ("discontinuity",)}
     records = replace(records, graph=replace(records.graph, edge_keyframe_ids=kept, **jump))
     layers = drawn(records)
-    np.testing.assert_allclose(layers["lost"][0], records.final_path.positions[100], atol=1e-9)
-    np.testing.assert_allclose(layers["found"][0], records.final_path.positions[120], atol=1e-9)
+    np.testing.assert_allclose(layers["lost"][0], records.final_path.positions[100, :2], atol=1e-9)
+    np.testing.assert_allclose(layers["found"][0], records.final_path.positions[120, :2], atol=1e-9)
+
+
+def test_of_a_given_map_the_picture_shows_what_is_around_the_path() -> None:
+    records = collect_records(made_log())
+    assert records.object_map is not None
+    positions = records.object_map.positions.copy()
+    positions[0] += [2.0 * COUNT, 0.0, 0.0]
+    records = replace(records, object_map=replace(records.object_map, positions=positions))
+    assert len(drawn(records)["tree"]) == 10
+    assert len(drawn(replace(records, provenance={"map_drives": "[]"}))["tree"]) == 9
 
 
 def test_odometry_is_taken_from_where_the_replay_took_it(tmp_path: Path) -> None:

@@ -25,14 +25,6 @@ def imported(positions: FloatArray) -> ImportedMap:
     return make_imported_map(positions, labels, ids, sigma_m=0.3, georeference=Georeference(60.0, 24.0))
 
 
-def test_positions_around_a_path_are_those_of_the_map_near_it() -> None:
-    known = imported(scattered())
-    around = known.positions_around(np.array([[0.0, 0.0, 0.0], [100.0, 40.0, 0.0]]))
-    offsets_m = np.abs(known.positions[:, :2] - [50.0, 20.0])
-    np.testing.assert_array_equal(around, known.positions[(offsets_m <= [100.0, 70.0]).all(axis=1)])
-    assert len(known.positions_around(np.array([[1e4, 0.0, 0.0]]))) == 0
-
-
 def test_a_file_gives_it_back(tmp_path: Path) -> None:
     known, path = imported(scattered()), tmp_path / "map.mcap"
     save_imported_map(path, known)
