@@ -20,13 +20,12 @@ from logs.records import frozen
 class CloudObjects:
     """N objects in the frame of the cloud.
 
-    positions (N, 3) m; covariances (N, 3, 3) m^2; labels (N,); instances (N,), 0 for a cluster.
+    positions (N, 3) m; covariances (N, 3, 3) m^2; labels (N,).
     """
 
     positions: FloatArray
     covariances: FloatArray
     labels: tuple[str, ...]
-    instances: IntArray
 
     def detections(self, stamp_ns: int, frame_id: str) -> ObjectDetections:
         """The record of these objects; each has the score 1."""
@@ -68,9 +67,9 @@ def find_objects(
     if viewpoint is not None:
         # 30 of 120,000 points of a scan.
         min_points = max(min_points, int(np.ceil(len(cloud.positions) / 4000.0)))
-    found: list[tuple[str, int, Centre]] = []
+    found: list[tuple[str, Centre]] = []
     # A wider gap between two parts of one class makes two objects of them.
-    for label, instance, points in _parts(cloud, names, 0.5 * scale, voxel_m, upright=upright):
+    for label, points in _parts(cloud, names, 0.5 * scale, voxel_m, upright=upright):
         if len(points) < min_points:
             continue
         voxels = voxel_means(points, voxel_m)
@@ -82,12 +81,11 @@ def find_objects(
             centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
         else:
             continue
-        found.append((label, instance, centre))
+        found.append((label, centre))
     return CloudObjects(
-        np.array([centre.position for *_, centre in found]).reshape(-1, 3),
-        np.array([centre.covariance for *_, centre in found]).reshape(-1, 3, 3),
-        tuple(label for label, *_ in found),
-        np.array([instance for _, instance, _ in found], dtype=np.int64),
+        np.array([centre.position for _, centre in found]).reshape(-1, 3),
+        np.array([centre.covariance for _, centre in found]).reshape(-1, 3, 3),
+        tuple(label for label, _ in found),
     )
 
 
@@ -116,8 +114,8 @@ def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
 
 def _parts(
     cloud: LabelledCloud, names: Mapping[int, str] | None, gap_m: float, voxel_m: float, *, upright: bool
-) -> Iterator[tuple[str, int, FloatArray]]:
-    """Label, instance and points (K, 3) m of each object."""
+) -> Iterator[tuple[str, FloatArray]]:
+    """Label and points (K, 3) m of each object."""
     instances = cloud.instances if cloud.instances is not None else np.zeros(len(cloud.classes), dtype=np.int64)
     wanted = cloud.classes != 0 if names is None else np.isin(cloud.classes, list(names))
     rows = np.flatnonzero(wanted)
@@ -125,14 +123,10 @@ def _parts(
     keys = np.stack([cloud.classes[rows], instances[rows]], axis=1)
     starts = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
     for part in np.split(rows, starts) if len(rows) else []:
-        number, instance = int(cloud.classes[part[0]]), int(instances[part[0]])
-        label = str(number) if names is None else names[number]
-        points = cloud.positions[part]
-        if instance:
-            yield label, instance, points
-            continue
-        for cluster in _split(points, gap_m, voxel_m, flat=upright):
-            yield label, 0, cluster
+        number, points = int(cloud.classes[part[0]]), cloud.positions[part]
+        is_one = instances[part[0]] != 0
+        for each in [points] if is_one else _split(points, gap_m, voxel_m, flat=upright):
+            yield str(number) if names is None else names[number], each
 
 
 def _split(points: FloatArray, gap_m: float, voxel_m: float, *, flat: bool) -> list[FloatArray]:

@@ -63,6 +63,11 @@ class VectorPairs:
         self._plane, self._segments = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
         self._vocabulary: tuple[str, ...] = ()
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the vectors."""
+        return self._index.nbytes
+
     def enter(self, batch: Batch) -> None:
         """Add landmarks."""
         self._vocabulary = batch.vocabulary

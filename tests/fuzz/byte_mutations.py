@@ -71,14 +71,6 @@ def mutate_text(content: bytes, rng: np.random.Generator) -> bytes:
     return start + (end.join(lines) + end).encode(errors="surrogatepass")
 
 
-def mutate_ply(content: bytes, rng: np.random.Generator) -> bytes:
-    """A cloud with another header, or with other values of its points."""
-    header, end, points = content.partition(b"end_header\n")
-    if rng.random() < 0.4:
-        return mutate_text(header, rng) + end + points
-    return header + end + mutate_bytes(points, rng).ljust(len(points), b"\0")[: len(points)]
-
-
 def _odd_word(rng: np.random.Generator) -> str:
     match int(rng.integers(6)):
         case 0:

@@ -13,7 +13,7 @@ import numpy as np
 
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
-from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_ply, mutate_text
+from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
@@ -57,9 +57,6 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         import map out.mcap --file ?objects.csv|objects.csv|objects.csv.gz
         import map out.mcap --file ?objects.geojson|objects.geojson|objects.geojson.gz
         import map out.mcap --file ?objects.osm|objects.osm|objects.osm.gz"""),
-    "clouds": (1.5, """
-        import map out.mcap --file ?cloud.ply|reversed.ply
-        import map out.mcap --file ?cloud.ply|reversed.ply --name 302020400=_lamp --name 302020600=_sign"""),
     "bags": (1, """
         info ?bag --json
         replay ?bag -o out.mcap"""),
@@ -132,8 +129,6 @@ def _intact(name: str, seeds: Seeds) -> bytes:
 def _mutated(name: str, seeds: Seeds, rng: np.random.Generator) -> bytes:
     if name == WEIGHTS.name:
         return _mutated_weights(seeds.files[name], rng)
-    if name.endswith(".ply"):
-        return mutate_ply(seeds.files[name], rng)
     if name.endswith(".mcap"):
         return mutate_bytes(seeds.files[name], rng)
     if name.endswith(".gz"):

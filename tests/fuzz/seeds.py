@@ -21,7 +21,6 @@ from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.ros2_logs import encoded, ros2_messages, write_bag
 from tests.helpers.short_drives import drive as drive_of
 from tests.helpers.short_drives import keep_until, write_log, write_records
-from tests.logs.clouds.clouds import street, write_ply
 from tests.logs.examples import every_kind
 from tests.logs.importers.test_centroids import FILES
 from tests.logs.importers.text_drives import DETECTIONS
@@ -64,8 +63,6 @@ def make_seeds(folder: Path) -> Seeds:
     exported = ("--csv", folder / "objects.csv", "--geojson", folder / "objects.geojson", "--origin", "60.1,24.9")
     _run("export", mapped, *exported)
     _write_extract(folder / "objects.osm")
-    for name, order in (("cloud", "binary_little_endian"), ("reversed", "binary_big_endian")):
-        write_ply(folder / f"{name}.ply", street("class", "label"), order)
     shutil.copy(WEIGHTS, folder)
     with LogReader(folder / "ros.mcap") as reader:
         write_bag(folder / "bag", list(reader.messages()))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from logs.clouds.cloud_files import read_points
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError
 from logs.importers.maps.object_table import read_object_table
@@ -22,7 +21,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
     "digest": file_sha256,
     "table": read_source_text,
-    "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
 }

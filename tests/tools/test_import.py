@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.logs.clouds.clouds import street, write_ply
 from tests.logs.importers.text_drives import DETECTIONS, TextDrive
 from tests.tools.runs import Run, assert_refused
 
@@ -45,15 +44,3 @@ def test_faults_are_one_line(dslam: Run, drive: TextDrive) -> None:
     assert_refused(result, "detections.csv, line 3, column y_m: 'five' is not a finite number; write it with")
     assert not drive.output.exists()
     assert_refused(dslam("import", "csv", drive.files()["odometry"], *options(drive)), "is the input")
-
-
-@pytest.mark.slow
-def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
-    cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))
-    told = json.loads(
-        dslam("import", "map", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
-              "302020600=sign", "--json").out
-    )  # fmt: skip
-    assert told["class_counts"] == {"lamp": 3, "sign": 2}
-    refused = dslam("import", "map", tmp_path / "c.mcap", "--file", cloud, "--name", "lamp")
-    assert_refused(refused, "'lamp' is not NUMBER=CLASS")

@@ -40,7 +40,6 @@ ELSEWHERE = {
     r"import map .*\.osm": "pyosmium may not be here; tests/logs/importers/maps",
     r"mine:Rings": "tests/descriptors/test_own_class.py has the class of the page",
     r"my_bag .*(labelled_points|/front/objects)": "such topics are in tests/logs/test_ros2_objects.py and clouds",
-    r"town\.ply": "tests/logs/clouds makes clouds",
     r"^live ": "serves until its input ends; tests/tools/test_live.py",
     r"relocalize .*trees_map|places.csv": "the drives have no satellite fixes; tests/slam/localization/test_gnss.py",
     r"^train|out/mine": "takes minutes; tests/tools/test_train.py",

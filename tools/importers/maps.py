@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,10 +29,11 @@ def map_of_objects(
         Path,
         typer.Option(
             metavar="FILE",
-            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), a labelled "
-            "point cloud (.ply with x, y, z, class or label, and perhaps instance), or a table: CSV with a header.",
+            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), or a "
+            "table: CSV with a header.",
         ),
     ],
+<<<<<<< HEAD
     tag: Annotated[
         list[str] | None,
         typer.Option(
@@ -48,6 +48,8 @@ def map_of_objects(
             help="Number and name of a class of a point cloud; by default all classes but 0. Repeatable.",
         ),
     ] = None,
+=======
+>>>>>>> bdfc8214 (Read no point clouds from files)
     origin: Origin = None,
     label: Label = None,
     sigma: Annotated[
@@ -80,27 +82,12 @@ def map_of_objects(
         from logs.importers.maps.geojson import read_geojson
 
         objects = read_geojson(file)
-    elif suffix == ".ply":
-        from logs.clouds.cloud_files import read_cloud_map
-
-        objects = read_cloud_map(file, _parsed_names(name))
     else:
         from logs.importers.maps.object_table import read_object_table
 
         objects = read_object_table(file)
     sigma_m = sigma or (DRAWN_SIGMA_M if is_drawn else SURVEYED_SIGMA_M)
     _make_map(output, objects, origin, label, sigma_m, json=json)
-
-
-def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
-    named: dict[int, str] = {}
-    for pair in names or ():
-        number, _, label = pair.partition("=")
-        # 18 digits fit into 64 bits.
-        if not number.isdecimal() or len(number) > 18 or not label:
-            raise typer.BadParameter(f"{pair!r} is not NUMBER=CLASS, for example 80=pole.", param_hint="--name")
-        named[int(number)] = label
-    return named or None
 
 
 def _make_map(

@@ -28,10 +28,7 @@ COLUMNS = {
 
 
 def recall(
-    objects: Annotated[
-        list[Path],
-        typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class. Repeatable: side by side."),
-    ],
+    objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class.")],
     descriptor: Descriptors = None,
     size: Annotated[
         list[int] | None,
@@ -66,9 +63,9 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import run_contest, side_by_side
+    from tools.lab.retrieval.contest import run_contest
 
-    world = side_by_side([read_object_table(path) for path in objects])
+    world = read_object_table(objects).in_metres()
     with console.progress_bar("measuring") as move:
         cells = run_contest(
             world,

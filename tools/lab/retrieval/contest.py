@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
-from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.random_vector import RandomVector
 from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
@@ -27,35 +26,12 @@ from slam.common.config import Config
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratios
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
-from slam.place_recognition.landmark_pairs import Batch, VectorPairs
+from slam.place_recognition.landmark_pairs import Batch, LandmarkPairs, make_landmark_pairs
 from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.registration import register, registration_config
 from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right, rank_of
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
-
-
-def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
-    """The maps along x as one, farther apart than any sensor sees: no constellation has objects of two.
-
-    Raises:
-        DatasetError: objects in degrees.
-    """
-    placed, end_m, gap_m = list[FloatArray](), 0.0, 5.0 * Config().sensor_range_m
-    for each in maps:
-        if len(maps) == 1:
-            return each.in_metres()
-        moved = each.in_metres().positions - [*each.positions[:, :2].min(axis=0), 0.0] + [end_m, 0.0, 0.0]
-        end_m = moved[:, 0].max() + gap_m
-        placed.append(moved)
-    return MapObjects(
-        " + ".join(each.source for each in maps),
-        np.concatenate(placed),
-        tuple(label for each in maps for label in each.labels),
-        tuple(f"{number}/{name}" for number, each in enumerate(maps) for name in each.ids),
-        False,
-        "",
-    )
 
 
 def run_contest(
@@ -103,8 +79,8 @@ def run_contest(
             world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], count)
             map_ = world.first(size)
             started = time.process_time()
-            search, nbytes = make_search(name, map_)
-            built = {"build_s": time.process_time() - started, "bytes_per_object": nbytes / size}
+            pairs, search = make_search(name, map_)
+            built = {"build_s": time.process_time() - started, "bytes_per_object": pairs.nbytes / size}
             about = {"proposer": name, "map_objects": size, "map_classes": len(world.vocabulary), **built}
             for text in scenarios[: 1 if name == RandomVector.name else None]:
                 scenario, rng = parse_scenario(text), np.random.default_rng((seed, 1))  # the same paths in all
@@ -115,21 +91,15 @@ def run_contest(
     return pd.DataFrame(rows)
 
 
-def make_search(name: str, objects: LabelledMap) -> tuple[PlaceSearch, int]:
-    """The search of a map by a descriptor, by its name in the registry, and the bytes of its index without the map.
+def make_search(name: str, objects: LabelledMap) -> tuple[LandmarkPairs, PlaceSearch]:
+    """The index of a map by a descriptor, by its name in the registry, and the search of the map with it.
 
     Raises:
         DescriptorError: a descriptor that does not exist.
     """
-    index = make_index(name)
-    pairs: PairIndex | VectorPairs
-    if isinstance(index, PairIndex):
-        pairs = index
-        pairs.add(objects.positions, objects.labels)
-    else:
-        pairs, rows = VectorPairs(Config(), index), np.arange(len(objects))
-        pairs.enter(Batch(objects.positions, objects.labels, rows, rows, 0, objects.vocabulary))
-    return PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary)), index.nbytes
+    pairs, rows = make_landmark_pairs(Config().closing(descriptor=name)), np.arange(len(objects))
+    pairs.enter(Batch(objects.positions, objects.labels, rows, rows, 0, objects.vocabulary))
+    return pairs, PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary))
 
 
 def verify(

@@ -1,20 +1,15 @@
 import numpy as np
-import pytest
 
-from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects
-from slam.common.config import Config
 from tests.tools.lab.retrieval.test_path_queries import forest
-from tools.lab.retrieval.contest import run_contest, side_by_side
+from tools.lab.retrieval.contest import run_contest
 
 
-def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
+def town(count: int, extent_m: float) -> MapObjects:
     """Objects of six classes, the first as frequent as all others together."""
     labels = np.random.default_rng(1).choice(6, count, p=[0.5, 0.1, 0.1, 0.1, 0.1, 0.1])
     names = tuple(str(row) for row in range(count))
-    return MapObjects(
-        "town", forest(count, extent_m), tuple(f"class {label}" for label in labels), names, is_geodetic, ""
-    )
+    return MapObjects("town", forest(count, extent_m), tuple(f"class {label}" for label in labels), names, False, "")
 
 
 def test_descriptors_find_more_places_than_chance_in_each_map() -> None:
@@ -41,15 +36,3 @@ def test_the_same_paths_are_asked_with_any_classes() -> None:
     )
     same = ["map_classes", "at_1", "right"]
     assert alone[same].tolist() == after_another[same].tolist()
-
-
-def test_maps_side_by_side_do_not_meet() -> None:
-    both = side_by_side([town(50, 100.0), town(60, 100.0)])
-    x = np.sort(both.positions[:, 0])
-    assert len(both) == len(set(both.ids)) == 110
-    assert np.diff(x).max() > 2.0 * Config().sensor_range_m
-
-
-def test_maps_in_degrees_are_refused() -> None:
-    with pytest.raises(DatasetError, match="metres"):
-        side_by_side([town(50, 1.0, is_geodetic=True)])
