@@ -15,32 +15,14 @@ from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import SavedMapError
 
 if TYPE_CHECKING:
-    from logs.reader import LogReader
     from slam.localization.prior_map import PriorMap
-    from slam.prepared_log import PreparedLog
     from slam.self_calibration.calibration import CalibratedLog
-
-
-def provenance_of(
-    reader: LogReader,
-    config: Config,
-    prepared: PreparedLog,
-    calibration: CalibratedLog,
-    prior_map: PriorMap | None,
-    *,
-    extend: bool,
-) -> dict[str, str]:
-    """The version, the settings as given and as estimated, the input and the map, as text and JSON."""
-    return settings_of(config, calibration, prior_map, extend=extend) | {
-        "input_sha256": reader.sha256(),
-        "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(prepared.selection.kinds.items())}),
-    }
 
 
 def settings_of(
     config: Config, calibration: CalibratedLog, prior_map: PriorMap | None, *, extend: bool
 ) -> dict[str, str]:
-    """The same without the input, which a live drive does not keep."""
+    """The version, the settings as given and as estimated, and the map, as text and JSON."""
     about = {
         "version": version("descriptellation-slam"),
         "configuration": config.model_dump_json(),

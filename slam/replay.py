@@ -31,7 +31,7 @@ from slam.object_map.map_io import METADATA
 from slam.output_log import OutputLog
 from slam.place_recognition.initial_pose import InitialPose
 from slam.prepared_log import PreparedLog, prepare_log
-from slam.provenance import provenance_of
+from slam.provenance import settings_of
 from slam.trajectory_check.judgement import TrajectoryCheck
 
 DEFAULTS = Config()
@@ -115,8 +115,11 @@ def replay(
             mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, None, georeference))
             final = _map(mapper, prepared, reader, writer, progress)
             calibration = slam.calibration if online else prepared.calibration
-            provenance = provenance_of(reader, config, prepared, calibration, prior_map, extend=extend)
-            provenance["trajectory_check"] = json.dumps(asdict(final.trajectory_check))
+            provenance = settings_of(config, calibration, prior_map, extend=extend) | {
+                "input_sha256": reader.sha256(),
+                "topics": json.dumps({topic: list(used) for topic, used in sorted(prepared.selection.kinds.items())}),
+                "trajectory_check": json.dumps(asdict(final.trajectory_check)),
+            }
             writer.add_metadata("dslam", provenance)
             if prior_map is None:
                 georeference = find_georeference(final.trajectory, mapper.fixes)

@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from slam.common.config import load_config
-from slam.simulation.config import load_simulation_config
+from slam.common.config import Config
+from slam.common.config_tree import load_tree
+from slam.simulation.config import SimulationConfig
 from tests.tools.runs import ROOT
 from tools.cli import make_app
 
@@ -111,7 +112,7 @@ def test_commands_are_those_of_the_program(name: str) -> None:
             except Exception as error:
                 message = getattr(error, "format_message", lambda error=error: str(error))()
                 pytest.fail(f"{name}: dslam {' '.join(arguments)}: {message}")
-            (load_simulation_config if arguments[0] == "simulate" else load_config)(None, settings)
+            load_tree(SimulationConfig if arguments[0] == "simulate" else Config, None, settings)
 
 
 @pytest.fixture

@@ -36,11 +36,12 @@ def simulate(
     Example: dslam simulate drive.mcap --seed 3 --set sensor.dropout=0.3
     """
     check_outputs([output], [objects, trajectory, config_file])
-    from slam.simulation.config import load_simulation_config
+    from slam.common.config_tree import load_tree
+    from slam.simulation.config import SimulationConfig
     from slam.simulation.simulation import write_simulation
     from tools import console
 
-    config = load_simulation_config(config_file, settings)
+    config = load_tree(SimulationConfig, config_file, settings)
     world = load_or_generate(objects, trajectory, seed=seed if world_seed is None else world_seed)
     if length is not None:
         world = world.shortened(length)

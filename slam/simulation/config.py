@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 from pydantic import Field
 
-from slam.common.config_tree import Branch, load_tree
+from slam.common.config_tree import Branch
 
 
 class DriveConfig(Branch):
@@ -90,12 +87,3 @@ class SimulationConfig(Branch):
     sensor: SensorConfig = SensorConfig()
     kidnap: KidnapConfig | None = None
     """kidnap the robot once"""
-
-
-def load_simulation_config(path: Path | None, overrides: Sequence[str] | None) -> SimulationConfig:
-    """Defaults, then the TOML file, then ``overrides`` like "sensor.dropout=0.3".
-
-    Raises:
-        ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
-    """
-    return load_tree(SimulationConfig, path, overrides)

@@ -33,7 +33,6 @@ def map_of_objects(
             "table: CSV with a header.",
         ),
     ],
-<<<<<<< HEAD
     tag: Annotated[
         list[str] | None,
         typer.Option(
@@ -41,15 +40,6 @@ def map_of_objects(
             help="Tag of the objects in OpenStreetMap, instead of those of street furniture. Repeatable.",
         ),
     ] = None,
-    name: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NUMBER=CLASS",
-            help="Number and name of a class of a point cloud; by default all classes but 0. Repeatable.",
-        ),
-    ] = None,
-=======
->>>>>>> bdfc8214 (Read no point clouds from files)
     origin: Origin = None,
     label: Label = None,
     sigma: Annotated[

@@ -34,12 +34,12 @@ def config(
 
     Example: dslam config --set keyframe.distance_m=1.5 > mine.toml
     """
-    from slam.common.config import load_config
-    from slam.common.config_tree import to_toml
-    from slam.simulation.config import load_simulation_config
+    from slam.common.config import Config
+    from slam.common.config_tree import load_tree, to_toml
+    from slam.simulation.config import SimulationConfig
 
-    load = load_simulation_config if simulation else load_config
-    tree = load(config_file, settings) if made_from is None else _recorded(made_from)
+    model = SimulationConfig if simulation else Config
+    tree = load_tree(model, config_file, settings) if made_from is None else _recorded(made_from)
     sys.stdout.write(tree.model_dump_json(indent=2) + "\n" if json else to_toml(tree))
 
 

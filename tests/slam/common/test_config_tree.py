@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from slam.common.config import Config, load_config
-from slam.common.config_tree import changed_settings, settings_of, to_toml
+from slam.common.config_tree import changed_settings, load_tree, settings_of, to_toml
 from slam.common.errors import ConfigurationError
-from slam.simulation.config import SimulationConfig, load_simulation_config
+from slam.simulation.config import SimulationConfig
 
 OVERRIDES = (
     "keyframe.distance_m=1.5",
@@ -125,10 +125,10 @@ def test_refusals_name_the_file(tmp_path: Path, text: str, told: str) -> None:
 
 def test_what_is_missing_is_told_with_who_began_the_branch(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"^--set: kidnap\.from_m is missing"):
-        load_simulation_config(None, ["kidnap.gap_s=30"])
+        load_tree(SimulationConfig, None, ["kidnap.gap_s=30"])
     path = written(tmp_path, "[kidnap]\ngap_s = 30\n")
     with pytest.raises(ConfigurationError) as caught:
-        load_simulation_config(path, ["sensor.dropout=0.1"])
+        load_tree(SimulationConfig, path, ["sensor.dropout=0.1"])
     assert str(caught.value).startswith(f"{path}: kidnap.from_m is missing")
 
 
