@@ -116,6 +116,7 @@ class Tracker:
         self._map = object_map
         self._scans, self._slips = PRIOR_SCANS, 1
         self._failures = 0
+        self._unmatched = 0  # detections since one was matched
         self._lost = deque[tuple[Tracked, OdometryPose]](maxlen=WAITED_SCANS)
         self._path = _Path()  # since the last restart
         self._T_odom_body: FloatArray | None = None
@@ -236,16 +237,18 @@ class Tracker:
 
     def _is_failing(self, assignment: Assignment, seen: FloatArray, origin: FloatArray) -> bool:
         """Whether the detections ``seen`` (D, 3) m from a body at ``origin`` (3,) m do not fit the landmarks: fewer are
-        matched than should be, or the matches are too far apart.
+        matched than should be, or the matches are too far apart. Those of earlier scans count as long as none matches.
         """
         if assignment.is_inconsistent:
             return True
         positions = self.active.positions
         matched = np.isin(np.arange(len(positions)), assignment.landmark_rows)
+        count = int(matched.sum())
+        unmatched = len(seen) - count
+        self._unmatched = 0 if count else self._unmatched + unmatched
         seen_m = np.linalg.norm(seen - origin, axis=1)
         in_view = np.linalg.norm(positions - origin, axis=1) < seen_m.max(initial=0.0)
-        count = int(matched.sum())
-        return min(int((in_view & ~matched).sum()), len(seen_m) - count) > max(count, 1)
+        return min(int((in_view & ~matched).sum()), max(unmatched, self._unmatched)) > max(count, 1)
 
     def _components(self, pose: OdometryPose, *, is_failing: bool) -> list[PriorComponent]:
         """The mixture of the prior; its wide parts where the odometry fails or has failed."""

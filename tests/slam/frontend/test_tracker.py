@@ -221,6 +221,21 @@ def test_scans_that_do_not_fit_are_decided_together() -> None:
     assert drive.error()[1] < 0.1
 
 
+@pytest.mark.parametrize("matches_between", [False, True])
+def test_single_objects_that_match_nothing_count_together_until_one_matches(matches_between) -> None:
+    drive = driven(12)
+    jump = pose_at(1.5, -1.0, yaw=0.4)
+    farthest = drive.nearest()[-20:]
+    lost = []
+    for number in range(3):
+        if matches_between and number:
+            drive.located(drive.nearest()[:1])
+        before, drive.T_fault = drive.T_fault, drive.T_fault @ drive.T_body(1) @ jump @ invert(drive.T_body(1))
+        lost.append(drive.located(farthest[number : number + 1]).is_lost)
+        drive.T_fault = before
+    assert lost == [False, not matches_between, not matches_between]
+
+
 def test_earlier_scans_are_forgotten_once_the_pose_is_sure(monkeypatch) -> None:
     drive = driven(15, spacing_m=1e6)
     drive.err(pose_at(yaw=1.5))
