@@ -7,7 +7,7 @@ units of the sensor range, not that of a good sensor.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import astuple, field
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.survey import Survey
 from slam.self_calibration.surveyed_log import MAX_DETOUR
-from slam.self_calibration.variance_components import NoiseComponents
+from slam.self_calibration.variance_components import LENGTH_POWERS, NoiseComponents
 
 PRIOR_NOISE = NoiseComponents(
     radial=0.02**2,
@@ -120,12 +120,20 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
             config, notes=("no detection could be placed on the odometry: nothing was estimated from the log",)
         )
     corrections = _corrections(survey, delays)
-    lengths, noise = _lengths(config, survey), _noise(config, survey)
+    lengths = _lengths(config, survey)
+    noise = _noise(config.calibrated(lengths), survey)
     noise |= {key: max(noise[key], floor) for key, floor in _floors(survey).items()}
     values = lengths | noise | _objects(survey) | corrections
     estimated = {key: value for key, value in values.items() if not config.calibration.is_given(key)}
-    sigmas, evidence = _sigmas(survey, estimated), _evidence(survey)
-    calibration = config.calibrated(estimated).calibration.model_copy(update={"sigmas": sigmas, "evidence": evidence})
+    evidence = {
+        "scans": survey.scans,
+        "detections": survey.detections,
+        "travel_m": survey.travel_m,
+        "pairs": 0 if survey.components is None else survey.components.pairs,
+    }
+    calibration = config.calibrated(estimated).calibration.model_copy(
+        update={"sigmas": _sigmas(survey, estimated), "evidence": evidence}
+    )
     return CalibratedLog(
         config.model_copy(update={"calibration": calibration}),
         estimated,
@@ -149,13 +157,9 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
     return values
 
 
-def _sensor_range_m(config: Config, survey: Survey) -> float:
-    given = config.calibration.is_given("detection.sensor_range_m")
-    return config.sensor_range_m if given else survey.range_m
-
-
 def _lengths(config: Config, survey: Survey) -> dict[str, float]:
-    range_m = _sensor_range_m(config, survey)
+    is_given = config.calibration.is_given("detection.sensor_range_m")
+    range_m = config.sensor_range_m if is_given else survey.range_m
     scale = range_m / DEFAULT_RANGE_M
     if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
         raise InputDataError(f"objects are seen at {survey.range_m:.3g} m; give their positions in metres")
@@ -180,13 +184,15 @@ def _objects(survey: Survey) -> dict[str, float]:
 
 
 def _noise(config: Config, survey: Survey) -> dict[str, float]:
-    """Standard deviations; of each variance its estimate and one standard error, so that little data make it large."""
+    """Standard deviations; of each variance its estimate and one standard error, so that little data make it large.
+
+    ``config``: with the lengths that were estimated.
+    """
     found = _components(survey)
     drift, turn = _shares_not_of_bias(found, survey)
-    objects = _objects_that_err_alike(survey, found.view)
-    white, by_range, ratio = _sight_noise(survey, found)
-    lengths = config.calibrated(_lengths(config, survey))
-    between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
+    # Objects in view that carry the information of one: a bias that centroids share does not average out over them.
+    objects = 1.0 + survey.objects * survey.shared_bias_m**2 / max(found.view, 1e-300)
+    between_passes = found.view + 0.5 * SUBMAP_RANGES * config.sensor_range_m * found.translation_by_travel
     scan_m = survey.travel_m / survey.scans
     # What heights have in common is put down to the detector, because gravity and the ground hold the odometry.
     rise = found.rise + found.rise_by_travel * survey.median_range_m
@@ -198,16 +204,16 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.tilt_sigma": _tilt_sigma(survey),
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
-        "detection.base_sigma_m": np.sqrt(white),
-        "detection.sigma_per_m": np.sqrt(by_range),
-        "detection.range_sigma_ratio": ratio,
+        "detection.base_sigma_m": np.sqrt(found.tangential),
+        "detection.sigma_per_m": np.sqrt(found.tangential_by_range),
+        "detection.range_sigma_ratio": _range_sigma_ratio(survey, found),
         "detection.common_sigma_m": np.sqrt(found.view),
         # So large that what all objects in view have in common is not averaged out by them.
         "detection.height_sigma_m": np.sqrt(found.height + max(survey.objects, 1.0) * rise),
         "detection.common_height_sigma_m": np.sqrt(found.view_height),
         # Errors stay the same while the view changes by 1 rad.
         "detection.covariance_inflation": max(
-            objects * survey.median_range_m / max(lengths.keyframe_distance_m, scan_m), 1.0
+            objects * survey.median_range_m / max(config.keyframe_distance_m, scan_m), 1.0
         ),
         "objects.landmark_sigma_m": np.sqrt(between_passes),
         "objects.landmark_height_sigma_m": np.sqrt(found.height + found.view_height + 2.0 * rise),
@@ -243,14 +249,12 @@ def _tilt_sigma(survey: Survey) -> float:
     return float(np.sqrt(max(certain, usual**2)))
 
 
-def _sight_noise(survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:
-    """Variance across the line of sight, its growth with the squared range, and the standard deviation along it by that
-    across, at the median range.
-    """
+def _range_sigma_ratio(survey: Survey, found: NoiseComponents) -> float:
+    """Standard deviation along the line of sight by that across it, at the median range."""
     square_m, least = survey.median_range_m**2, (MIN_SIGMA * survey.range_m) ** 2
     across = max(found.tangential + found.tangential_by_range * square_m, least)
     along = max(found.radial + found.radial_by_range * square_m, least)
-    return found.tangential, found.tangential_by_range, min(float(np.sqrt(along / across)), 1.0 / MIN_SIGMA)
+    return min(float(np.sqrt(along / across)), 1.0 / MIN_SIGMA)
 
 
 def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:
@@ -271,11 +275,6 @@ def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, 
     )
 
 
-def _objects_that_err_alike(survey: Survey, view: float) -> float:
-    """Objects in view that carry the information of one: a bias that centroids share does not average out over them."""
-    return 1.0 + survey.objects * survey.shared_bias_m**2 / max(view, 1e-300)
-
-
 def _components(survey: Survey) -> NoiseComponents:
     estimate = survey.components
     if estimate is not None:
@@ -292,17 +291,7 @@ def _components(survey: Survey) -> NoiseComponents:
             "heading_by_time": half_turn,
         }
         return NoiseComponents(**values | {name: min(values[name], limit) for name, limit in most.items()})
-    prior, square = PRIOR_NOISE, survey.range_m**2
-    return replace(
-        prior,
-        radial=prior.radial * square,
-        tangential=prior.tangential * square,
-        view=prior.view * square,
-        view_height=prior.view_height * square,
-        translation_by_travel=prior.translation_by_travel * survey.range_m,
-        heading_by_travel=prior.heading_by_travel / survey.range_m,
-        tilt_by_travel=prior.tilt_by_travel / survey.range_m,
-    )
+    return NoiseComponents(*np.multiply(astuple(PRIOR_NOISE), survey.range_m**LENGTH_POWERS).tolist())
 
 
 def _sigmas(survey: Survey, estimated: Mapping[str, float]) -> dict[str, float]:
@@ -322,11 +311,6 @@ def _sigmas(survey: Survey, estimated: Mapping[str, float]) -> dict[str, float]:
         for key, name in names.items()
         if estimated.get(key, 0.0) > 0.0
     }
-
-
-def _evidence(survey: Survey) -> dict[str, float]:
-    pairs = 0 if survey.components is None else survey.components.pairs
-    return {"scans": survey.scans, "detections": survey.detections, "travel_m": survey.travel_m, "pairs": pairs}
 
 
 def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:

@@ -239,8 +239,7 @@ def _block_sums(X: FloatArray, y: FloatArray, block: IntArray) -> tuple[FloatArr
     Along the ground and in height residuals have scales of their own; heights that never change tell nothing.
     """
     size = X.shape[2]
-    left, weights = y, np.ones(len(y))
-    level, up = np.ones(len(y)), np.ones(len(y))
+    left = y
     for _ in range(ROUNDS):
         squares = np.column_stack([np.sum(left[:, :2] ** 2, axis=1), left[:, 2] ** 2])
         spread = np.median(squares, axis=0)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -161,12 +162,11 @@ def _existence(tracks: ObjectTracks) -> FloatArray:
 
 def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:
     """How far (N,) each of the detections (N, D) m of a scan is from the nearest of its class; inf if it is alone."""
-    nearest_m = np.full(len(positions), np.inf)
-    for part in _parts(len(positions), len(positions)):
-        apart = _squares(positions[part], labels[part], positions, labels)
-        rows = np.arange(len(apart))
-        apart[rows, rows + part.start] = np.inf
-        nearest_m[part] = np.sqrt(apart.min(axis=1))
+    nearest_m = np.zeros(len(positions))
+    for label in np.unique(labels):
+        same = labels == label
+        distances, _ = cKDTree(positions[same]).query(positions[same], k=2)
+        nearest_m[same] = np.asarray(distances)[:, 1]
     return nearest_m
 
 
@@ -255,13 +255,12 @@ class _OpenTracks:
         rays = unit_vectors(offsets)
         along, across = self._units
         axes = np.stack([rays / along, rays[:, ::-1] * [-1.0, 1.0] / across], axis=1)
-        nearest = _nearest(points, labels, self._points, self._labels, axes)
-        rooms = np.minimum(AMBIGUITY * nearest.next_m, RANGE_SHARE * ranges)
-        if len(points) and len(self._points):
-            mutual = nearest.back[nearest.index] == np.arange(len(points))
-            found = mutual & (nearest.distance_m < rooms)
-            tracks[found] = self._tracks[nearest.index[found]]
-            goes_on[nearest.index[found]] = True
+        nearest, distances, next_m, back = _nearest(points, labels, self._points, self._labels, axes)
+        rooms = np.minimum(AMBIGUITY * next_m, RANGE_SHARE * ranges)
+        if len(self._points):
+            found = (back[nearest] == np.arange(len(points))) & (distances < rooms)
+            tracks[found] = self._tracks[nearest[found]]
+            goes_on[nearest[found]] = True
         fresh = tracks < 0
         tracks[fresh] = self._count + np.arange(int(fresh.sum()))
         self._count += int(fresh.sum())
@@ -270,65 +269,49 @@ class _OpenTracks:
         self._labels = np.concatenate([self._labels[kept], labels])
         self._tracks = np.concatenate([self._tracks[kept], tracks])
         self._scans = np.concatenate([self._scans[kept], np.full(len(points), scan)])
-        return tracks, rooms, np.where(fresh, 0.0, nearest.distance_m)
-
-
-@frozen
-class _Nearest:
-    """Of N points the nearest of M open tracks by ``index`` (N,), its distance (N,) and that of the next object (N,),
-    be it another track or another of the points; inf where there is none of the class. ``back`` (M,): for each track
-    the nearest point.
-    """
-
-    index: IntArray
-    distance_m: FloatArray
-    next_m: FloatArray
-    back: IntArray
+        return tracks, rooms, np.where(fresh, 0.0, distances)
 
 
 def _nearest(
     points: FloatArray, labels: IntArray, tracks: FloatArray, track_labels: IntArray, axes: FloatArray
-) -> _Nearest:
-    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels, along ``axes`` (N, 2, 2)."""
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
+    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels, along ``axes`` (N, 2, 2).
+
+    Returns for each point the nearest track (N,), its distance (N,) and that of the next object (N,), be it another
+    track or another of the points, inf where there is none of the class; and for each track the nearest point (M,).
+    """
     count = len(points)
     index, back = np.zeros(count, dtype=np.int64), np.zeros(len(tracks), dtype=np.int64)
     nearest, following, least = np.full(count, np.inf), np.full(count, np.inf), np.full(len(tracks), np.inf)
     all_points, all_labels = np.concatenate([points, tracks]), np.concatenate([labels, track_labels])
-    for part in _parts(count, len(all_points)):
+    size = max(MAX_DISTANCES // max(len(all_points), 1), 1)  # as many rows of distances as are held
+    for start in range(0, count, size):
+        part = slice(start, start + size)
         apart = _squares(points[part], labels[part], all_points, all_labels, axes[part])
         rows = np.arange(len(apart))
-        apart[rows, part.start + rows] = np.inf
+        apart[rows, start + rows] = np.inf
         if len(tracks):
             of_tracks = apart[:, count:]
             closest = of_tracks.argmin(axis=0)
             of_part = of_tracks[closest, np.arange(len(tracks))]
             nearer = of_part < least
-            least[nearer], back[nearer] = of_part[nearer], part.start + closest[nearer]
+            least[nearer], back[nearer] = of_part[nearer], start + closest[nearer]
             index[part] = chosen = of_tracks.argmin(axis=1)
             nearest[part] = of_tracks[rows, chosen]
             of_tracks[rows, chosen] = np.inf
         following[part] = apart.min(axis=1)
-    return _Nearest(index, np.sqrt(nearest), np.sqrt(following), back)
-
-
-def _parts(count: int, others: int) -> list[slice]:
-    """The rows of (count, others) distances, so many at a time as are held."""
-    size = max(MAX_DISTANCES // max(others, 1), 1)
-    return [slice(start, start + size) for start in range(0, count if others else 0, size)]
+    return index, np.sqrt(nearest), np.sqrt(following), back
 
 
 def _squares(
-    points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray, axes: FloatArray | None = None
+    points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray, axes: FloatArray
 ) -> FloatArray:
-    """(N, M) m^2: squared distances of points (N, D) from others (M, D), inf where labels differ.
+    """(N, M) m^2: squared distances of points (N, 2) from others (M, 2), inf where labels differ.
 
     ``axes`` (N, 2, 2): of each point, by rows, whose lengths scale the distances along them.
     """
-    offsets = [np.subtract.outer(points[:, axis], others[:, axis]) for axis in range(points.shape[1])]
-    if axes is not None:
-        offsets = [axes[:, row, 0, None] * offsets[0] + axes[:, row, 1, None] * offsets[1] for row in range(2)]
-    squares = np.zeros((len(points), len(others)))
-    for each in offsets:
-        squares += each * each
+    x, y = (np.subtract.outer(points[:, axis], others[:, axis]) for axis in range(2))
+    x, y = (axes[:, row, 0, None] * x + axes[:, row, 1, None] * y for row in range(2))
+    squares = x * x + y * y
     squares[labels[:, None] != other_labels] = np.inf
     return squares

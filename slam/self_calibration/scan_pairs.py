@@ -23,16 +23,14 @@ many pairs by travel as by turn.
 """
 SAMPLED_SCANS = 600
 
-_Pairs = list[tuple[int, int]]
-
 
 class ScanPairs:
     """Pairs (P, 2) of ``scans`` (K): ``rows``; ``spacing_m``: of the objects; ``motions`` (P, 4, 4): of the body from
     the first scan to the second.
     """
 
-    def __init__(self, scans: Sequence[SurveyScan], pairs: _Pairs | IntArray, spacing_m: float) -> None:
-        self.rows = rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    def __init__(self, scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -> None:
+        self.rows = rows
         self.spacing_m = spacing_m
         self.motions = self.motions_by(poses_of(scans))
         reference, self._detections = (_detections(scans, rows[:, side], spacing_m) for side in (0, 1))
@@ -47,15 +45,15 @@ class ScanPairs:
     @classmethod
     def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> ScanPairs:
         """Pairs between which the body travels, and pairs between which it turns, ``fastest``: most for the time."""
-        turns_rad = np.abs(np.diff(headings_of(scans)))
-        turned_rad = np.concatenate([[0.0], np.cumsum(turns_rad)])
+        turned_rad = travelled_m(headings_of(scans)[:, None])
         turns = _reached(turned_rad, MOVED_SPACINGS * spacing_m / max(median_range(scans), 1e-9))
         if fastest:
-            rates = np.array([(turned_rad[second] - turned_rad[first]) / (second - first) for first, second in turns])
-            chosen = np.argsort(-rates, kind="stable")[: max(len(turns) // 4, FEW)]
-            turns = [turns[index] for index in np.sort(chosen)]
+            first, second = turns.T
+            rates = (turned_rad[second] - turned_rad[first]) / (second - first)
+            turns = turns[np.sort(np.argsort(-rates, kind="stable")[: max(len(turns) // 4, FEW)])]
         turns = _evenly(turns, round(MAX_DETECTIONS * len(scans) / sum(len(scan.labels) for scan in scans)))
-        return cls(scans, _evenly(_travels(scans, spacing_m), max(len(turns), FEW)) + turns, spacing_m)
+        travels = _evenly(_travels(scans, spacing_m), max(len(turns), FEW))
+        return cls(scans, np.concatenate([travels, turns]), spacing_m)
 
     def motions_by(self, T_odom_body: FloatArray) -> FloatArray:
         """Motions (P, 4, 4) of the body by poses (K, 4, 4), without roll and pitch."""
@@ -126,25 +124,23 @@ def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -
     )
 
 
-def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> _Pairs:
+def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> IntArray:
     """Pairs between which the body goes past its objects."""
     positions, moved_m = poses_of(scans)[:, :2, 3], MOVED_SPACINGS * spacing_m
+    pairs = _reached(travelled_m(positions), moved_m)
+    first, second = positions[pairs].swapaxes(0, 1)
     # An odometry that trembles while the body stands goes nowhere.
-    return [
-        (first, second)
-        for first, second in _reached(travelled_m(positions), moved_m)
-        if 2.0 * np.linalg.norm(positions[second] - positions[first]) > moved_m
-    ]
+    return np.asarray(pairs[2.0 * np.linalg.norm(second - first, axis=1) > moved_m])
 
 
-def _reached(way: FloatArray, least: float) -> _Pairs:
-    """Pairs (i, j) with j the first scan after i to which the way from i is ``least``."""
-    if way[-1] < BLOCKS * least:  # the pairs would have most of the way in common
-        return []
-    second = np.searchsorted(way, way + least)
-    return [(first, int(after)) for first, after in enumerate(second) if first < after < len(way)]
+def _reached(way: FloatArray, least: float) -> IntArray:
+    """Pairs (P, 2) of i and j, the first scan after i to which the way from i is ``least``."""
+    first, second = np.arange(len(way)), np.searchsorted(way, way + least)
+    # With less of a way the pairs would have most of it in common.
+    chosen = np.flatnonzero((first < second) & (second < len(way)) & (way[-1] >= BLOCKS * least))
+    return np.column_stack([chosen, second[chosen]])
 
 
-def _evenly(pairs: _Pairs, count: int) -> _Pairs:
-    chosen = np.linspace(0, max(len(pairs) - 1, 0), min(count, len(pairs))).astype(np.int64)
-    return [pairs[index] for index in np.unique(chosen)]
+def _evenly(pairs: IntArray, count: int) -> IntArray:
+    chosen = np.linspace(0, len(pairs) - 1, min(count, len(pairs))).astype(np.int64)
+    return np.asarray(pairs[np.unique(chosen)])

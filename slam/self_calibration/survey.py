@@ -10,24 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray
-from slam.common.calibration import Calibration, DetectionCalibration
+from slam.common.calibration import Calibration
 from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, travelled_m
+from slam.frontend.input.sensor_frames import corrected_mount
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
-from slam.self_calibration.corrections import (
-    Change,
-    Correction,
-    estimate_corrections,
-    find_change,
-    is_chance,
-)
-from slam.self_calibration.frames import (
-    better_frame,
-    facing_ahead,
-    find_orientation,
-    find_unit,
-    is_unit_right,
-)
+from slam.self_calibration.corrections import Change, Correction, estimate_corrections, find_change, is_chance
+from slam.self_calibration.frames import better_frame, facing_ahead, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (
     ROUNDING,
@@ -124,18 +113,17 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     labels = estimate_label_noise(scans, motion.headings)
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
-    now = known.with_values(corrected)
-    aligned, unaligned = find_alignment(logs, now, _unknown(given))
+    aligned, unaligned = find_alignment(logs, known, _unknown(given))
     delay_s = aligned.pop("delay_s", 0.0)
     if "climb_share" in aligned:
         level = {"detection.time_offset_s": known.detection.time_offset_s + delay_s} | _of_sensor(
-            {term: value for term, value in aligned.items() if term != "climb_share"}, now
+            {term: value for term, value in aligned.items() if term != "climb_share"}, known
         )
-        scans, motion = scans_of(logs, now.with_values(level))
+        scans, motion = scans_of(logs, known.with_values(level))
         tracks = objects_among(follow_objects(scans, motion.headings))
         if is_chance(tracks, motion, "climb_share", aligned["climb_share"]):  # by how followed objects seem to move
             unaligned = unaligned | {"climb_share": aligned.pop("climb_share")}
-    corrected |= _of_sensor(aligned, now)
+    corrected |= _of_sensor(aligned, known)
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
@@ -181,7 +169,8 @@ def _unknown(given: Calibration) -> list[str]:
 def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]:
     """What the angles and the climb of an alignment change their settings to."""
     rotation = Rotation.from_rotvec([found.get(angle, 0.0) for angle in ANGLES]).as_matrix()
-    changed = _angles(rotation @ _turned(now.detection)) if not found.keys().isdisjoint(ANGLES) else {}
+    mount = corrected_mount(np.eye(4), now.detection)[:3, :3]
+    changed = _angles(rotation @ mount) if not found.keys().isdisjoint(ANGLES) else {}
     climb = {"odometry.climb": now.odometry.climb + found["climb_share"]} if "climb_share" in found else {}
     return changed | climb
 
@@ -234,11 +223,6 @@ def _known(key: str, calibration: Calibration) -> float:
 
 def _is_turned_by_hand(given: Calibration) -> bool:
     return any(given.is_given(f"detection.{name}") for name in ANGLES_DEG)
-
-
-def _turned(detection: DetectionCalibration) -> FloatArray:
-    angles_deg = [getattr(detection, name) for name in ANGLES_DEG]
-    return Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
 
 
 def _angles(R: FloatArray) -> dict[str, float]:

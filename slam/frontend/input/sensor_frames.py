@@ -119,9 +119,9 @@ def find_sensor(
     if config.assume_odometry_frame:
         return invert(T_odom_body)
     if frame in ("", body_frame) or config.assume_body_frame:
-        return corrected(np.eye(4), config)
+        return corrected_mount(np.eye(4), config)
     if frame != odometry_frame and (T_body_sensor := frames.find(body_frame, frame, detections.stamp_ns)) is not None:
-        return corrected(T_body_sensor, config)
+        return corrected_mount(T_body_sensor, config)
     T_odom_frame = frames.find(odometry_frame, frame, detections.stamp_ns)
     return None if T_odom_frame is None else invert(T_odom_body) @ T_odom_frame
 
@@ -161,10 +161,8 @@ def _plain(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def corrected(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
+def corrected_mount(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
     """``T_body_sensor`` (4, 4) with the sensor turned where it sits and shifted, both in the axes of the body."""
     angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
-    if not any([*angles_deg, config.x_m, config.y_m]):
-        return T_body_sensor
     R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
     return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [config.x_m, config.y_m, 0.0])
