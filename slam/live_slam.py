@@ -158,7 +158,7 @@ class LiveSlam:
     def _calibrate(self) -> None:
         """Start to estimate the calibration from all records so far, in a thread."""
         self._surveyed = self._scans
-        log = SurveyedLog.of(self._records, deepcopy(self._frames))
+        log = SurveyedLog(self._records, deepcopy(self._frames))
         worker = ThreadPoolExecutor(1)
         self._estimate = worker.submit(_estimate, self._given, log, self._delays())
         worker.shutdown(wait=False)

@@ -185,6 +185,6 @@ def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[S
         items = reader.items(log.mapped)
         records = inputs.prepare(record for item in items for record in clocks.follow(item))
         with threadpool_limits(1, user_api="blas"):
-            surveyed = SurveyedLog.of(records, log.frames, max_detections=max_detections)
+            surveyed = SurveyedLog(records, log.frames, max_detections=max_detections)
         if drift.rate or not (drift := clocks.drift()).rate:
             return surveyed, clocks.delays(), drift

@@ -59,10 +59,7 @@ class FactorGraph(EditableGraph):
             values = self._moved_estimate(edge, away)
             joint = self._attached.edge(edge)
             number = self._number(joint)
-            breaks = self._relaxed_breaks(away, values)
-            self._factors |= breaks
-            changed = {each: self._between_factor(made) for each, made in {**breaks, number: joint}.items()}
-            self._solver.restart(values, {**self._solver.factors, **changed})
+            self._replace_edges({**self._relaxed_breaks(away, values), number: joint}, values)
         self.update()
         return number
 
@@ -114,9 +111,12 @@ class FactorGraph(EditableGraph):
             for number, edge in self._factors.items()
             if number in covariances and isinstance(edge, Edge)
         }
-        self._factors |= changed
-        factors = {number: self._between_factor(edge) for number, edge in changed.items()}
-        self._solver.restart(self._solver.values_with_new(), {**self._solver.factors, **factors})
+        self._replace_edges(changed, self._solver.values_with_new())
+
+    def _replace_edges(self, edges: Mapping[int, Edge], values: gtsam.Values) -> None:
+        """Put edges in the place of those of their numbers; the next update solves all from ``values``."""
+        self._factors |= edges
+        self._solver.restart({number: self._between_factor(edge) for number, edge in edges.items()}, values)
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
         """Solve the whole graph at once, from the current estimate.
@@ -164,7 +164,7 @@ class FactorGraph(EditableGraph):
             self._add_condensed(edge, anchors)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
         self.remove_factors([*observations, *edges])
-        self._solver.restart(self._solver.values_with_new(), self._solver.factors)
+        self._solver.restart({}, self._solver.values_with_new())
 
     def _add_condensed(self, edge: Edge, anchors: Mapping[int, int]) -> None:
         """Add an edge of newly attached keyframes as one of their anchors, if it relates variables that stay."""

@@ -46,16 +46,17 @@ class Solver:
         self._isam: gtsam.ISAM2 | None = None
         self._slots: dict[int, int] = {}  # places of the factors in iSAM2
         self._values: gtsam.Values | None = None  # of its estimate, unless not asked for yet
-        self.restart(gtsam.Values(), {})
+        self._factors: dict[int, gtsam.NonlinearFactor] = {}
+        self.restart({}, gtsam.Values())
 
     @property
     def factors(self) -> Mapping[int, gtsam.NonlinearFactor]:
         """All factors, by their numbers."""
         return self._factors
 
-    def restart(self, values: gtsam.Values, factors: Mapping[int, gtsam.NonlinearFactor]) -> None:
-        """Take these factors, and no others; the next update solves them from ``values``."""
-        self._factors: dict[int, gtsam.NonlinearFactor] = {}
+    def restart(self, changed: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values) -> None:
+        """Put some factors in the place of those of their numbers; the next update solves all from ``values``."""
+        factors, self._factors = {**self._factors, **changed}, {}
         self._uses: Counter[int] = Counter()
         self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
         self._removed: list[int] = []  # of those that were there at the last update

@@ -21,8 +21,7 @@ from slam.frontend.mapper import Mapper
 from slam.frontend.tracker import Tracked
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
-from slam.odometry.step_limits import MAX_GAP_S
-from slam.odometry.track import OdometryTrack
+from slam.odometry.track import MAX_GAP_S, OdometryTrack
 
 logger = logging.getLogger(__name__)
 

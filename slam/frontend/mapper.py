@@ -26,7 +26,6 @@ from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
-from slam.object_map.velocities import velocities
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import step_covariance
 from slam.odometry.pose import OdometryPose
@@ -191,7 +190,7 @@ class Mapper:
         again as observations accumulate, a vehicle goes far enough to be recognised.
         """
         range_m, landmarks = self._config.sensor_range_m, self._map.rows
-        velocities_mps, noise_mps = velocities(landmarks, seen)
+        velocities_mps, noise_mps = self._map.velocities(seen)
         speeds = np.linalg.norm(velocities_mps, axis=1)
         too_fast = speeds > np.maximum(MOVING_RANGES_PER_S * range_m, MOVING_SIGMAS * noise_mps)
         observations, states = landmarks["observations"][seen], landmarks["state"][seen]

@@ -25,8 +25,7 @@ from slam.frontend.input.scan import Scan, with_expected_noise
 from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, is_same_pose, probabilities
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
-from slam.odometry.step_limits import RECENT_STEPS
-from slam.odometry.track import Correction
+from slam.odometry.track import RECENT_STEPS, Correction
 
 PRIOR_SCANS = 100
 """Before any is seen, one step of the odometry in so many is taken to err by as much as the body moves."""

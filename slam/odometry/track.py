@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -14,8 +16,13 @@ from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import rigid
 from slam.odometry.pose import OdometryPose, between
-from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, is_beyond_limits
 
+RECENT_STEPS = 10
+"""The speed before a step is the greatest of that many steps, because a single one is noisy."""
+MAX_GAP_S = 20.0
+"""A longer gap is a discontinuity: the motion in between is unknown."""
+MAX_SPEED_RANGES = 2.0
+"""A faster step is one, too, in sensor ranges per second: what is in view would be passed within a second."""
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
 
@@ -87,7 +94,7 @@ class OdometryTrack:
         last = self.latest
         if last is not None and (odometry.stamp_ns <= last.stamp_ns or (descended and self._descends)):
             self._reject(odometry.stamp_ns == last.stamp_ns)
-        elif last is None or self._comes_late(odometry, last.stamp_ns) or self._is_beyond_limits(odometry):
+        elif last is None or self._comes_late(odometry, last.stamp_ns) or self._is_beyond(self._poses, odometry):
             self._waiting = odometry
         else:
             added.append(self._append(odometry))
@@ -163,15 +170,22 @@ class OdometryTrack:
 
     def _is_outlier(self, odometry: Odometry, after: Odometry) -> bool:
         """Whether a body can have come to the pose of the message ``after`` another one, but not to or from that."""
-        if not self._poses or self._is_beyond_limits(after) or not self._is_beyond_limits(odometry):
+        if not self._poses or self._is_beyond(self._poses, after) or not self._is_beyond(self._poses, odometry):
             return False
-        T_body, T_after = (self._T_odom_reported @ each.T_odom_body for each in (odometry, after))
-        pose = replace(self._poses[-1], stamp_ns=odometry.stamp_ns, T_odom_body=T_body)
-        return is_beyond_limits([pose], after.stamp_ns, T_after, sensor_range_m=self._sensor_range_m)
-
-    def _is_beyond_limits(self, odometry: Odometry) -> bool:
         T_odom_body = self._T_odom_reported @ odometry.T_odom_body
-        return is_beyond_limits(self._poses, odometry.stamp_ns, T_odom_body, sensor_range_m=self._sensor_range_m)
+        pose = replace(self._poses[-1], stamp_ns=odometry.stamp_ns, T_odom_body=T_odom_body)
+        return self._is_beyond([pose], after)
+
+    def _is_beyond(self, poses: Sequence[OdometryPose], odometry: Odometry) -> bool:
+        """Whether no body can have made the step from the last of ``poses`` to a message: over a silence, or a jump."""
+        last, T_odom_body = poses[-1], self._T_odom_reported @ odometry.T_odom_body
+        seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+        step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
+        speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
+        # Accelerations are at most 5 m/s^2 of a car whose sensor sees 30 m, and messages are wrong by up to 2 m there.
+        reachable_mps = speed_mps + self._sensor_range_m / 6.0 * seconds
+        farthest_m = min(reachable_mps, self._max_speed_mps) * seconds + 2.0 / 30.0 * self._sensor_range_m
+        return seconds > MAX_GAP_S or step_m > farthest_m
 
     def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest
@@ -181,7 +195,7 @@ class OdometryTrack:
             self._counted_xyz_m = xyz_m
             pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
         else:
-            breaks = self._is_beyond_limits(odometry)
+            breaks = self._is_beyond(self._poses, odometry)
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
             step_m = math.dist(xyz_m, last.T_odom_body[:3, 3])
             # The jitter of a standing body is no travel.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 
@@ -28,37 +27,29 @@ MAX_DETOUR = 1.5
 
 
 class SurveyedLog:
-    """The records of a log that a survey needs; ``frames``: where its sensors sit, as far as it is known already."""
+    """What a survey needs of ``records``, which are read until there are so many detections.
 
-    def __init__(self, frames: SensorFrames | None = None) -> None:
+    ``frames``: where the sensors sit, as far as it is known already.
+    """
+
+    def __init__(
+        self, records: Iterable[Record], frames: SensorFrames | None = None, *, max_detections: int = MAX_DETECTIONS
+    ) -> None:
         self._odometry: list[Odometry] = []
         self._detections: list[ObjectDetections] = []
         self._frames = frames or SensorFrames()
-        self._count = 0
         self._latest_track: tuple[OdometryCalibration, IntArray, FloatArray] | None = None
-
-    @classmethod
-    def of(
-        cls, records: Iterable[Record], frames: SensorFrames | None = None, *, max_detections: int = MAX_DETECTIONS
-    ) -> Self:
-        """A log of ``records``, which are read until there are so many detections."""
-        log = cls(frames)
+        count = 0
         for record in records:
-            if log.add(record) >= max_detections:
+            if isinstance(record, Odometry):
+                self._odometry.append(record)
+            elif isinstance(record, Transform):
+                self._frames.add(record)
+            elif isinstance(record, ObjectDetections):
+                self._detections.append(record)
+                count += len(record.positions)
+            if count >= max_detections:
                 break
-        return log
-
-    def add(self, record: Record) -> int:
-        """Add a record; returns the number of detections so far."""
-        if isinstance(record, Odometry):
-            self._odometry.append(record)
-            self._latest_track = None
-        elif isinstance(record, Transform):
-            self._frames.add(record)
-        elif isinstance(record, ObjectDetections):
-            self._detections.append(record)
-            self._count += len(record.positions)
-        return self._count
 
     def detour(self) -> float:
         """Ratio of the length of the odometry's path to that of every second message; 1 at standstill."""
@@ -109,8 +100,7 @@ class SurveyedLog:
         stamps = np.array([each.stamp_ns for each in odometry], dtype=np.int64)
         if len(stamps) == 0:
             return stamps, np.zeros((0, 4, 4))
-        latest_before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps)[:-1]])
-        used = stamps > latest_before
+        used = np.diff(np.maximum.accumulate(stamps), prepend=stamps[0] - 1) > 0
         poses = np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])
         self._latest_track = calibration.odometry, stamps[used], poses
         return stamps[used], poses

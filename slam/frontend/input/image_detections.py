@@ -42,19 +42,15 @@ class ImageLifter:
 
     def lift(self, detections: ImageDetections) -> ObjectDetections:
         """The detections that can be placed, in the camera's frame, with covariances that are long along the ray."""
-        found: list[tuple[int, _Object]] = []
-        for i in range(len(detections.labels)):
-            placed = self._place(detections, i)
-            if placed is not None:
-                found.append((i, placed))
-        rows = [i for i, _ in found]
+        placed = {i: each for i in range(len(detections.labels)) if (each := self._place(detections, i)) is not None}
+        rows = list(placed)
         return ObjectDetections(
             detections.stamp_ns,
             detections.frame_id,
-            np.array([position for _, (position, _) in found]).reshape(-1, 3),
+            np.array([position for position, _ in placed.values()]).reshape(-1, 3),
             tuple(detections.labels[i] for i in rows),
             detections.scores[rows],
-            np.array([covariance for _, (_, covariance) in found]).reshape(-1, 3, 3),
+            np.array([covariance for _, covariance in placed.values()]).reshape(-1, 3, 3),
         )
 
     def _place(self, detections: ImageDetections, i: int) -> _Object | None:

@@ -192,13 +192,11 @@ class _TopicClock:
         if len(self._delays) < MIN_MESSAGES:
             self._delays.append(delay_ns)
             return [self._corrected(record)], 0
-        least_ns, most_ns = min(self._delays), max(self._delays)
-        if least_ns <= delay_ns <= most_ns:  # within the spread, whatever the medians are
-            return self._as_usual(record, delay_ns), 0
         usual_ns = median_low(self._delays)
-        tolerance_ns = median_low(self._intervals) + most_ns - least_ns
+        tolerance_ns = median_low(self._intervals) + max(self._delays) - min(self._delays)
         if abs(delay_ns - usual_ns) <= 2.0 * tolerance_ns:
-            return self._as_usual(record, delay_ns), 0
+            self._delays.append(delay_ns)
+            return [*self.release(), self._corrected(record)], 0
         is_steady = all(abs(delay_ns - each) <= tolerance_ns for each in self._waiting_delays)
         ready = [] if is_steady else self.release()
         self._waiting.append(record)
@@ -211,10 +209,6 @@ class _TopicClock:
         self._delays.clear()
         self._delays.extend(each + step_ns for each in self._waiting_delays)
         return ready + self.release(), step_ns
-
-    def _as_usual(self, record: Stamped, delay_ns: int) -> list[Stamped]:
-        self._delays.append(delay_ns)
-        return [*self.release(), self._corrected(record)]
 
     def _was_set(self, later_ns: int, usual_ns: int) -> bool:
         """Whether the clock was set, and messages do not just take longer, or less long, than before."""

@@ -17,8 +17,7 @@ from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
-from slam.odometry.step_limits import MAX_GAP_S
-from slam.odometry.track import OdometryTrack
+from slam.odometry.track import MAX_GAP_S, OdometryTrack
 from tests.helpers.landmarks import detections_of, spheres
 from tests.helpers.poses import pose_at
 from tests.slam.frontend.test_tracker import STEP_NS, T_true, forest

@@ -7,7 +7,6 @@ import pytest
 
 from slam.common.calibration import ObjectCalibration
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
-from slam.object_map.velocities import velocities
 
 SECOND_NS = 1_000_000_000
 CONFIG = ObjectCalibration(label_accuracy=0.8)
@@ -114,7 +113,7 @@ def test_velocity_is_the_least_squares_line_and_its_noise_that_along_it_at_each_
     object_map.add(p[:1], covariances[:1], labels, stamp_ns=0, scan=1, travel_m=0.0)
     for second, position, covariance in zip(t[1:].tolist(), p[1:], covariances[1:], strict=True):
         see(object_map, 0, position=position, covariance=covariance, seconds=second)
-    (found,), noise = velocities(object_map.rows, np.array([0]))
+    (found,), noise = object_map.velocities(np.array([0]))
     np.testing.assert_allclose(found, np.polyfit(t, p, 1)[0], atol=1e-6)
     gains, direction = (t - t.mean()) / np.sum((t - t.mean()) ** 2), found / np.linalg.norm(found)
     along = np.einsum("i,nij,j->n", direction, covariances, direction)

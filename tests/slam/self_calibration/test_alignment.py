@@ -34,7 +34,7 @@ def log_of(
         replace(each, stamp_ns=each.stamp_ns - round(late_s * 1e9)) if isinstance(each, ObjectDetections) else each
         for each in records_of(scans)
     ]
-    return SurveyedLog.of(with_odometry([each for each in records if each.stamp_ns >= 0], **odometry))
+    return SurveyedLog(with_odometry([each for each in records if each.stamp_ns >= 0], **odometry))
 
 
 @pytest.mark.parametrize("late_s", [0.5, -0.5, 5.0 * INTERVAL_S])
@@ -59,12 +59,12 @@ def test_a_known_delay_is_not_found_again(drive):
 def test_a_body_that_stands_still_tells_no_delay(drive):
     first = drive.scans[0]
     standing = [replace(first, stamp_ns=scan.stamp_ns, T_odom_body=np.eye(4)) for scan in drive.scans[:200]]
-    assert found(SurveyedLog.of(records_of(standing))) == {}
+    assert found(SurveyedLog(records_of(standing))) == {}
 
 
 def test_no_log_has_no_delay():
     assert found() == {}
-    assert found(SurveyedLog()) == {}
+    assert found(SurveyedLog([])) == {}
 
 
 @pytest.mark.parametrize(("axis", "angle"), [("y", 0.26), ("y", -0.12), ("z", 0.2), ("x", 0.2)])

@@ -97,7 +97,7 @@ def fixed(scans: list[SurveyScan]) -> list[SurveyScan]:
 
 def surveyed(scans: list[SurveyScan], frame: str, detection: DetectionCalibration | None = None) -> Survey:
     given = Calibration() if detection is None else Calibration(detection=detection)
-    found = survey([SurveyedLog.of(records_of(scans, frame))], given)
+    found = survey([SurveyedLog(records_of(scans, frame))], given)
     assert found is not None
     return found
 

@@ -28,9 +28,7 @@ ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
 
 def survey(records, detection: DetectionCalibration | None = None, **branches) -> Survey | None:
     """The survey of one log."""
-    return survey_logs(
-        [SurveyedLog.of(records)], Calibration(detection=detection or DetectionCalibration(), **branches)
-    )
+    return survey_logs([SurveyedLog(records)], Calibration(detection=detection or DetectionCalibration(), **branches))
 
 
 def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
@@ -126,24 +124,15 @@ def test_it_reads_no_more_than_it_needs():
         yield from straight()
         raise AssertionError("read on")
 
-    found = survey_logs([SurveyedLog.of(endless(), max_detections=9)])
+    found = survey_logs([SurveyedLog(endless(), max_detections=9)])
     assert found.detections <= 9
 
 
 def test_several_logs_are_surveyed_as_one_drive():
     first, second = straight(), straight(21, labels=["lamp", "lamp", "tree"])
-    both = survey_logs([SurveyedLog.of(first), SurveyedLog.of(second)])
+    both = survey_logs([SurveyedLog(first), SurveyedLog(second)])
     assert (both.scans, both.detections) == (32, 96)
     assert both.travel_m == pytest.approx(2.0 + 4.0)
-
-
-def test_a_log_that_grows_is_surveyed_with_its_new_odometry():
-    records = straight(21)
-    log = SurveyedLog.of(records[:22])
-    assert survey_logs([log]).travel_m == pytest.approx(2.0)
-    for record in records[22:]:
-        log.add(record)
-    assert survey_logs([log]).travel_m == pytest.approx(4.0)
 
 
 def test_too_few_objects_tell_no_noise():
