@@ -124,7 +124,10 @@ def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, c
     mapped = Selection(used, selection.mappings)
     first_ns, last_ns = _span(reader, mapped)
     # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
-    frames = _read_frames(reader, mapped)
+    frames = SensorFrames()
+    for entry in reader.records(mapped.only(RecordKind.TRANSFORMS)):
+        if isinstance(entry.record, Transform):
+            frames.add(entry.record)
     lost = reader.decoding_counters
     labels = LabelMap(config.labels)
     return PreparedLog(
@@ -165,14 +168,6 @@ def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:
     first = [info.first_log_time_ns for info in infos if info.first_log_time_ns is not None]
     last = [info.last_log_time_ns for info in infos if info.last_log_time_ns is not None]
     return min(first, default=0), max(last, default=0)
-
-
-def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
-    frames = SensorFrames()
-    for entry in reader.records(selection.only(RecordKind.TRANSFORMS)):
-        if isinstance(entry.record, Transform):
-            frames.add(entry.record)
-    return frames
 
 
 def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[SurveyedLog, LoggingDelays, ClockDrift]:

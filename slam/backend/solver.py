@@ -176,7 +176,13 @@ class Solver:
         Elimination by QR is slower than by Cholesky, but bears the poor conditioning of, say, a very exact odometry
         beside landmarks that the robust kernel has all but switched off.
         """
-        isam, graph = self._new_isam(factorization), self._graph()
+        thresholds = gtsam.ISAM2ThresholdMap()  # by the sensor range
+        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, self._relinearize_m], 3)))
+        thresholds.insert(("l", np.repeat(self._relinearize_m, 3)))
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(thresholds)
+        parameters.setFactorization(factorization)
+        isam, graph = gtsam.ISAM2(parameters), self._graph()
         result = isam.update(graph, _values_of(graph, values))
         self._slots = {}
         self._take(isam, sorted(self._factors), result)
@@ -186,16 +192,6 @@ class Solver:
         self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
         self._added, self._removed = {}, []
         self._begin(isam, None)
-
-    def _new_isam(self, factorization: str) -> gtsam.ISAM2:
-        """An empty one, with thresholds by the sensor range."""
-        thresholds = gtsam.ISAM2ThresholdMap()
-        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, self._relinearize_m], 3)))
-        thresholds.insert(("l", np.repeat(self._relinearize_m, 3)))
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(thresholds)
-        parameters.setFactorization(factorization)
-        return gtsam.ISAM2(parameters)
 
 
 def _values_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:

@@ -209,12 +209,11 @@ class ObjectMap:
         """Make tentative landmarks confirmed ones."""
         self._rows["state"][rows] = LandmarkState.CONFIRMED
 
-    def may_exist(self, rows: IntArray) -> BoolArray:
-        """Which of the landmarks (N,) may be static objects: all but those retired as something else."""
-        never_confirmed = [self._reasons.get(row) == RetirementReason.NOT_CONFIRMED for row in rows.tolist()]
-        return np.asarray(
-            (self.rows["state"][rows] != LandmarkState.RETIRED) | np.array(never_confirmed, dtype=np.bool_)
-        )
+    @property
+    def never_confirmed(self) -> BoolArray:
+        """Which landmarks (L,) were retired because they were not observed often enough."""
+        reasons = [self._reasons.get(row) for row in range(self._size)]
+        return np.array([reason == RetirementReason.NOT_CONFIRMED for reason in reasons], dtype=np.bool_)
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> list[int]:
         """Retire landmarks and all that were merged into them; returns the rows of all these, ascending."""
@@ -263,10 +262,7 @@ class ObjectMap:
 
         The observations of a landmark include those of all that were merged into it.
         """
-        kept = np.array(
-            [row for row in range(self._size) if self._reasons.get(row) != RetirementReason.NOT_CONFIRMED],
-            dtype=np.int64,
-        )
+        kept = np.flatnonzero(~self.never_confirmed)
         landmarks, aliases, rows = self.rows[kept], self.aliases, kept.tolist()
         states = [LandmarkState(state).name.lower() for state in landmarks["state"].tolist()]
         counts, first, last = (self.rows[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))

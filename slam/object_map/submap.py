@@ -50,10 +50,7 @@ class Submap:
 
 def recent_submap(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> Submap:
     """The confirmed landmarks of the last stretch of travel, in the gravity frame of a keyframe (the paper's QLSM)."""
-    rows = _recent_rows(object_map, keyframe, calibration)
-    return _in_gravity_frame(
-        object_map, rows[object_map.rows["state"][rows] == LandmarkState.CONFIRMED], keyframe, calibration
-    )
+    return _recent(object_map, keyframe, calibration, object_map.rows["state"] == LandmarkState.CONFIRMED)
 
 
 def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> Submap:
@@ -63,25 +60,22 @@ def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, ca
     succession, with one of either kind seen before).
     """
     landmarks = object_map.rows
-    rows = _recent_rows(object_map, keyframe, calibration)
-    rows = rows[object_map.may_exist(rows) & (landmarks["observations"][rows] >= 2)]
+    may_exist = (landmarks["state"] != LandmarkState.RETIRED) | object_map.never_confirmed
+    found = _recent(object_map, keyframe, calibration, may_exist & (landmarks["observations"] >= 2))
     decided = (landmarks["segment"] == keyframe.odometry.segment) & (landmarks["state"] != LandmarkState.TENTATIVE)
-    as_often = landmarks["observations"][decided] >= landmarks["observations"][rows][:, None]
+    as_often = landmarks["observations"][decided] >= landmarks["observations"][found.rows][:, None]
     is_confirmed = landmarks["state"][decided] == LandmarkState.CONFIRMED
     shares = (1.0 + np.sum(as_often & is_confirmed, axis=1)) / (2.0 + np.sum(as_often, axis=1))
-    existence = np.where(landmarks["state"][rows] == LandmarkState.CONFIRMED, 1.0, shares)
-    return replace(_in_gravity_frame(object_map, rows, keyframe, calibration), existence=existence)
+    existence = np.where(landmarks["state"][found.rows] == LandmarkState.CONFIRMED, 1.0, shares)
+    return replace(found, existence=existence)
 
 
-def _recent_rows(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> IntArray:
+def _recent(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration, chosen: BoolArray) -> Submap:
+    """Of the ``chosen`` landmarks (L,) those of the last stretch of travel, in the gravity frame of a keyframe."""
     landmarks, pose = object_map.rows, keyframe.odometry
     recent = landmarks["last_seen_travel_m"] > pose.travel_m - SUBMAP_RANGES * calibration.detection.sensor_range_m
-    return np.flatnonzero(recent & (landmarks["segment"] == pose.segment))
-
-
-def _in_gravity_frame(object_map: ObjectMap, rows: IntArray, keyframe: Keyframe, calibration: Calibration) -> Submap:
-    T_gravity_local = invert(gravity_frame(keyframe.T_local_body))
-    positions = apply(T_gravity_local, object_map.rows["position_local"][rows])
+    rows = np.flatnonzero(chosen & recent & (landmarks["segment"] == pose.segment))
+    positions = apply(invert(gravity_frame(keyframe.T_local_body)), landmarks["position_local"][rows])
     return make_submap(object_map, rows, positions, np.zeros(3), calibration)
 
 

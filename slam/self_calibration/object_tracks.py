@@ -9,7 +9,7 @@ way round: distances in the direction of the larger noise are divided by the rat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -192,34 +192,28 @@ def _missed_scans(found: Detectability) -> int:
 def _follow(
     scans: Sequence[SurveyScan], headings_rad: FloatArray, missed_scans: int, ratio: float, *, by_class: bool
 ) -> ObjectTracks:
-    tracks, numbers, points, rooms, steps = [], [], [], [], []
-    ends = _OpenTracks(missed_scans, ratio)
+    found, points, ends = [], [], _OpenTracks(missed_scans, ratio)
     for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=False)):
         c, s = np.cos(heading), np.sin(heading)
         offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
         points.append(offsets + scan.T_odom_body[:2, 3])
         labels = scan.labels if by_class else np.zeros_like(scan.labels)
-        found, room, step = ends.extend(number, points[-1], offsets, labels)
-        tracks.append(found)
-        rooms.append(room)
-        steps.append(step)
-        numbers.append(np.full(len(offsets), number))
-    track, scan_of = np.concatenate(tracks), np.concatenate(numbers)
-    order = np.lexsort((scan_of, track))
-    track, scan_of, point = track[order], scan_of[order], np.concatenate(points)[order]
-    bodies = poses_of(scans)[:, :, 3]
-    heights = [scan.positions[:, 2] + scan.T_odom_body[2, 3] for scan in scans]
-    return ObjectTracks(
-        track,
-        scan_of,
-        _smoothed(point, track) - bodies[scan_of, :2],
-        point,
-        np.concatenate([scan.labels for scan in scans])[order],
-        np.concatenate([scan.variances for scan in scans])[order],
-        np.concatenate(heights)[order],
-        np.concatenate(rooms)[order],
-        np.concatenate(steps)[order],
+        found.append(ends.extend(number, points[-1], offsets, labels))
+    track, rooms, steps = (np.concatenate(each) for each in zip(*found, strict=True))
+    detected = ObjectTracks(
+        track=track,
+        scan=np.repeat(np.arange(len(scans)), [len(each) for each in points]),
+        offsets=np.concatenate(points),
+        points=np.concatenate(points),
+        labels=np.concatenate([scan.labels for scan in scans]),
+        claimed=np.concatenate([scan.variances for scan in scans]),
+        heights=np.concatenate([scan.positions[:, 2] + scan.T_odom_body[2, 3] for scan in scans]),
+        rooms=rooms,
+        steps=steps,
     )
+    tracks = detected.of(np.argsort(track, kind="stable"))
+    bodies = poses_of(scans)[tracks.scan, :2, 3]
+    return replace(tracks, offsets=_smoothed(tracks.points, tracks.track) - bodies)
 
 
 def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
