@@ -109,7 +109,7 @@ class EditableGraph:
         self._keyframes: dict[int, None] = {}  # in the order in which they were added
         self._attached = AttachedKeyframes()
         self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
-        self._observations: dict[int, list[int]] = {}  # numbers of the factors, by the landmark
+        self._observations: dict[int, dict[int, Observation]] = {}  # by the landmark, by their numbers
         self._aliases: dict[int, int] = {}
         self._known: dict[int, gtsam.PriorFactorPoint3] = {}  # of landmarks of a prior map
         self._fixed_landmarks: set[int] = set()
@@ -202,9 +202,8 @@ class EditableGraph:
             self._solver.remove(number)
             factor = self._factors.pop(number)
             if isinstance(factor, Observation):
-                remaining = self._observations[factor.landmark]
-                remaining.remove(number)
-                if not remaining:
+                del self._observations[factor.landmark][number]
+                if not self._observations[factor.landmark]:
                     del self._observations[factor.landmark]
 
     def remove_landmarks(self, landmarks: Iterable[int]) -> None:
@@ -218,10 +217,9 @@ class EditableGraph:
         """
         moved = {
             number: each
-            for landmark, numbers in self._observations.items()
+            for landmark, seen in self._observations.items()
             if aliases.get(landmark, landmark) != self._variable_of(landmark)
-            for number in numbers
-            if isinstance(each := self._factors[number], Observation)
+            for number, each in seen.items()
         }
         self._aliases = dict(aliases)
         for number, each in moved.items():
@@ -249,8 +247,7 @@ class EditableGraph:
         return np.array([self._observed_position(landmark) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def _observed_position(self, landmark: int) -> FloatArray:
-        seen = [self._factors[number] for number in self._observations.get(landmark, ())]
-        observations = [each for each in seen if isinstance(each, Observation)]
+        observations = self._observations.get(landmark, {}).values()
         if not observations:
             return np.full(3, np.nan)
         T = np.array([self.pose(each.keyframe) for each in observations])
@@ -276,7 +273,7 @@ class EditableGraph:
         in_body = np.array([each.position for each in seen]).reshape(-1, 3, 1)
         positions = (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
         for (number, each), factor, position in zip(observations.items(), factors, positions, strict=True):
-            self._observations.setdefault(each.landmark, []).append(number)
+            self._observations.setdefault(each.landmark, {})[number] = each
             variable = self._variable_of(each.landmark)
             if not self._solver.holds(L(variable)):
                 prior = self._known.get(variable)

@@ -42,9 +42,8 @@ class FactorGraph(EditableGraph):
     def observers(self) -> dict[int, set[int]]:
         """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
         found: dict[int, set[int]] = {}
-        for each in self._factors.values():
-            if isinstance(each, Observation):
-                found.setdefault(self._variable_of(each.landmark), set()).add(each.keyframe)
+        for landmark, seen in self._observations.items():
+            found.setdefault(self._variable_of(landmark), set()).update(each.keyframe for each in seen.values())
         return found
 
     def add_joining_edge(self, edge: Edge, away: Set[int]) -> int:

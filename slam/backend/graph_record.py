@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -34,6 +34,7 @@ def make_graph_record(
     factors = tuple(factors)
     edges = [factor for factor in factors if isinstance(factor, Edge)]
     observations = [factor for factor in factors if isinstance(factor, Observation)]
+    inflations = np.array([o.covariance_inflation for o in observations], dtype=np.float64)
     return FactorGraphRecord(
         stamp_ns=stamp_ns,
         keyframe_ids=keyframes,
@@ -50,7 +51,7 @@ def make_graph_record(
             -1, 3, 3
         ),
         pose_covariances=pose_covariances,
-        observation_redundancies=_covariance_inflations(observations),
+        observation_redundancies=inflations if (inflations != 1.0).any() else np.zeros(0),
     )
 
 
@@ -84,9 +85,3 @@ def observations_of(
             strict=True,
         )
     ]
-
-
-def _covariance_inflations(observations: Sequence[Observation]) -> FloatArray:
-    """The kernel weights of observations (O,); empty if all are 1."""
-    inflations = np.array([observation.covariance_inflation for observation in observations], dtype=np.float64)
-    return inflations if (inflations != 1.0).any() else np.zeros(0)

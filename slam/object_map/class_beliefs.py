@@ -31,12 +31,9 @@ class ClassBeliefs:
     def indices(self, labels: tuple[str, ...]) -> IntArray:
         """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
         for label in labels:
-            if label in self._label_index:
-                continue
-            if len(self._label_index) < self._config.max_classes - 1:
-                self._label_index[label] = len(self._label_index)
-            else:  # the last class that fits represents all later ones
-                self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
+            # The last class that fits represents all later ones.
+            is_listed = label in self._label_index or len(self._label_index) < self._config.max_classes - 1
+            self._label_index.setdefault(label if is_listed else OTHER_CLASS, len(self._label_index))
         if len(self._label_index) > self._label_counts.shape[1]:
             self.reserve(classes=2 * len(self._label_index))
         other = self._label_index.get(OTHER_CLASS, 0)

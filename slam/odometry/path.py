@@ -25,7 +25,7 @@ class OdometryPath:
         """Add the next pose of the track."""
         self._stamps_ns.append(pose.stamp_ns)
         self._segments.append(pose.segment)
-        self._rows.frombytes(np.ascontiguousarray(pose.T_odom_body[:3], dtype=np.float64).tobytes())
+        self._rows.frombytes(pose.T_odom_body[:3].tobytes())
         self.latest = pose
 
     def break_at(self, stamp_ns: int) -> None:

@@ -46,7 +46,8 @@ class ImportedPlaces:
         self._map = object_map
         self._graph = graph
         self._is_fixed = is_fixed
-        self._is_flat = is_flat(imported)
+        height_sigma_m = HEIGHT_SIGMA_M if is_flat(imported) else imported.sigma_m
+        self._sigmas_m = np.array([imported.sigma_m, imported.sigma_m, height_sigma_m])
         self.class_counts = np.bincount(imported.classes)
         """How many objects (C,) of each class the map has."""
         imported.pairs.read_ahead()
@@ -72,11 +73,8 @@ class ImportedPlaces:
         self._is_loaded[rows] = True
         record = self._imported.landmarks(rows, observations=1)
         landmarks = self._map.restore(record, travel_m=TRAVEL_M, relative_sigma_m=self._imported.sigma_m)
-        sigmas = np.full(3, self._imported.sigma_m)
-        if self._is_flat:
-            sigmas[2] = HEIGHT_SIGMA_M
         positions = dict(zip(landmarks.tolist(), record.positions, strict=True))
-        self._graph.add_known_landmarks(positions, sigmas, is_fixed=self._is_fixed)
+        self._graph.add_known_landmarks(positions, self._sigmas_m, is_fixed=self._is_fixed)
 
 
 def is_flat(imported: ImportedMap) -> bool:

@@ -106,7 +106,9 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     """
     given = given or Calibration()
     detour = max(log.detour() for log in logs)
-    corrected = _resolution(logs, given)
+    is_given = given.is_given("detection.resolution_m")
+    resolution_m = 0.0 if is_given else find_resolution(scans_of(logs, given)[0])
+    corrected = {"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {}
     corrected |= _frame(logs, given.with_values(corrected), given)
     known = given.with_values(corrected)
     scans, motion = scans_of(logs, known)
@@ -150,14 +152,6 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         change=later,
         change_s=(scans[later.scan].stamp_ns - scans[0].stamp_ns) * 1e-9 if later is not None else 0.0,
     )
-
-
-def _resolution(logs: Sequence[SurveyedLog], given: Calibration) -> dict[str, float]:
-    """How near to one another detections of one object are, if it is detected more than once."""
-    if given.is_given("detection.resolution_m"):
-        return {}
-    resolution_m = find_resolution(scans_of(logs, given)[0])
-    return {"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {}
 
 
 def _unknown(given: Calibration) -> list[str]:

@@ -309,7 +309,7 @@ def _axes(pairs: _Displacements) -> FloatArray:
     """(P, D, 3): along the ray, across it and, where anything has a height, up."""
     r = np.maximum(np.hypot(pairs.x[:, 0], pairs.x[:, 1]), 1e-12)
     x, y, zero = pairs.x[:, 0] / r, pairs.x[:, 1] / r, np.zeros(len(r))
-    axes = np.stack([np.stack([x, y, zero]), np.stack([-y, x, zero]), np.stack([zero, zero, zero + 1.0])])
+    axes = np.array([[x, y, zero], [-y, x, zero], [zero, zero, zero + 1.0]])
     has_heights = bool(np.abs(pairs.d[:, 2]).max() > 1e-9)
     return np.asarray(axes.transpose(2, 0, 1)[:, : 3 if has_heights else 2])
 
@@ -345,7 +345,7 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
         [view, view, zero],
         [zero, zero, view],
     ]
-    return np.asarray(np.array(parts).transpose(0, 2, 1))
+    return np.array(parts).transpose(0, 2, 1)
 
 
 def _shared_parts(pairs: _Displacements) -> FloatArray:

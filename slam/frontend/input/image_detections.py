@@ -69,19 +69,13 @@ class ImageLifter:
             return place_tag(camera, detections.corners[i], self._config.tag_size_m)
         depth = self._depth_at(detections)
         placed = None if depth is None else place_by_depth(camera, detections.boxes[i], depth.depths)
-        if placed is None:
-            placed = self._on_ground(camera, detections, i)
+        T_body_camera = self._frames.find(self.body_frame, detections.frame_id, detections.stamp_ns)
+        if placed is None and T_body_camera is not None:
+            limits_m = self._config.ground_z_m, self._config.reach_m
+            placed = place_on_ground(camera, detections.boxes[i], T_body_camera, *limits_m)
         if placed is None:
             self.counters["objects_without_depth"] += 1
         return placed
-
-    def _on_ground(self, camera: CameraModel, detections: ImageDetections, i: int) -> _Object | None:
-        T_body_camera = self._frames.find(self.body_frame, detections.frame_id, detections.stamp_ns)
-        if T_body_camera is None:
-            return None
-        return place_on_ground(
-            camera, detections.boxes[i], T_body_camera, self._config.ground_z_m, self._config.reach_m
-        )
 
     def _depth_at(self, detections: ImageDetections) -> DepthImage | None:
         """The image with the stamp of the detections, else the nearest, if that is no farther than images are apart."""
