@@ -122,7 +122,6 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
     corrections = _corrections(survey, delays)
     lengths = _lengths(config, survey)
     noise = _noise(config.calibrated(lengths), survey)
-    noise |= {key: max(noise[key], floor) for key, floor in _floors(survey).items()}
     values = lengths | noise | _objects(survey) | corrections
     estimated = {key: value for key, value in values.items() if not config.calibration.is_given(key)}
     evidence = {
@@ -196,15 +195,17 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     scan_m = survey.travel_m / survey.scans
     # What heights have in common is put down to the detector, because gravity and the ground hold the odometry.
     rise = found.rise + found.rise_by_travel * survey.median_range_m
+    # The least noise that is believed of any robot.
+    least_m, root = MIN_SIGMA * survey.range_m, np.sqrt(survey.range_m)
     return {
-        "odometry.translation_sigma": np.sqrt(drift * found.translation_by_travel),
+        "odometry.translation_sigma": max(np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * root),
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
-        "odometry.yaw_sigma": np.sqrt(turn * found.heading_by_travel),
-        "odometry.min_translation_sigma_m": MIN_SIGMA * survey.range_m,
+        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), MIN_TURN_RAD / root),
+        "odometry.min_translation_sigma_m": least_m,
         "odometry.tilt_sigma": _tilt_sigma(survey),
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
-        "detection.base_sigma_m": np.sqrt(found.tangential),
+        "detection.base_sigma_m": max(np.sqrt(found.tangential), least_m),
         "detection.sigma_per_m": np.sqrt(found.tangential_by_range),
         "detection.range_sigma_ratio": _range_sigma_ratio(survey, found),
         "detection.common_sigma_m": np.sqrt(found.view),
@@ -215,19 +216,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.covariance_inflation": max(
             objects * survey.median_range_m / max(config.keyframe_distance_m, scan_m), 1.0
         ),
-        "objects.landmark_sigma_m": np.sqrt(between_passes),
+        "objects.landmark_sigma_m": max(np.sqrt(between_passes), least_m),
         "objects.landmark_height_sigma_m": np.sqrt(found.height + found.view_height + 2.0 * rise),
-    }
-
-
-def _floors(survey: Survey) -> dict[str, float]:
-    """The least noise that is believed of any robot."""
-    position_m = MIN_SIGMA * survey.range_m
-    return {
-        "odometry.translation_sigma": float(MIN_DRIFT * np.sqrt(survey.range_m)),
-        "odometry.yaw_sigma": float(MIN_TURN_RAD / np.sqrt(survey.range_m)),
-        "detection.base_sigma_m": position_m,
-        "objects.landmark_sigma_m": position_m,
     }
 
 

@@ -224,7 +224,9 @@ class _Fit:
         self._group, self._start = pairs.group, np.flatnonzero(np.diff(pairs.group, prepend=-1))
         axes = _axes(pairs)
         self._A = axes @ _jacobians(pairs)
-        self._y = _clipped(np.einsum("nij,nj->ni", axes, pairs.d))
+        y = np.einsum("nij,nj->ni", axes, pairs.d)
+        limit = CLIP * 1.4826 * np.median(np.abs(y), axis=0)
+        self._y = np.where(limit > 0.0, np.clip(y, -limit, limit), y)
         own, shared = _own_parts(pairs)[:, :, : axes.shape[1]], _shared_parts(pairs)
         self._parts = own, shared
         square = max(float(np.mean(self._y**2)), ROUNDING)
@@ -360,8 +362,3 @@ def _shared_parts(pairs: _Displacements) -> FloatArray:
     parts[5:9, :, LATERAL] = np.stack([0.25 * two, L / 12.0, A / 12.0, T / 12.0])
     parts[9:11, :, TILT] = np.stack([two, L])[:, :, None]
     return parts
-
-
-def _clipped(y: FloatArray) -> FloatArray:
-    limit = CLIP * 1.4826 * np.median(np.abs(y), axis=0)
-    return np.asarray(np.where(limit > 0.0, np.clip(y, -limit, limit), y))

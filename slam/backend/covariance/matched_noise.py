@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 import gtsam
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 from scipy.special import chdtr
 
 from slam.backend.covariance.marginals import without_kernels
@@ -36,7 +36,7 @@ def matched_covariances(
         values: the optimum.
 
     Raises:
-        np.linalg.LinAlgError: the graph does not determine all variables.
+        RuntimeError: the graph does not determine all variables.
     """
     sizes = np.array([factor.dim() for factor in factors.values()])
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
@@ -86,14 +86,17 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
         length: edges of a stretch.
 
     Raises:
-        np.linalg.LinAlgError: the graph does not determine all variables.
+        RuntimeError: the graph does not determine all variables.
     """
     samples = rows[: len(rows) // length * length].reshape(-1, length, 6)
     if len(samples) < MIN_SAMPLES:
         return np.ones(6)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).round().astype(np.int64)
     sums = _sums_of(samples[spread], len(residuals))
-    information = _factorized(sparse.csc_array(jacobian.T @ jacobian))
+    # In an order that keeps the factors of a symmetric matrix sparse.
+    options = {"SymmetricMode": True, "Equil": False}
+    matrix = sparse.csc_array(jacobian.T @ jacobian)
+    information = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     columns = (sums @ jacobian).toarray().T
     errors = (sums @ residuals).reshape(-1, 6)
     posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)
@@ -101,16 +104,6 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
     measured = 1.0 / posterior - 1.0
     measured = np.where(measured < 0.01, 0.0, measured)
     return np.where(_differs(errors, posterior, measured), _maximize(errors, posterior, measured), 1.0)
-
-
-def _factorized(matrix: sparse.csc_array) -> SuperLU:
-    """The factors of a symmetric ``matrix`` (n, n), in an order that keeps them sparse."""
-    try:
-        return splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
-        )
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError(str(error)) from error
 
 
 def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:

@@ -94,5 +94,5 @@ def test_a_drive_that_measures_nothing_keeps_the_noise_that_it_was_given() -> No
 
 def test_what_is_not_determined_is_refused() -> None:
     chain = Chain(6 * STRETCH_STEPS)
-    with pytest.raises(np.linalg.LinAlgError):
+    with pytest.raises(RuntimeError):
         variance_factors(0.0 * chain.jacobian, np.zeros(chain.jacobian.shape[0]), chain.steps, STRETCH_STEPS)
