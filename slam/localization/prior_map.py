@@ -92,7 +92,6 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         number_of = {keyframe: number for number, keyframe in enumerate(record.keyframe_ids.tolist())}
         edges, observations = edges_of(record, number_of), observations_of(record, number_of, landmarks)
         graph.restore(record.T_map_body, edges, observations)
-    graph.update()
     return [
         Keyframe(number, _prior_pose(T_map_body), T_map_body, is_prior=True)
         for number, T_map_body in enumerate(record.T_map_body)

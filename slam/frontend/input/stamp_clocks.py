@@ -203,18 +203,15 @@ class _TopicClock:
         self._waiting_delays.append(delay_ns)
         if len(self._waiting) < CONFIRMING:
             return ready, 0
-        later_ns = median_low(self._waiting_delays) - usual_ns
-        step_ns = -later_ns if self._was_set(later_ns, usual_ns) else 0
+        now_ns = median_low(self._waiting_delays)
+        # Else messages just take longer, or less long, than before.
+        is_set_back = now_ns >= usual_ns and self._waiting[0].stamp_ns + self._shift_ns <= self._latest_ns
+        is_set_forward = now_ns < min(usual_ns, 0)
+        step_ns = usual_ns - now_ns if is_set_back or is_set_forward else 0
         self._shift_ns -= step_ns
         self._delays.clear()
         self._delays.extend(each + step_ns for each in self._waiting_delays)
         return ready + self.release(), step_ns
-
-    def _was_set(self, later_ns: int, usual_ns: int) -> bool:
-        """Whether the clock was set, and messages do not just take longer, or less long, than before."""
-        if later_ns < 0:
-            return usual_ns + later_ns < 0
-        return self._waiting[0].stamp_ns + self._shift_ns <= self._latest_ns
 
     def release(self) -> list[Stamped]:
         """The waiting records, with stamps by the current estimate of the clock."""
