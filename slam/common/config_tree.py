@@ -6,6 +6,7 @@ import difflib
 import json
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -13,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from logs.records import frozen
-from logs.storage.regular_file import read_regular
+from logs.storage.regular_file import open_regular
 from slam.common.errors import ConfigurationError
 
 _Tree = TypeVar("_Tree", bound=BaseModel)
@@ -21,6 +22,7 @@ _Tree = TypeVar("_Tree", bound=BaseModel)
 _FLAG = "--set"
 _SMALLEST, _LARGEST = 1e-9, 2**31 - 1
 """Squares and quotients of numbers between them are in range, and so are whole numbers of 32 bits."""
+_MAX_CHARACTERS = 10_000_000
 _BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 _TYPE_NAMES = {"float": "a number", "int": "a whole number", "bool": "true or false", "str": "text"}
 
@@ -137,7 +139,11 @@ def _toml_value(value: object) -> str:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(read_regular(path).decode("utf-8-sig"))
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig") as stream:
+            text = stream.read(_MAX_CHARACTERS + 1)
+        if len(text) > _MAX_CHARACTERS:
+            raise ConfigurationError(f"{path} has more than {_MAX_CHARACTERS} characters; it is not a settings file")
+        return tomllib.loads(text)
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror}; give the path of a TOML file") from error
     except ValueError as error:  # of TOML, of UTF-8, or a number with thousands of digits

@@ -136,5 +136,5 @@ def test_a_file_without_end_is_no_file_of_settings(tmp_path: Path) -> None:
     path = tmp_path / "endless.toml"
     with path.open("wb") as stream:
         stream.truncate(10**12)  # of no blocks
-    with pytest.raises(ConfigurationError, match=r"endless\.toml: larger than 1000 MB"):
+    with pytest.raises(ConfigurationError, match=r"endless\.toml has more than 10000000 characters"):
         load_config(path)
