@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
@@ -34,11 +32,16 @@ def find_graph_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
 
 
 def parts(graph: FactorGraphRecord, counts: BoolArray) -> IntArray:
-    """The number (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
+    """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
     order = np.argsort(graph.keyframe_ids)
     ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
-    edges = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=2 * order.shape)
-    return np.asarray(connected_components(edges, directed=False)[1])
+    part = np.arange(len(order))
+    while (part[ends[0]] != part[ends[1]]).any():
+        least = part[ends].min(axis=0)
+        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
+            np.minimum.at(part, part[end], least)
+        part = part[part]
+    return part
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
