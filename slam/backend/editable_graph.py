@@ -25,7 +25,7 @@ from slam.backend.factors import (
 from slam.backend.solver import Solver
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import adjoint, apply_each, invert
+from slam.common.geometry import adjoint, invert
 
 
 class AttachedKeyframes:
@@ -244,16 +244,24 @@ class EditableGraph:
         """Positions (N, 3) m in the map of landmarks by their own observations, without those of landmarks that were
         merged into them, from the poses of the keyframes; NaN for landmarks without any.
         """
-        return np.array([self._observed_position(landmark) for landmark in landmarks.tolist()]).reshape(-1, 3)
+        seen = [
+            (row, each)
+            for row, landmark in enumerate(landmarks.tolist())
+            for each in self._observations.get(landmark, {}).values()
+        ]
+        rows = np.array([row for row, _ in seen], dtype=np.int64)
+        weights = np.array([1.0 / (each.covariance_inflation * np.trace(each.covariance)) for _, each in seen])
+        in_map = weights[:, None] * self._in_map([each for _, each in seen])
+        sums = np.stack([np.bincount(rows, axis, len(landmarks)) for axis in in_map.T], axis=1)
+        totals = np.bincount(rows, weights, len(landmarks))[:, None]
+        return np.divide(sums, totals, out=np.full_like(sums, np.nan), where=totals > 0.0)
 
-    def _observed_position(self, landmark: int) -> FloatArray:
-        observations = self._observations.get(landmark, {}).values()
-        if not observations:
-            return np.full(3, np.nan)
-        T = np.array([self.pose(each.keyframe) for each in observations])
-        in_map = apply_each(T, np.array([each.position for each in observations]))
-        variances = [each.covariance_inflation * np.trace(each.covariance) for each in observations]
-        return np.asarray(np.average(in_map, axis=0, weights=1.0 / np.array(variances)))
+    def _in_map(self, observations: Sequence[Observation]) -> FloatArray:
+        """Positions (N, 3) m in the map of what was observed, from the poses of the keyframes."""
+        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
+        T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
+        in_body = np.array([each.position for each in observations]).reshape(-1, 3, 1)
+        return np.asarray((T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3])
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
@@ -268,11 +276,7 @@ class EditableGraph:
         """Hand observations, by their numbers, to the solver; each is of the variable of its landmark."""
         seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations.values()]
         factors = observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
-        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in seen)}
-        T = np.array([poses[each.keyframe] for each in seen]).reshape(-1, 4, 4)
-        in_body = np.array([each.position for each in seen]).reshape(-1, 3, 1)
-        positions = (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
-        for (number, each), factor, position in zip(observations.items(), factors, positions, strict=True):
+        for (number, each), factor, position in zip(observations.items(), factors, self._in_map(seen), strict=True):
             self._observations.setdefault(each.landmark, {})[number] = each
             variable = self._variable_of(each.landmark)
             if not self._solver.holds(L(variable)):
