@@ -254,7 +254,7 @@ class EditableGraph:
         in_map = weights[:, None] * self._in_map([each for _, each in seen])
         sums = np.stack([np.bincount(rows, axis, len(landmarks)) for axis in in_map.T], axis=1)
         totals = np.bincount(rows, weights, len(landmarks))[:, None]
-        return np.divide(sums, totals, out=np.full_like(sums, np.nan), where=totals > 0.0)
+        return np.asarray(np.divide(sums, totals, out=np.full(sums.shape, np.nan), where=totals > 0.0))
 
     def _in_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Positions (N, 3) m in the map of what was observed, from the poses of the keyframes."""

@@ -65,6 +65,7 @@ def test_observed_positions_are_means_by_information_of_own_observations_only():
         graph.observed_positions(np.array([6, 5, 77])),
         [*apply(T, np.array([other, mean])), [np.nan] * 3],
     )
+    assert np.isnan(graph.observed_positions(np.array([77, 78]))).all()
 
 
 @pytest.mark.parametrize("update_between", [True, False])
