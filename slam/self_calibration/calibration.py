@@ -197,6 +197,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     rise = found.rise + found.rise_by_travel * survey.median_range_m
     # The least noise that is believed of any robot.
     least_m, root = MIN_SIGMA * survey.range_m, np.sqrt(survey.range_m)
+    across = found.tangential + found.tangential_by_range * survey.median_range_m**2
+    height = max(found.height - across, 0.0)
     return {
         "odometry.translation_sigma": max(np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * root),
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
@@ -210,7 +212,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.range_sigma_ratio": _range_sigma_ratio(survey, found),
         "detection.common_sigma_m": np.sqrt(found.view),
         # So large that what all objects in view have in common is not averaged out by them.
-        "detection.height_sigma_m": np.sqrt(found.height + max(survey.objects, 1.0) * rise),
+        "detection.height_sigma_m": np.sqrt(height + max(survey.objects, 1.0) * rise),
         "detection.common_height_sigma_m": np.sqrt(found.view_height),
         # Errors stay the same while the view changes by 1 rad.
         "detection.covariance_inflation": max(

@@ -11,7 +11,7 @@ between the two rays, change of the view B (:func:`view_change`), which turning 
 turn A and time T. With the noise of a detection at range r along its ray, R = v_r + u_r r^2, and across it,
 S = v_t + u_t r^2:
 
-    D:  R1 cos^2 b + S1 sin^2 b + R2 + w B;   S1 cos^2 b + R1 sin^2 b + S2 + w B;   S1 + S2 + 2 h + w_z B
+    D:  R1 cos^2 b + S1 sin^2 b + R2 + w B;   S1 cos^2 b + R1 sin^2 b + S2 + w B;   2 h + w_z B
     Q:  2 j_t + a_t L + b_t T for a shift along the ground, 2 j_z + a_z L for one in height;
         2 j_y + a_y L + c_y A + b_y T for the heading, 2 j_x + a_x L for roll and pitch.
 
@@ -341,8 +341,8 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
     parts = [
         [1.0 + cos2, 1.0 - cos2, zero],
         [after + along, across, zero],
-        [1.0 - cos2, 1.0 + cos2, two],
-        [across, after + along, after + squares[1]],
+        [1.0 - cos2, 1.0 + cos2, zero],
+        [across, after + along, zero],
         [zero, zero, two],
         [view, view, zero],
         [zero, zero, view],

@@ -222,11 +222,22 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
     parts = iter(_own_parts(still))
     axes, axes_before = _axes(still), _axes(replace(still, x=x_before))
     squares = [np.sum(each**2, axis=1)[:, None] for each in (x, x_before)]
-    for sigmas in ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0]):  # along the ray, and across it
+    for sigmas in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]):  # along the ray, and across it, which says nothing of heights
         noise = [np.diag(sigmas) @ axes, np.diag(sigmas) @ axes_before]
         after, before = (np.sum((axes @ each.transpose(0, 2, 1)) ** 2, axis=2) for each in noise)
         np.testing.assert_allclose(next(parts), after + before, atol=1e-9)
         np.testing.assert_allclose(next(parts), after * squares[0] + before * squares[1], atol=1e-9)
+
+
+def test_noise_across_the_ray_is_found_where_heights_are_exact() -> None:
+    """As those of detections that are projected to the ground."""
+    drive = SurveyedDrive(0, {"radial": 0.05, "tangential": 0.2})
+    rng = np.random.default_rng(0)
+    heights = rng.normal(scale=1e-3, size=len(drive.tracks.heights))
+    found = estimate_components(replace(drive.tracks, heights=heights), drive.motion)
+    assert found is not None
+    assert 0.2 / 1.5 < np.sqrt(found.variances.tangential) < 0.2 * 1.5
+    assert np.sqrt(found.variances.height) < 0.01
 
 
 @pytest.mark.usefixtures("few_pairs")
