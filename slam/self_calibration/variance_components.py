@@ -63,7 +63,7 @@ TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 
 @frozen
 class NoiseComponents:
-    """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], of its height beyond that
+    """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], of its height
     [m^2], by the change of the view along the ground and in height [m^2 / rad]; of the odometry's jitter,
     [m^2] and [rad^2], and of its drift by travel, turn and time.
     """
