@@ -219,7 +219,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
             objects * survey.median_range_m / max(config.keyframe_distance_m, scan_m), 1.0
         ),
         "objects.landmark_sigma_m": max(np.sqrt(between_passes), least_m),
-        "objects.landmark_height_sigma_m": np.sqrt(found.height + found.view_height + 2.0 * rise),
+        "objects.landmark_height_sigma_m": np.sqrt(height + found.view_height + 2.0 * rise),
     }
 
 
