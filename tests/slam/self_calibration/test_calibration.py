@@ -215,8 +215,8 @@ def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(survey
 def test_noise_of_heights_is_what_they_have_beyond_the_noise_across_the_ray(surveyed):
     noisy = with_noise(surveyed, tangential=0.3**2, height=0.5**2)
     assert calibrated(noisy).detection.height_sigma_m == pytest.approx(0.4)
-    exact = with_noise(surveyed, tangential=0.3**2, height=0.1**2)
-    assert calibrated(exact).detection.height_sigma_m == 0.0
+    exact = calibrated(with_noise(surveyed, tangential=0.3**2, height=0.1**2))
+    assert exact.detection.height_sigma_m == exact.objects.landmark_height_sigma_m == 0.0
 
 
 def test_objects_that_are_never_two_of_a_class_cannot_be_confused(surveyed):
