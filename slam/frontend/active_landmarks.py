@@ -42,8 +42,9 @@ class ActiveLandmarks:
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
-        self._noise = NoiseScale(SLIP_INFLATION**2, _useless(config))
+        self._noise = NoiseScale(_useless(config))
         self._variances = np.zeros(3)  # of heading, x and y by the odometry since the last correction
+        self._has_slipped = False  # since then
         self._detections_innovation_ratio = 0.0  # by the median squared distance of detections from their landmarks
         self.pose_covariance: FloatArray | None = None
         """(6, 6) of the body's pose against the landmarks in view, axes of the body; None before three were seen."""
@@ -77,7 +78,7 @@ class ActiveLandmarks:
     def restart(self, pose: OdometryPose | None = None) -> None:
         """Restart at a pose, or where the body is, without landmarks."""
         self._pose = pose or self._pose
-        self._variances = np.zeros(3)
+        self._variances, self._has_slipped = np.zeros(3), False
         self._local.start(self.T_odom_body)
         self._map.assign(slice(None), is_active=False)
 
@@ -136,6 +137,23 @@ class ActiveLandmarks:
         """Predicted positions (A, 3) m of the active landmarks, and covariances (A, 3, 3) m^2 relative to the robot."""
         return self._local.predict(np.arange(len(self.rows)))
 
+    def predict_slipped(self) -> tuple[FloatArray, FloatArray]:
+        """The same where the odometry since the last correction errs by SLIP_INFLATION times its noise."""
+        positions, covariances = self.predict()
+        effects = self._local.step_effects(np.arange(len(self.rows))).reshape(-1, 3, 3) * np.sqrt(self._slip_variances)
+        return positions, covariances + effects @ effects.swapaxes(1, 2)
+
+    def slip(self) -> None:
+        """Let the odometry since the last correction err by as much."""
+        heading, x, y = added = self._slip_variances
+        self._local.shift(np.eye(4), np.diag([0.0, 0.0, heading, x, y, 0.0]))
+        self._variances, self._has_slipped = self._variances + added, True
+
+    @property
+    def _slip_variances(self) -> FloatArray:
+        """(3,) of heading, x and y, beyond those of the noise."""
+        return (0.0 if self._has_slipped else SLIP_INFLATION**2 - 1.0) * self._variances
+
     def known_landmarks(self) -> KnownLandmarks:
         """The active landmarks with their joint covariance."""
         joint = self._local.relative_covariance(np.arange(len(self.rows)))
@@ -147,7 +165,7 @@ class ActiveLandmarks:
         """
         T_local_odom = self.T_local_odom
         self._local.shift(T_correction, covariance)
-        self._variances = np.zeros(3)
+        self._variances, self._has_slipped = np.zeros(3), False
         return self._correct_odometry(invert(T_local_odom) @ T_correction @ T_local_odom)
 
     def _correct_odometry(self, T_odom: FloatArray) -> FloatArray:
@@ -189,9 +207,10 @@ class ActiveLandmarks:
         sigmas, slip = np.sqrt(self._variances), None
         innovation, effects = self._local.update(slots, offsets, covariances, self._local.step_effects(slots) * sigmas)
         if len(slots):
-            error = sigmas * self._noise.slip(innovation, effects)
-            self._noise.add(innovation, effects)
-            self._variances = np.zeros(3)
+            error = sigmas * self._noise.slip(innovation, effects, has_slipped=self._has_slipped)
+            if not self._has_slipped:
+                self._noise.add(innovation, effects)
+            self._variances, self._has_slipped = np.zeros(3), False
             if error.any():
                 heading, x, y = error
                 R, xyz_m = rotation_of(np.array([0.0, 0.0, heading])), self.T_local_body[:3, 3]

@@ -103,6 +103,20 @@ def _size(T: FloatArray) -> FloatArray:
     return np.array([float(rotation_angle_rad(T)), float(np.linalg.norm(T[:3, 3]))])
 
 
+def _objects(seen: Scan, labels: IntArray, config: DetectionCalibration) -> Objects:
+    """Detections with the covariances by which they are assigned: their view of the objects may be any."""
+    own = seen.has_own_covariance[:, None, None]
+    covariances = seen.covariances + np.where(own, 0.0, np.diag(config.view_variances))
+    return Objects(seen.positions, covariances, labels)
+
+
+def _anywhere(positions: FloatArray, weight: float) -> PriorComponent:
+    """Any place among the landmarks around, at ``positions`` (A, 3) m, at any heading."""
+    extent_m = np.maximum(np.ptp(positions, axis=0), 1e-3)
+    spread = np.array([1e-3, 1e-3, np.pi, *extent_m[:2], 1e-1 * extent_m[:2].max()])
+    return PriorComponent(weight, np.diag(spread**2), is_anywhere=True)
+
+
 class Tracker:
     """Places the scans of one drive among the active landmarks."""
 
@@ -141,7 +155,7 @@ class Tracker:
 
     def _track(self, scan: Scan, pose: OdometryPose) -> Tracked:
         """The scan at its pose, with the associations that are sure."""
-        tracked = self._associated(scan)
+        tracked = self._slipped(self._associated(scan))
         self._scans += 1
         is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self.active.T_local_body[:3, 3])
         self._failures = self._failures + 1 if is_failing else 0
@@ -180,7 +194,7 @@ class Tracker:
         components = [
             PriorComponent(0.5 * JUMPED, slip),
             PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self.active.T_local_body)),
-            self._anywhere(0.5 * JUMPED),
+            _anywhere(self.active.positions, 0.5 * JUMPED),
         ]
         mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
         if mode is None:
@@ -220,18 +234,31 @@ class Tracker:
         """The scan with the assignment at the predicted pose."""
         labels = self._map.labels.indices(scan.labels)
         seen = scan.seen_from(self.active.T_local_body)
-        detected = Objects(seen.positions, self._spread(seen), labels)
-        beliefs = self._map.labels.beliefs(self.active.rows)
-        assignment = associate(detected, *self.active.predict(), beliefs, self._config)
+        assignment = self._assignment(seen, labels, *self.active.predict())
         return Tracked(scan, labels, seen, self.active.rows, assignment)
 
-    def _spread(self, seen: Scan) -> FloatArray:
-        """Covariances (D, 3, 3) m^2 of detections, whose view of the objects may be any: by these they are assigned."""
-        own = seen.has_own_covariance[:, None, None]
-        return np.asarray(seen.covariances + np.where(own, 0.0, np.diag(self._detection.view_variances)))
+    def _assignment(self, seen: Scan, labels: IntArray, positions: FloatArray, covariances: FloatArray) -> Assignment:
+        """Of detections to the active landmarks at ``positions`` (A, 3) m with ``covariances`` (A, 3, 3) m^2."""
+        detected = _objects(seen, labels, self._detection)
+        return associate(detected, positions, covariances, self._map.labels.beliefs(self.active.rows), self._config)
+
+    def _slipped(self, tracked: Tracked) -> Tracked:
+        """The scan with the assignment by an odometry that slipped, if the matches that it gains are likelier than not,
+        although a slip is rare.
+        """
+        before = tracked.assignment
+        if not (before.landmark_rows == AMBIGUOUS).any():
+            return tracked
+        found = self._assignment(tracked.seen, tracked.labels, *self.active.predict_slipped())
+        log_odds = np.log(self._slips / (self._scans - self._slips))
+        is_likelier = found.log_likelihood_ratio + log_odds > before.log_likelihood_ratio
+        if not is_likelier or np.count_nonzero(found.matched) <= np.count_nonzero(before.matched):
+            return tracked
+        self.active.slip()
+        return replace(tracked, assignment=found)
 
     def _search_of(self, tracked: Tracked) -> ModeSearch:
-        seen = Objects(tracked.seen.positions, self._spread(tracked.seen), tracked.labels)
+        seen = _objects(tracked.seen, tracked.labels, self._detection)
         return ModeSearch(seen, self.active.known_landmarks(), self.active.T_local_body[:3, 3], self._config)
 
     def _is_failing(self, assignment: Assignment, seen: FloatArray, origin: FloatArray) -> bool:
@@ -254,20 +281,17 @@ class Tracker:
         slips = self._slips / self._scans
         components = [PriorComponent(1.0 - slips, np.zeros((6, 6)))]
         if is_failing or self._slips > 1:
-            components.append(PriorComponent(slips, self._slip(pose.stamp_ns, self._odometry_step(pose))))
+            assert self._T_odom_body is not None
+            step = _size(relative(self._T_odom_body, pose.T_odom_body))
+            components.append(PriorComponent(slips, self._slip(pose.stamp_ns, step)))
         if is_failing and self._path:
             T_expected = self.active.T_local_odom @ self._expected(pose).T_odom_body
             T_motion = T_expected @ invert(self.active.T_local_body)
             components.append(PriorComponent(JUMP_PROBABILITY, self._slip(pose.stamp_ns), T_motion))
         # The wide search is repeated at ever longer intervals while it fails.
         if is_failing and self._failures > 1 and self._failures & (self._failures - 1) == 0:
-            components.append(self._anywhere(JUMP_PROBABILITY))
+            components.append(_anywhere(self.active.positions, JUMP_PROBABILITY))
         return components
-
-    def _odometry_step(self, pose: OdometryPose) -> FloatArray:
-        """Turn [rad] and length [m] of the step by the odometry since the last scan, (2,)."""
-        assert self._T_odom_body is not None
-        return _size(relative(self._T_odom_body, pose.T_odom_body))
 
     def _slip(self, stamp_ns: int, step: FloatArray | float = 0.0) -> FloatArray:
         """Covariance (6, 6) of an error as large as the motion since the last scan, or as a step (2,).
@@ -276,12 +300,6 @@ class Tracker:
         """
         turn, length = np.maximum(step, self._path.way_until(stamp_ns)) ** 2 + 1e-8
         return np.diag([0.01 * turn, 0.01 * turn, turn, length, length, 0.01 * length])
-
-    def _anywhere(self, weight: float) -> PriorComponent:
-        """Any place among the landmarks around, at any heading."""
-        extent_m = np.maximum(np.ptp(self.active.positions, axis=0), 1e-3)
-        spread = np.array([1e-3, 1e-3, np.pi, *extent_m[:2], 1e-1 * extent_m[:2].max()])
-        return PriorComponent(weight, np.diag(spread**2), is_anywhere=True)
 
     def _decided(self, tracked: Tracked, modes: list[Mode], sure: Mode | None) -> Tracked:
         """The scan by the posterior of the pose, and by the mode that is ``sure``."""

@@ -10,8 +10,9 @@ with the columns of W for translation or heading, scaled by their standard devia
 can tell. The ratio is the weighted median over a window of scans, so that detections that err by far, and single
 slips, do not change it. Gravity and the ground hold tilt and height, whatever heights of detections seem to say.
 
-A slip is a step whose error n contradicts the calibrated noise, even where the factor has grown to expect it, and
-explains the innovations of at least three landmarks. The estimate of n is its posterior mean W' y.
+A slip is a step whose error n contradicts even SLIP_INFLATION times the calibrated noise, also where the factor has
+grown to expect it, and explains the innovations of at least three landmarks. The estimate of n is its posterior mean
+W' y.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from slam.common.arrays import FloatArray
+from slam.odometry.noise import SLIP_INFLATION
 
 WINDOW = 20
 """Corrections after which the scale is estimated again."""
@@ -30,29 +32,28 @@ AXES = (slice(1, 3), slice(0, 1))
 
 
 class NoiseScale:
-    """``factors`` (2,) on the variances of the odometry's translation and heading, ``least`` where its model is right:
-    a slip is larger than the noise of a step; at ``most`` (2,) where it tells nothing.
+    """``factors`` (2,) on the variances of the odometry's translation and heading, 1 where its model is right; at
+    ``most`` (2,) where it tells nothing.
     """
 
-    def __init__(self, least: float, most: FloatArray) -> None:
-        self._least = least
-        self._most = np.maximum(most, least)
-        self.factors = np.full(2, least)
+    def __init__(self, most: FloatArray) -> None:
+        self._most = np.maximum(most, 1.0)
+        self.factors = np.ones(2)
         self.innovation_ratio = 0.0
         """The last squared correction by its variance and the gate, the larger of the two."""
         self._ratios: list[FloatArray] = []
         self._weights: list[FloatArray] = []
 
-    def slip(self, innovation: FloatArray, effects: FloatArray) -> FloatArray:
+    def slip(self, innovation: FloatArray, effects: FloatArray, *, has_slipped: bool = False) -> FloatArray:
         """The error (3,) of the last step if it slipped, else zeros; in standard deviations, by which ``effects`` are
-        scaled. Arguments as of ``add``.
+        scaled. Arguments as of ``add``; ``has_slipped``: the standard deviations are those of a slip already.
         """
         none = np.zeros(3)
         # Earlier steps had other lever arms, so that effects may be larger than the innovations allow, which is 1.
         error = effects.T @ innovation / max(float(np.linalg.norm(effects, 2)), 1.0) ** 2
         heading, x, y = error
         ratios = self.factors * [(x**2 + y**2) / 3.0, heading**2]
-        if np.max(ratios) < GATE * self._least:
+        if np.max(ratios) < GATE * (1.0 if has_slipped else SLIP_INFLATION**2):
             return none
         rest = innovation - effects @ np.linalg.lstsq(effects, innovation)[0]
         # One or two landmarks leave no degrees of freedom of a pose in space, and chdtrc is then 0 or NaN.
@@ -77,7 +78,7 @@ class NoiseScale:
         windows = zip(np.transpose(self._ratios), np.transpose(self._weights), strict=True)
         ratios = np.array([_weighted_median(*each) for each in windows])
         gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
-        self.factors = np.clip(self.factors * gains, self._least, self._most)
+        self.factors = np.clip(self.factors * gains, 1.0, self._most)
         self._ratios, self._weights = [], []
 
 

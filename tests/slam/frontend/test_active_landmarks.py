@@ -117,9 +117,29 @@ def test_one_landmark_tells_the_noise_of_all_steps_since_the_last_correction(mon
     bench.advance(8.0, step_m=1.0)
     bench.active.restart()
     bench.see(bench.add([[12.0, 2.0, 0.0]]))
-    variance = 4.0 * (SLIP_INFLATION * 0.04) ** 2
+    variance = 4.0 * 0.04**2
     np.testing.assert_allclose(shares[0], variance / (variance + 2.0 * SIGMA_M**2), rtol=1e-6)
     np.testing.assert_array_equal(shares[1:], np.zeros((2, 2)))
+
+
+def test_odometry_that_slipped_errs_by_more_until_the_next_correction(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, learned = Bench(odometry={"translation_sigma": 0.04}, detection={"common_sigma_m": 0.0}), []
+    monkeypatch.setattr(bench.active._noise, "add", lambda *_: learned.append(bench.x))
+    rows = bench.add([[5.0, 2.0, 0.0], [9.0, -3.0, 0.0]])
+    bench.advance(4.0)
+    before = bench.active.predict()[1]
+    expected = before + np.diag([1.0, 1.0, 0.0]) * (SLIP_INFLATION**2 - 1.0) * 4.0 * 0.04**2
+    np.testing.assert_allclose(bench.active.predict_slipped()[1], expected, atol=1e-9)
+    for _ in range(2):  # it slips once
+        bench.active.slip()
+        np.testing.assert_allclose(bench.active.predict()[1], expected, atol=1e-9)
+        np.testing.assert_allclose(bench.active.predict_slipped()[1], expected, atol=1e-9)
+    bench.see(rows)
+    assert learned == [], "a slip tells nothing of the noise"
+    bench.advance(5.0)
+    assert (bench.active.predict_slipped()[1][:, 0, 0] > bench.active.predict()[1][:, 0, 0]).all()
+    bench.see(rows)
+    assert learned == [5.0]
 
 
 def test_map_tells_which_landmarks_are_active() -> None:
@@ -220,6 +240,7 @@ def test_slip_that_all_landmarks_show_corrects_the_odometry() -> None:
     bench = Bench()
     rows = bench.add(PLACES)
     bench.advance(10.0)
+    bench.active.slip()
     correction = bench.see(rows, np.array(PLACES) - [4.0, 0.0, 0.0])
     assert correction is not None
     np.testing.assert_allclose(correction.T_odom[:3, 3], [4.0, 0.0, 0.0], atol=0.7)

@@ -208,6 +208,20 @@ def test_slip_is_as_probable_as_slips_were_so_far() -> None:
     assert odometry_is_right.weight == pytest.approx(1.0 - slips.weight)
 
 
+@pytest.mark.parametrize("likelier", [False, True])
+def test_odometry_slips_if_that_is_likelier_than_bad_detections(likelier: bool) -> None:
+    """One object is in view, off by six standard deviations of a step and a detection."""
+    drive = driven(12)
+    tracker = drive.mapper.tracker
+    which = drive.nearest()[:1]
+    sigma_m = float(np.sqrt(tracker.active._variances[1] + 0.05**2 * STEP_M))
+    drive.err(pose_at(6.0 * np.hypot(sigma_m, SIGMA_M)))
+    tracker._slips, tracker._scans = (1, 100) if likelier else (1, 10**30)
+    tracked = drive.located(which)
+    assert drive.wrong_pairs(tracked, which) == 0
+    assert (tracked.landmark_rows >= 0).tolist() == [likelier]
+
+
 def test_scans_that_do_not_fit_are_decided_together() -> None:
     """Each has one object, which tells too little by itself."""
     drive = driven(15, spacing_m=1e6)
