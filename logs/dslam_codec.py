@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,13 +23,12 @@ _Record = TypeVar("_Record", bound="m.ObjectDetections | m.ObjectMapRecord | m.F
 _MESSAGE_FIELDS = {"T_map_body": "map_body", "T_reference_query": "reference_query", "edge_transforms": "edge_from_to"}
 """Name in the record -> name in the message, where they differ."""
 
-_TYPES: Mapping[int, tuple[Callable[[Any], Any], Any]] = {
-    FieldDescriptor.CPPTYPE_INT64: (int, np.int64),
-    FieldDescriptor.CPPTYPE_DOUBLE: (float, np.float64),
-    FieldDescriptor.CPPTYPE_BOOL: (bool, np.bool_),
-    FieldDescriptor.CPPTYPE_STRING: (str, object),
+_DTYPES: Mapping[int, Any] = {
+    FieldDescriptor.CPPTYPE_INT64: np.int64,
+    FieldDescriptor.CPPTYPE_DOUBLE: np.float64,
+    FieldDescriptor.CPPTYPE_BOOL: np.bool_,
 }
-"""Type of a field -> that of its value in a record, alone and in an array."""
+"""Type of a field -> that of its array in a record; text is in tuples."""
 
 
 class _Field:
@@ -46,13 +45,13 @@ class _Field:
         self.is_map = message_field.is_repeated and not shape
         self.is_optional = message_field.has_presence
         self.may_be_empty = shape.endswith("?")
-        self.cast, self._dtype = _TYPES.get(message_field.cpp_type, (dict, object))
+        self._dtype = _DTYPES.get(message_field.cpp_type)
 
     def encode(self, value: Any) -> Any:
         """What the message holds of ``value``, which is not None."""
-        if not self.lengths or isinstance(value, tuple):
-            return value if self.lengths else self.cast(value)
-        return np.asarray(value[..., :3, :] if "T" in self.lengths else value, dtype=self._dtype).ravel().tolist()
+        if not isinstance(value, np.ndarray):
+            return value
+        return (value[..., :3, :] if "T" in self.lengths else value).ravel().tolist()
 
     def decode(self, values: Sequence[Any], lengths: dict[str, int], counters: Counter[str]) -> Any:
         """The array or the tuple in ``values``; ``lengths`` by letter, to which the first of this field is added.
@@ -71,7 +70,7 @@ class _Field:
         count = lengths[first]
         if "T" in others:
             return transforms(values, count, self.name)
-        if self.cast is not str:
+        if self._dtype is not None:
             return flat_array(values, (count, *width), self.name, self._dtype)
         if len(values) != count:
             raise Refusal("lengths disagree", f"{self.name}: {len(values)} for {count}")
@@ -150,55 +149,57 @@ def _check_array(name: str, array: NDArray[Any]) -> None:
             raise Refusal("time out of range", name)
 
 
-_CODECS = (
-    Codec(
-        m.ObjectDetections,
-        pb.ObjectDetections,
-        labels="N",
-        positions="N 3",
-        scores="N",
-        covariances="N 3 3?",
-    ),
-    Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
-    Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
-    Codec(
-        m.ObjectMapRecord,
-        pb.ObjectMap,
-        ids="N",
-        vocabulary="C",
-        positions="N 3",
-        covariances="N 3 3",
-        class_probabilities="N C",
-        states="N",
-        reasons="N",
-        observation_counts="N",
-        first_seen_ns="N",
-        last_seen_ns="N",
-        merged_into="N?",
-    ),
-    Codec(m.TrajectoryRecord, pb.Trajectory, stamps_ns="N", T_map_body="N T"),
-    Codec(
-        m.FactorGraphRecord,
-        pb.FactorGraph,
-        keyframe_ids="K",
-        keyframe_stamps_ns="K",
-        T_map_body="K T",
-        edge_kinds="E",
-        edge_keyframe_ids="E 2",
-        edge_transforms="E T",
-        edge_covariances="E 6 6",
-        observation_landmark_ids="O",
-        observation_keyframe_ids="O",
-        observation_positions="O 3",
-        observation_covariances="O 3 3",
-        pose_covariances="K 6 6?",
-        observation_redundancies="O?",
-    ),
-    Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
-    Codec(m.StatusRecord, pb.Status),
-    Codec(m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"),
-)
-CODECS: Mapping[type, Codec] = {codec.record: codec for codec in _CODECS}
+CODECS: Mapping[type, Codec] = {
+    codec.record: codec
+    for codec in (
+        Codec(
+            m.ObjectDetections,
+            pb.ObjectDetections,
+            labels="N",
+            positions="N 3",
+            scores="N",
+            covariances="N 3 3?",
+        ),
+        Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
+        Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
+        Codec(
+            m.ObjectMapRecord,
+            pb.ObjectMap,
+            ids="N",
+            vocabulary="C",
+            positions="N 3",
+            covariances="N 3 3",
+            class_probabilities="N C",
+            states="N",
+            reasons="N",
+            observation_counts="N",
+            first_seen_ns="N",
+            last_seen_ns="N",
+            merged_into="N?",
+        ),
+        Codec(m.TrajectoryRecord, pb.Trajectory, stamps_ns="N", T_map_body="N T"),
+        Codec(
+            m.FactorGraphRecord,
+            pb.FactorGraph,
+            keyframe_ids="K",
+            keyframe_stamps_ns="K",
+            T_map_body="K T",
+            edge_kinds="E",
+            edge_keyframe_ids="E 2",
+            edge_transforms="E T",
+            edge_covariances="E 6 6",
+            observation_landmark_ids="O",
+            observation_keyframe_ids="O",
+            observation_positions="O 3",
+            observation_covariances="O 3 3",
+            pose_covariances="K 6 6?",
+            observation_redundancies="O?",
+        ),
+        Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
+        Codec(m.StatusRecord, pb.Status),
+        Codec(m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"),
+    )
+}
 
 
 def take_rows(record: _Record, **rows: NDArray[np.int64]) -> _Record:

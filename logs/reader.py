@@ -77,7 +77,7 @@ class LogReader:
         counters = Counter(self._decoding_counters)
         for file in self._open:
             counters.update(file.counters)
-        return {name: count for name, count in sorted(counters.items()) if count}
+        return dict(sorted((+counters).items()))
 
     @property
     def decoding_counters(self) -> Counter[str]:

@@ -52,7 +52,7 @@ class TopicSummary:
 
 @frozen
 class LogSummary:
-    """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
+    """A log at a glance. ``selection`` is what a replay would use; empty where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first. ``closure_candidates`` are the final decisions by query
     stamp. ``first_stamp_ns`` is the earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is
@@ -65,7 +65,7 @@ class LogSummary:
     end_ns: int
     topics: tuple[TopicSummary, ...]
     class_counts: Mapping[str, int]
-    selection: Selection | None
+    selection: Selection
     obstacle: str
     closure_candidates: tuple[m.LoopClosureRecord, ...]
     first_stamp_ns: int | None
@@ -92,13 +92,12 @@ def summarize(
         try:
             selection, obstacle = select_topics(topics, overrides), ""
         except TopicSelectionError as error:
-            selection, obstacle = None, str(error)
+            selection, obstacle = Selection(), str(error)
         gathering = _Gathering()
-        everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
-        mappings = selection.mappings if selection is not None else {}
+        everything = Selection({**select_all(topics).kinds, **selection.kinds}, selection.mappings)
         # A graph is large, and nothing of it is shown.
-        shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
-        for item in reader.items(Selection(shown, mappings), copy=[info.topic for info in topics]):
+        shown = everything.without(RecordKind.FACTOR_GRAPH)
+        for item in reader.items(shown, copy=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
         return LogSummary(
             path=str(path),

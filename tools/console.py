@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,14 +25,6 @@ MAX_LISTED = 40
 _STYLE: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": None, "pad_edge": False}
 
 
-class VisibleFormatter(logging.Formatter):
-    """Messages of the log, in which the names of a file stand."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """One message, tracebacks included."""
-        return visible(super().format(record))
-
-
 class _PlainTable(Table):
     """Cells are plain text: no markup, no control characters."""
 
@@ -43,18 +34,13 @@ class _PlainTable(Table):
 
 def show(*parts: RenderableType) -> None:
     """Print texts and tables to standard output; in a pipe as plain lines of a fixed width."""
-    if sys.stdout.isatty():
-        _print(Console(highlight=False), parts)
-        return
-    buffer = StringIO()
-    _print(Console(file=buffer, width=PIPE_WIDTH, highlight=False, color_system=None), parts)
-    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in buffer.getvalue().splitlines()))
-
-
-def _print(out: Console, parts: Sequence[RenderableType]) -> None:
+    is_terminal, piped = sys.stdout.isatty(), StringIO()
+    plain_console = Console(file=piped, width=PIPE_WIDTH, highlight=False, color_system=None)
+    out = Console(highlight=False) if is_terminal else plain_console
     for part in parts:
         # What a narrow terminal cannot hold it wraps; cropping would lose numbers.
         out.print(Text(visible(part)) if isinstance(part, str) else part, crop=False)
+    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in piped.getvalue().splitlines()))
 
 
 def show_json(value: Mapping[str, Any]) -> None:

@@ -66,12 +66,11 @@ def add(
     georeference = None if origin is None else parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)
-    jobs = workers or os.cpu_count() or 1
     result = map_fleet(
         members,
         city,
         config,
-        workers=jobs,
+        workers=workers or os.cpu_count() or 1,
         georeference=georeference,
         tell=partial(typer.echo, err=True),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -110,14 +110,10 @@ def pose_decoder(path: str, body: str = "") -> Callable[[Any, Context], Records]
     return decode
 
 
-def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]]) -> Records:
-    """Records of (stamp and parent, child, translation, rotation); as odometry, those whose parent is "odom"."""
-    transforms = [
-        Transform(time_ns, parent, child, transform_of(translation, rotation))
-        for (time_ns, parent), child, translation, rotation in frames
-    ]
-    if context.kind != RecordKind.ODOMETRY:
-        return tuple(transforms)
+def frame_records(transforms: tuple[Transform, ...], kind: RecordKind) -> Records:
+    """The frames themselves; as odometry, those whose parent is "odom"."""
+    if kind != RecordKind.ODOMETRY:
+        return transforms
     return tuple(
         Odometry(t.stamp_ns, t.T_parent_child, t.parent_frame_id, t.child_frame_id)
         for t in transforms

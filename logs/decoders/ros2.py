@@ -18,16 +18,18 @@ from logs.decoders.parts import (
     frame_records,
     place_of,
     pose_decoder,
+    transform_of,
 )
+from logs.messages import Transform
 from logs.topics import RecordKind
 
 
 def _tf(message: Any, context: Context) -> Records:
-    frames = (
-        (place_of(t, context), t.child_frame_id, t.transform.translation, t.transform.rotation)
+    transforms = tuple(
+        Transform(*place_of(t, context), t.child_frame_id, transform_of(t.transform.translation, t.transform.rotation))
         for t in message.transforms
     )
-    return frame_records(context, frames)
+    return frame_records(transforms, context.kind)
 
 
 AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")

@@ -23,8 +23,6 @@ def find_faults(summary: LogSummary) -> list[str]:
     """Reasons why detections cannot be placed on the odometry: unconnected frames, and other clocks."""
     from logs.topics import RecordKind
 
-    if summary.selection is None:
-        return []
     of_topic = {topic.topic: topic for topic in summary.topics}
     odometry = [of_topic[name] for name in summary.selection.topics_of(RecordKind.ODOMETRY)]
     detections = [of_topic[name] for name in summary.selection.topics_of(RecordKind.DETECTIONS)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -53,9 +52,9 @@ def info(
     about_map = summary.metadata.get(saved_map.METADATA)
     saved = None if about_map is None else saved_map.describe(log, about_map)
     if json:
-        told = {each.name: getattr(summary, each.name) for each in fields(summary) if each.name != "closure_candidates"}
-        told |= {"selection": _selected(summary), "duration_s": summary.duration_s}
+        told = plain(summary) | {"selection": _selected(summary), "duration_s": summary.duration_s}
         told |= {} if saved is None else {"map": saved}
+        del told["closure_candidates"]
         if wanted:
             told["closure_candidates"] = [{"time_s": _time_s(summary, each), **plain(each)} for each in candidates]
         console.show_json(told)
@@ -127,7 +126,7 @@ def _classes(summary: LogSummary) -> str:
 
 
 def _selected(summary: LogSummary) -> dict[str, list[str]]:
-    return {topic: list(kinds) for topic, kinds in summary.selection.kinds.items()} if summary.selection else {}
+    return {topic: list(kinds) for topic, kinds in summary.selection.kinds.items()}
 
 
 def _obstacle(summary: LogSummary) -> str:
