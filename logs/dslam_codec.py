@@ -88,43 +88,25 @@ class Codec:
         self.record = record
         fields = message_class.DESCRIPTOR.fields_by_name
         names = [*shapes, *(f.name for f in dataclasses.fields(record) if f.name not in shapes)]
-        self._fields = [_Field(name, fields[_MESSAGE_FIELDS.get(name, name)], shapes.get(name, "")) for name in names]
-
-    def rows_of(self, record: Any, letter: str) -> dict[str, Any]:
-        """The arrays and tuples of a record that have that length, by name; those that are left out are missing."""
-        counted = (field.name for field in self._fields if field.lengths[:1] == [letter])
-        found = ((name, getattr(record, name)) for name in counted)
-        return {name: values for name, values in found if values is not None and len(values)}
+        self.fields = [_Field(name, fields[_MESSAGE_FIELDS.get(name, name)], shapes.get(name, "")) for name in names]
 
     def encode(self, record: Any) -> Message:
         """The message of ``record``."""
-        values = ((field, getattr(record, field.name)) for field in self._fields)
+        values = ((field, getattr(record, field.name)) for field in self.fields)
         message: Message = self.message_class(
             **{field.message_name: field.encode(value) for field, value in values if value is not None}
         )
         return message
 
     def decode(self, message: Any, counters: Counter[str]) -> Any:
-        """The record of ``message``; ``counters`` counts covariances that are left out.
-
-        Raises:
-            Refusal: lengths that disagree, or numbers that no record may have.
-        """
-        values = self.values(message, counters)
-        for name, value in values.items():
-            if isinstance(value, np.ndarray):
-                _check_array(name, value)
-        return self.record(**values)
-
-    def values(self, message: Any, counters: Counter[str]) -> dict[str, Any]:
-        """The arguments of the record of ``message``, whose numbers may be any.
+        """The record of ``message``, whose numbers may be any; ``counters`` counts covariances that are left out.
 
         Raises:
             Refusal: lengths that disagree, or a matrix that is no rotation.
         """
         values: dict[str, Any] = {}
         lengths = {"T": 12}  # numbers of a transform
-        for field in self._fields:
+        for field in self.fields:
             value = getattr(message, field.message_name)
             if field.is_map:  # its order is arbitrary; sorted, a record is the same in every run
                 values[field.name] = dict(sorted(value.items()))
@@ -133,20 +115,29 @@ class Codec:
                     values[field.name] = field.decode(value, lengths, counters)
             elif not field.is_optional or message.HasField(field.message_name):
                 values[field.name] = value
-        return values
+        return self.record(**values)
 
 
-def _check_array(name: str, array: NDArray[Any]) -> None:
-    if array.dtype == np.float64:
-        if not np.isfinite(array).all():
-            raise Refusal("number is not finite", name)
-        # More than the variance of the farthest place, seen in a direction that is unknown in many steps.
-        if (np.abs(array) > (1e3 * MAX_COORDINATE_M) ** 2).any():
-            raise Refusal("number is out of range", name)
-    elif name.endswith("_ns") and len(array):
-        earliest_ns = -1 if name == "keyframe_stamps_ns" else 0  # keyframes of a prior map have no time
-        if not earliest_ns <= array.min() <= array.max() <= LAST_NS:
-            raise Refusal("time out of range", name)
+def check_arrays(record: Any) -> None:
+    """See that the arrays of a record hold what they may.
+
+    Raises:
+        Refusal: numbers that no record may have.
+    """
+    arrays = ((field.name, getattr(record, field.name)) for field in dataclasses.fields(record))
+    for name, array in arrays:
+        if not isinstance(array, np.ndarray):
+            continue
+        if array.dtype == np.float64:
+            if not np.isfinite(array).all():
+                raise Refusal("number is not finite", name)
+            # More than the variance of the farthest place, seen in a direction that is unknown in many steps.
+            if (np.abs(array) > (1e3 * MAX_COORDINATE_M) ** 2).any():
+                raise Refusal("number is out of range", name)
+        elif name.endswith("_ns") and len(array):
+            earliest_ns = -1 if name == "keyframe_stamps_ns" else 0  # keyframes of a prior map have no time
+            if not earliest_ns <= array.min() <= array.max() <= LAST_NS:
+                raise Refusal("time out of range", name)
 
 
 CODECS: Mapping[type, Codec] = {
@@ -204,9 +195,11 @@ CODECS: Mapping[type, Codec] = {
 
 def take_rows(record: _Record, **rows: NDArray[np.int64]) -> _Record:
     """The record with only some rows (K,) of all that has the length with that letter, as ``CODECS`` names it."""
-    taken: dict[str, Any] = {
-        name: tuple(values[row] for row in kept.tolist()) if isinstance(values, tuple) else values[kept]
-        for letter, kept in rows.items()
-        for name, values in CODECS[type(record)].rows_of(record, letter).items()
-    }
+    taken: dict[str, Any] = {}
+    for field in CODECS[type(record)].fields:
+        values = getattr(record, field.name)
+        for letter, kept in rows.items():
+            if field.lengths[:1] == [letter] and values is not None and len(values):
+                is_text = isinstance(values, tuple)
+                taken[field.name] = tuple(values[row] for row in kept.tolist()) if is_text else values[kept]
     return dataclasses.replace(record, **taken)

@@ -34,9 +34,11 @@ class _PlainTable(Table):
 
 def show(*parts: RenderableType) -> None:
     """Print texts and tables to standard output; in a pipe as plain lines of a fixed width."""
-    is_terminal, piped = sys.stdout.isatty(), StringIO()
-    plain_console = Console(file=piped, width=PIPE_WIDTH, highlight=False, color_system=None)
-    out = Console(highlight=False) if is_terminal else plain_console
+    piped = StringIO()
+    if sys.stdout.isatty():
+        out = Console(highlight=False)
+    else:
+        out = Console(file=piped, width=PIPE_WIDTH, highlight=False, color_system=None)
     for part in parts:
         # What a narrow terminal cannot hold it wraps; cropping would lose numbers.
         out.print(Text(visible(part)) if isinstance(part, str) else part, crop=False)

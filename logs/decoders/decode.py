@@ -129,7 +129,7 @@ class RecordDecoder:
         counters: Counter[str] | None = None,
         reported: set[tuple[str, str]] | None = None,
     ) -> None:
-        self._limits = limits or ReadingLimits()
+        self._limits = limits
         self._definitions: set[Schema | None] = set()
         self._reported = set[tuple[str, str]]() if reported is None else reported
         self.counters = Counter[str]() if counters is None else counters

@@ -45,7 +45,7 @@ from logs.decoders.parts import (
     usable_detections,
     xyz,
 )
-from logs.dslam_codec import CODECS
+from logs.dslam_codec import CODECS, check_arrays
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal, stamp_ns
 
@@ -125,14 +125,15 @@ def _class_and_score(entity: Any) -> tuple[str, float]:
 
 def _own(record: type, *kinds: RecordKind) -> MessageDecoder:
     codec = CODECS[record]
-    return MessageDecoder(
-        kinds, lambda message, context: (codec.decode(message, context.counters),), codec.message_class
-    )
 
+    def decode(message: Any, context: Context) -> Records:
+        found = codec.decode(message, context.counters)
+        if isinstance(found, m.ObjectDetections):
+            return (usable_detections(found, context.counters),)
+        check_arrays(found)
+        return (found,)
 
-def _detections(message: Any, context: Context) -> Records:
-    codec = CODECS[m.ObjectDetections]
-    return (usable_detections(m.ObjectDetections(**codec.values(message, context.counters)), context.counters),)
+    return MessageDecoder(kinds, decode, codec.message_class)
 
 
 DECODERS: dict[str, MessageDecoder] = {
@@ -144,7 +145,7 @@ DECODERS: dict[str, MessageDecoder] = {
         MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
         MessageDecoder((RecordKind.GNSS,), fix_records, LocationFix),
         MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
-        MessageDecoder(DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
+        _own(m.ObjectDetections, RecordKind.DETECTIONS),
         _own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
         _own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
         _own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),

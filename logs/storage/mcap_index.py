@@ -48,7 +48,6 @@ class OversizedChunkError(ValueError):
     """A chunk holds more than is allowed; ``size`` in bytes, decompressed."""
 
     def __init__(self, size: int) -> None:
-        super().__init__(f"{size} bytes")
         self.size = size
 
 
@@ -161,7 +160,7 @@ class McapIndex:
 
     ``blocks``: chunks, or runs of records outside of chunks, by their first log time; the channels that may be in one
     are those in its ``message_index_offsets``, all if that is empty. ``lost_blocks``: offset -> bytes; ``oversized``:
-    offset -> bytes, decompressed; ``lost_tail_bytes``: at the end of the file, that are no records.
+    offsets of blocks that are too large; ``lost_tail_bytes``: at the end of the file, that are no records.
 
     Raises:
         UnreadableLogError: it holds more channels or blocks, or longer names, than the limits allow; ``name`` is what
@@ -181,7 +180,7 @@ class McapIndex:
         self.is_complete = True
         self.lost_tail_bytes = 0
         self.lost_blocks: dict[int, int] = {}
-        self.oversized: dict[int, int] = {}
+        self.oversized: set[int] = set()
         summary = read_summary(stream)
         if summary is None:
             for start, end in self._walk():
@@ -221,7 +220,7 @@ class McapIndex:
             _log.warning(text, self._name, what, 1e-6 * size, self._limits.chunk_mb)
 
     def _note_oversized(self, offset: int, size: int) -> None:
-        self.oversized[offset] = size
+        self.oversized.add(offset)
         self.report("a chunk", size)
 
     def _walk(self) -> Iterator[tuple[int, int]]:
