@@ -129,9 +129,13 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(error, "ctx", None)
         return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", ExitCode.BAD_INPUT)
     except Exception as error:
+        from descriptors.errors import DescriptorError
+        from logs.errors import LogError
+        from slam.common.errors import SlamError
+
         if debug:
             traceback.print_exc()
-        if _is_expected(error):
+        if isinstance(error, (LogError, SlamError, DescriptorError, OSError)):
             return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), ExitCode.BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
             return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
@@ -141,14 +145,6 @@ def run(arguments: Sequence[str]) -> int:
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)
     return code if isinstance(code, int) else 0
-
-
-def _is_expected(error: Exception) -> bool:
-    from descriptors.errors import DescriptorError
-    from logs.errors import LogError
-    from slam.common.errors import SlamError
-
-    return isinstance(error, (LogError, SlamError, DescriptorError, OSError))
 
 
 def _fail(message: str, code: int) -> int:

@@ -141,19 +141,17 @@ def fix_records(message: Any, context: Context) -> Records:
 def detection_records(scans: Mapping[Place, Sequence[Detection]], counters: Counter[str]) -> Records:
     """A record for each stamp and frame with objects, in their order; without any object, an empty one of the first."""
     filled = {place: found for place, found in scans.items() if found} or dict(list(scans.items())[:1])
-    return tuple(_scan_record(place, found, counters) for place, found in filled.items())
-
-
-def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str]) -> ObjectDetections:
-    n = len(found)
-    record = ObjectDetections(
-        *place,
-        np.array([each.position for each in found], dtype=np.float64).reshape(n, 3),
-        tuple(each.label for each in found),
-        np.array([each.score for each in found], dtype=np.float64),
-        np.array([each.covariance for each in found]).reshape(n, 3, 3),
+    records = (
+        ObjectDetections(
+            *place,
+            np.array([each.position for each in found], dtype=np.float64).reshape(-1, 3),
+            tuple(each.label for each in found),
+            np.array([each.score for each in found], dtype=np.float64),
+            np.array([each.covariance for each in found]).reshape(-1, 3, 3),
+        )
+        for place, found in filled.items()
     )
-    return usable_detections(record, counters)
+    return tuple(usable_detections(record, counters) for record in records)
 
 
 def usable_detections(record: ObjectDetections, counters: Counter[str]) -> ObjectDetections:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -69,17 +69,15 @@ def read_detections(table: Table) -> DetectionTable:
             records.append(DetectionTruth(stamp_ns, tuple("" if name == "-1" else name for name in names)))
     left_out = tuple(name for name in table.columns if name and name not in table.used)
     unlabelled = sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True))
-    return DetectionTable(records, left_out, tuple(_notes(unlabelled, len(labels), {*frames} - {BODY_FRAME})))
-
-
-def _notes(unlabelled: int, count: int, frames: set[str]) -> Iterator[str]:
+    notes = []
     if unlabelled:
-        yield f"{unlabelled} of {count} detections have no label and are of the class {UNLABELLED}"
-    if frames:
-        yield (
-            f"detections are in {', '.join(sorted(frames))}, whose place on the body is not in these files: "
+        notes.append(f"{unlabelled} of {len(labels)} detections have no label and are of the class {UNLABELLED}")
+    if others := {*frames} - {BODY_FRAME}:
+        notes.append(
+            f"detections are in {', '.join(sorted(others))}, whose place on the body is not in these files: "
             "replay with --set calibration.detection.assume_body_frame=true if it is the body"
         )
+    return DetectionTable(records, left_out, tuple(notes))
 
 
 def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], FloatArray]:

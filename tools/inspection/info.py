@@ -52,11 +52,13 @@ def info(
     about_map = summary.metadata.get(saved_map.METADATA)
     saved = None if about_map is None else saved_map.describe(log, about_map)
     if json:
-        told = plain(summary) | {"selection": _selected(summary), "duration_s": summary.duration_s}
+        told = plain(summary) | {"selection": summary.selection.kinds, "duration_s": summary.duration_s}
         told |= {} if saved is None else {"map": saved}
         del told["closure_candidates"]
         if wanted:
-            told["closure_candidates"] = [{"time_s": _time_s(summary, each), **plain(each)} for each in candidates]
+            told["closure_candidates"] = [
+                {"time_s": summary.time_s(each.stamp_ns), **plain(each)} for each in candidates
+            ]
         console.show_json(told)
         return
     if keyframe is None:
@@ -91,7 +93,7 @@ def _rows(summary: LogSummary) -> dict[str, str]:
         f"{topic.topic}: {text}" for topic in summary.topics if topic not in of_replay and (text := _faults(topic))
     ]
     listed["gaps, order"] = "\n".join(faults)
-    uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in _selected(summary).items())
+    uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in summary.selection.kinds.items())
     listed |= {"replay uses": uses, "no replay": "" if uses else _obstacle(summary)}
     listed["lost"] = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items())
     if summary.status is not None:
@@ -125,10 +127,6 @@ def _classes(summary: LogSummary) -> str:
     return ", ".join(console.first([f"{name} {count}" for name, count in counts], " classes"))
 
 
-def _selected(summary: LogSummary) -> dict[str, list[str]]:
-    return {topic: list(kinds) for topic, kinds in summary.selection.kinds.items()}
-
-
 def _obstacle(summary: LogSummary) -> str:
     if saved_map.METADATA in summary.metadata:
         return "this is a saved map, not a drive; give it to replay or relocalize by --map"
@@ -139,15 +137,14 @@ def _obstacle(summary: LogSummary) -> str:
 
 def _topics(summary: LogSummary) -> list[dict[str, str]]:
     """A row for each topic. Times count from the first stamp of the odometry, or else from the first message."""
-    start_ns = summary.start_ns if summary.first_stamp_ns is None else summary.first_stamp_ns
     return [
         {
             "topic": topic.topic,
             "messages": str(topic.message_count),
             "Hz": _number(topic.rate_hz, ".1f"),
             "length m": _number(topic.length_m, ".0f"),
-            "from s": f"{(topic.first_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
-            "to s": f"{(topic.last_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
+            "from s": f"{summary.time_s(topic.first_ns):.1f}" if topic.message_count else "",
+            "to s": f"{summary.time_s(topic.last_ns):.1f}" if topic.message_count else "",
             "schema": topic.schema_name,
             "frame": "" if topic.frame_edges else ", ".join(topic.frames),
         }
@@ -164,17 +161,11 @@ def _faults(topic: TopicSummary) -> str:
     return "; ".join(text for text, count in parts.items() if count)
 
 
-def _time_s(summary: LogSummary, candidate: LoopClosureRecord) -> float:
-    """Seconds from the start of the drive to the query keyframe, on the clock of the measurements."""
-    first_ns = summary.first_stamp_ns
-    return (candidate.stamp_ns - (summary.closure_candidates[0].stamp_ns if first_ns is None else first_ns)) * 1e-9
-
-
 def _candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, str]:
     return {
         "query": str(candidate.query_keyframe_id),
         "reference": str(candidate.reference_keyframe_id),
-        "time s": f"{_time_s(summary, candidate):.1f}",
+        "time s": f"{summary.time_s(candidate.stamp_ns):.1f}",
         "score": f"{candidate.score:.3g}",
         "LLR": _number(candidate.log_likelihood_ratio),
         "penalty": _number(candidate.odometry_penalty),
