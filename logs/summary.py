@@ -55,8 +55,8 @@ class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; empty where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first. ``closure_candidates`` are the final decisions by query
-    stamp. ``first_stamp_ns`` is the earliest of odometry and poses, or else ``start_ns``. ``counters`` are those of the reader, ``status`` is
-    the last one in the log.
+    stamp. ``first_stamp_ns`` is the earliest of odometry and poses, or else ``start_ns``. ``counters`` are those of the
+    reader, ``status`` is the last one in the log.
     """
 
     path: str

@@ -47,16 +47,18 @@ def stamp_ns(seconds: int, nanoseconds: int, fallback_ns: int) -> int:
     return total or fallback_ns
 
 
-def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FloatArray:
-    """``(4, 4)`` transform of a position in metres and a quaternion, which is normalised.
+def transform_of(position: Any, orientation: Any) -> FloatArray:
+    """``(4, 4)`` transform of a message's position in metres and its quaternion, which is normalised.
 
     Raises:
         Refusal: NaN or Inf, or a norm further from 1 than ``QUATERNION_NORM_TOLERANCE``.
     """
+    x, y, z = position.x, position.y, position.z
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         raise Refusal("position is not finite", f"x={x}, y={y}, z={z}")
     if max(abs(x), abs(y), abs(z)) > MAX_COORDINATE_M:
         raise Refusal("position is out of range", f"x={x}, y={y}, z={z}")
+    qx, qy, qz, qw = orientation.x, orientation.y, orientation.z, orientation.w
     norm = math.hypot(qx, qy, qz, qw)
     # Written so that NaN fails it.
     if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:

@@ -19,7 +19,7 @@ from logs.validation import (
     Refusal,
     flat_array,
     stamp_ns,
-    transform_from_quaternion,
+    transform_of,
     usable_covariance,
     usable_covariances,
 )
@@ -66,17 +66,6 @@ class Detection(NamedTuple):
 def xyz(vector: Any) -> tuple[float, float, float]:
     """The three numbers of a point or vector."""
     return vector.x, vector.y, vector.z
-
-
-def transform_of(position: Any, orientation: Any) -> FloatArray:
-    """``(4, 4)`` of a position and a quaternion.
-
-    Raises:
-        Refusal: they are no rigid transform.
-    """
-    return transform_from_quaternion(
-        position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w
-    )
 
 
 def place_of(message: Any, context: Context, otherwise: Place | None = None) -> Place:

@@ -41,13 +41,12 @@ from logs.decoders.parts import (
     frame_records,
     place_of,
     pose_decoder,
-    transform_of,
     usable_detections,
     xyz,
 )
 from logs.dslam_codec import CODECS, check_arrays
 from logs.topics import RawMessage, RecordKind
-from logs.validation import Refusal, stamp_ns
+from logs.validation import Refusal, stamp_ns, transform_of
 
 _TRAILING_NUMBER = re.compile(r"[/:_\-# ]*\d*$")
 _UNIT_NS = {"sec": 10**9, "seconds": 10**9, "nsec": 1, "nanosec": 1, "nanos": 1}

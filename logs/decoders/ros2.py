@@ -18,10 +18,10 @@ from logs.decoders.parts import (
     frame_records,
     place_of,
     pose_decoder,
-    transform_of,
 )
 from logs.messages import Transform
 from logs.topics import RecordKind
+from logs.validation import transform_of
 
 
 def _tf(message: Any, context: Context) -> Records:
