@@ -49,11 +49,10 @@ def info(
     summary = summarize(log, parse_topics(topics), limits)
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     wanted = closures or keyframe is not None
-    about_map = summary.metadata.get(saved_map.METADATA)
-    saved = None if about_map is None else saved_map.describe(log, about_map)
+    saved = saved_map.describe(log) if saved_map.METADATA in summary.metadata else {}
     if json:
         told = plain(summary) | {"selection": summary.selection.kinds, "duration_s": summary.duration_s}
-        told |= {} if saved is None else {"map": saved}
+        told |= {"map": saved} if saved else {}
         del told["closure_candidates"]
         if wanted:
             told["closure_candidates"] = [
@@ -63,7 +62,7 @@ def info(
         return
     if keyframe is None:
         head = f"{summary.path}: {summary.duration_s:.1f} s, {summary.size_bytes / 1e6:.2f} MB"
-        rows = {**_rows(summary), **(saved_map.rows(log, saved) if saved else {})}
+        rows = _rows(summary) | (saved_map.rows(log, saved) if saved else {})
         console.show(head, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows))
     if closures and keyframe is None:
         decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)
@@ -76,29 +75,26 @@ def info(
         shown = [_candidate(summary, each) for each in candidates[: console.MAX_LISTED]]
         table = console.table(shown, texts=("decision", "stage", "reason"), title="Candidates by query keyframe")
         console.show(table if shown else "no loop-closure candidate")
-    if wanted and len(candidates) > console.MAX_LISTED:
-        more = len(candidates) - console.MAX_LISTED
-        console.show(f"and {more} more: --keyframe ID lists those of one query keyframe, --json all")
+        if more := len(candidates) - len(shown):
+            console.show(f"and {more} more: --keyframe ID lists those of one query keyframe, --json all")
 
 
 def _rows(summary: LogSummary) -> dict[str, str]:
     """What is in a log beside its topics, by names for people."""
-    is_mapped = REPLAYED in summary.metadata
-    listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
-    if not is_mapped:
-        listed["frames"] = "\n".join(console.first(frames.list_edges(summary.topics)))
-        listed["not placed"] = "\n".join(frames.find_faults(summary))
-    of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
-    faults = [
-        f"{topic.topic}: {text}" for topic in summary.topics if topic not in of_replay and (text := _faults(topic))
-    ]
-    listed["gaps, order"] = "\n".join(faults)
+    is_mapped, status = REPLAYED in summary.metadata, summary.status
+    measured = [topic for topic in summary.topics if not (is_mapped and topic.topic.startswith(("/slam/", "/tf")))]
     uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in summary.selection.kinds.items())
-    listed |= {"replay uses": uses, "no replay": "" if uses else _obstacle(summary)}
-    listed["lost"] = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items())
-    if summary.status is not None:
-        listed["status"] = f"{summary.status.level}: {summary.status.message}"
-        listed["counters"] = ", ".join(f"{name} {count}" for name, count in summary.status.counters.items())
+    listed = {
+        "landmarks" if _is_map(summary) else "objects": _classes(summary),
+        "frames": "" if is_mapped else "\n".join(console.first(frames.list_edges(summary.topics))),
+        "not placed": "" if is_mapped else "\n".join(frames.find_faults(summary)),
+        "gaps, order": "\n".join(f"{topic.topic}: {text}" for topic in measured if (text := _faults(topic))),
+        "replay uses": uses,
+        "no replay": "" if uses else _obstacle(summary),
+        "lost": ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items()),
+        "status": f"{status.level}: {status.message}" if status else "",
+        "counters": ", ".join(f"{name} {count}" for name, count in status.counters.items()) if status else "",
+    }
     for name, values in summary.metadata.items():
         if name != "rosbag2":  # a copy of metadata.yaml, which says what stands above
             # Longer values, such as a whole configuration, are in the JSON only.
