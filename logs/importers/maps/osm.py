@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ _VALUES: Mapping[str, str] = {
     "tourism": "artwork information",
     "traffic_sign": ANY,
 }
-TAGS: Mapping[str, frozenset[str]] = {key: frozenset(values.split()) for key, values in _VALUES.items()}
+TAGS: Mapping[str, Collection[str]] = {key: values.split() for key, values in _VALUES.items()}
 """Keys and their values that make a node an object; with ``ANY`` all values do, and the class is the key."""
 
 
@@ -74,17 +75,19 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     return MapObjects(str(path), np.array(positions), tuple(labels), tuple(ids), True, file_sha256(path))
 
 
-def _class_of(node: osmium.osm.Node, wanted: Mapping[str, frozenset[str]]) -> str:
+def _class_of(node: osmium.osm.Node, wanted: Mapping[str, Collection[str]]) -> str:
     for key in sorted(wanted):
         value = node.tags.get(key)
-        if value is not None and not wanted[key].isdisjoint((value, ANY)):
-            return key if ANY in wanted[key] else str(value)
+        if value is not None and ANY in wanted[key]:
+            return key
+        if value in wanted[key]:
+            return str(value)
     return ""
 
 
-def _parsed(tags: Sequence[str]) -> dict[str, frozenset[str]]:
-    wanted: dict[str, frozenset[str]] = {}
+def _parsed(tags: Sequence[str]) -> dict[str, list[str]]:
+    wanted = defaultdict[str, list[str]](list)
     for tag in tags:
         key, _, value = tag.partition("=")
-        wanted[key] = wanted.get(key, frozenset()) | {value or ANY}
+        wanted[key].append(value or ANY)
     return wanted
