@@ -25,7 +25,13 @@ _LARGE = frozenset(
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 # What fields of other types than usual lead to; a log brings its own definitions.
 _OTHER_FIELDS = (
-    *(AttributeError, TypeError, ValueError, LookupError, OverflowError, MemoryError, RecursionError),
+    AttributeError,
+    TypeError,
+    ValueError,
+    LookupError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
     InvalidRecordError,
 )
 

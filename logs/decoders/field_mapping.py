@@ -37,8 +37,8 @@ class FieldMapping:
         """
         objects, *pairs = text.split(" ")
         fields = {part: field for part, _, field in (pair.partition("=") for pair in pairs if pair)}
-        unknown = next((part for part in fields if part not in _PARTS), None)
-        if unknown is not None or not ({"position"} <= fields.keys() or {"x", "y"} <= fields.keys()):
+        has_place = "position" in fields or {"x", "y"} <= fields.keys()
+        if not has_place or not fields.keys() <= {*_PARTS}:
             raise TopicSelectionError(
                 f"{text!r} is not a field mapping; write for example 'plants[] position=position label=kind' with the "
                 f"parts {', '.join(_PARTS)}"

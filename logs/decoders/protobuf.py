@@ -49,8 +49,6 @@ from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal, stamp_ns, transform_of
 
 _TRAILING_NUMBER = re.compile(r"[/:_\-# ]*\d*$")
-_UNIT_NS = {"sec": 10**9, "seconds": 10**9, "nsec": 1, "nanosec": 1, "nanos": 1}
-"""Field of a time -> nanoseconds."""
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
 
 
@@ -81,10 +79,11 @@ def _parse_json(message_class: Any, raw: RawMessage) -> Any:
 
 def _with_text_for_time(values: dict[str, Any]) -> Any:
     """A time in numbers as protobuf's JSON writes it; other values as they are."""
-    if not values or not values.keys() <= _UNIT_NS.keys():
+    unit_ns = {"sec": 10**9, "seconds": 10**9, "nsec": 1, "nanosec": 1, "nanos": 1}
+    if not values or not values.keys() <= unit_ns.keys():
         return values
     found = Timestamp()
-    found.FromNanoseconds(sum(int(value) * _UNIT_NS[name] for name, value in values.items()))
+    found.FromNanoseconds(sum(int(value) * unit_ns[name] for name, value in values.items()))
     return found.ToJsonString()
 
 
@@ -113,9 +112,8 @@ def _scene_update(message: Any, context: Context) -> Records:
 
 def _class_and_score(entity: Any) -> tuple[str, float]:
     metadata = {pair.key: pair.value for pair in entity.metadata}
-    label = metadata.get("label") or metadata.get("class")
-    if not label:
-        label = entity.texts[0].text if entity.texts else _TRAILING_NUMBER.sub("", entity.id)
+    named = entity.texts[0].text if entity.texts else _TRAILING_NUMBER.sub("", entity.id)
+    label = metadata.get("label") or metadata.get("class") or named
     try:
         return label, float(metadata.get("score", "1"))
     except ValueError:

@@ -37,8 +37,7 @@ def read_detections(table: Table) -> DetectionTable:
     """The detections of ``table``: those of one stamp and frame are a scan.
 
     Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), frame
-    and object_id (the truth). A row without position and label is a scan
-    in which nothing was seen.
+    and object_id (the truth). A row without position and label is a scan in which nothing was seen.
 
     Raises:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
@@ -48,14 +47,8 @@ def read_detections(table: Table) -> DetectionTable:
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
     has_truth = table.find(("object_id",))
-    every = ObjectDetections(
-        0,
-        BODY_FRAME,
-        positions,
-        tuple(label or UNLABELLED for label in labels),
-        _scores(table),
-        _covariances(table),
-    )
+    named = tuple(label or UNLABELLED for label in labels)
+    every = ObjectDetections(0, BODY_FRAME, positions, named, _scores(table), _covariances(table))
     frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
     scans: dict[tuple[int, str], list[int]] = {}
     for row, place in enumerate(zip(stamps_ns.tolist(), frames, strict=True)):
