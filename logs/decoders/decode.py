@@ -143,18 +143,16 @@ class RecordDecoder:
     def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:
         """The records of ``raw`` for those of the ``wanted`` kinds that its schema, or ``mapping``, can give."""
         kinds = [kind for kind in wanted if mapping is not None or kind in kinds_of(raw.channel)]
-        self._definitions |= {raw.channel.schema} if len(self._definitions) < MAX_DEFINITIONS else set()
+        if len(self._definitions) < MAX_DEFINITIONS:
+            self._definitions.add(raw.channel.schema)
         if not kinds or raw.channel.schema not in self._definitions:
             self.counters["undecodable"] += 1
             return ()
-        records: Records = ()
         try:
-            for kind in kinds:
-                records += decode(raw, kind, self.counters, self._limits, mapping)
+            return tuple(record for kind in kinds for record in decode(raw, kind, self.counters, self._limits, mapping))
         except InvalidRecordError as error:
             self.counters["invalid_messages"] += 1
             if (raw.topic, error.reason) not in self._reported:
                 self._reported.add((raw.topic, error.reason))
                 _log.warning("%s; further ones on this topic are only counted", error)
             return ()
-        return records
