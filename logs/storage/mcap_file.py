@@ -16,8 +16,6 @@ from logs.storage.mcap_index import (
     HEADER,
     MESSAGE_HEADER,
     McapIndex,
-    read_block,
-    records,
     stream_of,
 )
 from logs.topics import Channel, RawMessage
@@ -113,15 +111,14 @@ class McapFile(McapIndex):
         """The messages of ``block`` on the channels ``wanted``, in the order of the file; none if it is damaged."""
         messages, timeless = list[RawMessage](), 0
         with self.noting_damage(block):
-            content = read_block(self._stream, block, self._limits.chunk_bytes)
-            for opcode, begin, end in records(content):
+            for opcode, record in self.records_of(block):
                 if opcode != Opcode.MESSAGE:
                     continue
-                id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, begin)
+                id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(record)
                 if id in wanted and log_time_ns > LAST_NS:
                     timeless += 1
                 elif id in wanted:
-                    data = content[begin + MESSAGE_HEADER.size : end]
+                    data = record[MESSAGE_HEADER.size :]
                     messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
             self._timeless_messages += timeless
             return messages

@@ -87,25 +87,6 @@ def _is_enough(summary: Summary, size: int) -> bool:
     )
 
 
-def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """(opcode, begin, end) of the content of each record in ``data``.
-
-    Raises:
-        ValueError: a record reaches beyond the end of the data.
-    """
-    position, size = 0, len(data)
-    while position < size:
-        if position + HEADER.size > size:
-            raise ValueError(f"{size - position} stray bytes after the last record")
-        opcode, length = HEADER.unpack_from(data, position)
-        position += HEADER.size
-        end = position + length
-        if end > size or (opcode == Opcode.MESSAGE and length < MESSAGE_HEADER.size):
-            raise ValueError(f"record of {length} bytes does not fit at {position} of {size}")
-        yield opcode, position, end
-        position = end
-
-
 def stream_of(data: bytes) -> ReadDataStream:
     """``data`` for the readers of records of the MCAP library."""
     return ReadDataStream(BytesIO(data))
@@ -212,6 +193,25 @@ class McapIndex:
         except DAMAGE:
             self.lost_blocks[block.chunk_start_offset] = block.chunk_length
 
+    def records_of(self, block: ChunkIndex) -> Iterator[tuple[int, bytes]]:
+        """Opcode and content of each record in ``block``.
+
+        Raises:
+            OversizedChunkError: it is too large, and was not read.
+            OSError: the disk fails.
+            DAMAGE: it is damaged.
+        """
+        data = read_block(self._stream, block, self._limits.chunk_bytes)
+        position = 0
+        while position < len(data):
+            opcode, length = HEADER.unpack_from(data, position)
+            position += HEADER.size
+            record = data[position : position + length]
+            if len(record) < length:
+                raise ValueError(f"record of {length} bytes at {position} of {len(data)}")
+            position += length
+            yield opcode, record
+
     def report(self, what: str, size: int) -> None:
         """Warn once of what goes beyond the limits."""
         if what not in self._reported:
@@ -269,15 +269,14 @@ class McapIndex:
             compression="",
         )
         with self.noting_damage(block):
-            content = read_block(self._stream, block, self._limits.chunk_bytes)
-            for opcode, begin, stop in records(content):
+            for opcode, record in self.records_of(block):
                 if opcode == Opcode.MESSAGE:
-                    channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content, begin)
+                    channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(record)
                     self.message_counts[channel_id] += 1
                     block.message_start_time = min(block.message_start_time, log_time_ns)
                     block.message_end_time = max(block.message_end_time, log_time_ns)
                 elif opcode in _DEFINITIONS:
-                    self._add(_DEFINITIONS[opcode].read(stream_of(content[begin:stop])))
+                    self._add(_DEFINITIONS[opcode].read(stream_of(record)))
             self.blocks.append(block)
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
