@@ -124,8 +124,8 @@ def check_arrays(record: Any) -> None:
     Raises:
         Refusal: numbers that no record may have.
     """
-    arrays = ((field.name, getattr(record, field.name)) for field in dataclasses.fields(record))
-    for name, array in arrays:
+    for field in dataclasses.fields(record):
+        name, array = field.name, getattr(record, field.name)
         if not isinstance(array, np.ndarray):
             continue
         if array.dtype == np.float64:
@@ -197,9 +197,9 @@ def take_rows(record: _Record, **rows: NDArray[np.int64]) -> _Record:
     """The record with only some rows (K,) of all that has the length with that letter, as ``CODECS`` names it."""
     taken: dict[str, Any] = {}
     for field in CODECS[type(record)].fields:
+        letter, *_ = field.lengths or ("",)
         values = getattr(record, field.name)
-        for letter, kept in rows.items():
-            if field.lengths[:1] == [letter] and values is not None and len(values):
-                is_text = isinstance(values, tuple)
-                taken[field.name] = tuple(values[row] for row in kept.tolist()) if is_text else values[kept]
+        if letter in rows and values is not None and len(values):
+            kept, is_text = rows[letter], isinstance(values, tuple)
+            taken[field.name] = tuple(values[row] for row in kept.tolist()) if is_text else values[kept]
     return dataclasses.replace(record, **taken)

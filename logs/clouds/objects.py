@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pandas as pd
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -158,10 +157,11 @@ def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:
 
 
 def clusters(points: FloatArray, gap_m: float) -> IntArray:
-    """Cluster (N,) of each of the points (N, D) m, from 0 on: those that a chain of steps of at most ``gap_m`` joins.
+    """Cluster (N,) of each of the different points (N, D) m, from 0 on: those that a chain of steps of at most
+    ``gap_m`` joins.
 
     DBSCAN (Ester et al., KDD 1996) in which every point is a core point.
     """
-    i, j = cKDTree(points).query_pairs(gap_m, output_type="ndarray").T
-    edges = coo_array((np.ones(len(i), dtype=np.bool_), (i, j)), shape=(len(points), len(points)))
-    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
+    tree = cKDTree(points)
+    steps = tree.sparse_distance_matrix(tree, gap_m, output_type="coo_matrix")
+    return np.asarray(connected_components(steps, directed=False)[1], dtype=np.int64)

@@ -54,25 +54,25 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     import osmium
 
     wanted = _parsed(tags) if tags else TAGS
-    positions, labels, ids = list[tuple[float, float, float]](), list[str](), list[str]()
+    found: list[tuple[float, float, str, str]] = []
     try:
         open_regular(path).close()
         nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*wanted))
         for node in nodes:
             label = _class_of(node, wanted)
             if label and node.location.valid():
-                positions.append((node.location.lat, node.location.lon, 0.0))
-                labels.append(label)
-                ids.append(f"n{node.id}")
+                found.append((node.location.lat, node.location.lon, label, f"n{node.id}"))
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise DatasetError(
             f"{path}: not an extract of OpenStreetMap, or truncated ({reason}); download it again"
         ) from error
-    if not labels:
+    if not found:
         names = ", ".join(wanted)
         raise DatasetError(f"{path}: no node is an object by its tags ({names}); say which with --tag KEY=VALUE")
-    return MapObjects(str(path), np.array(positions), tuple(labels), tuple(ids), True, file_sha256(path))
+    latitudes, longitudes, labels, ids = zip(*found, strict=True)
+    positions = np.column_stack([latitudes, longitudes, np.zeros(len(found))])
+    return MapObjects(str(path), positions, labels, ids, True, file_sha256(path))
 
 
 def _class_of(node: osmium.osm.Node, wanted: Mapping[str, Collection[str]]) -> str:
