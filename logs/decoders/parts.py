@@ -156,7 +156,7 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
         counters["dropped_objects"] += int((~good).sum())
         record = take_rows(record, N=np.flatnonzero(good))
     covariances = record.covariances
-    if covariances is not None and len(covariances):
+    if covariances is not None:
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
     labels = tuple(label or UNKNOWN_LABEL for label in record.labels)
