@@ -49,7 +49,8 @@ def info(
     summary = summarize(log, parse_topics(topics), limits)
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     wanted = closures or keyframe is not None
-    saved = saved_map.describe(log) if saved_map.METADATA in summary.metadata else {}
+    about_map = summary.metadata.get(saved_map.METADATA)
+    saved = {} if about_map is None else saved_map.describe(log, about_map)
     if json:
         told = plain(summary) | {"selection": summary.selection.kinds, "duration_s": summary.duration_s}
         told |= {"map": saved} if saved else {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,32 +12,33 @@ METADATA = "dslam_map"
 """What makes a log a saved map."""
 
 
-def describe(path: Path) -> dict[str, Any]:
-    """The map for JSON: its summary, or why it cannot be used."""
+def describe(path: Path, about: Mapping[str, str]) -> dict[str, Any]:
+    """The map for JSON: its summary, or why it cannot be used; ``about``: its metadata."""
     import numpy as np
 
     from slam.common.errors import SavedMapError
-    from slam.localization.prior_map import load_prior_map
+    from slam.object_map.map_io import IMPORTED, load_map
     from slam.object_map.map_summary import summarize_map
-    from slam.place_recognition.imported_map import ImportedMap
 
+    usable = {"usable": True, "fault": ""}
     try:
-        found = load_prior_map(path)
+        if about.get("kind") != IMPORTED:
+            return usable | summarize_map(load_map(path))
+        from slam.place_recognition.imported_map import load_imported_map
+
+        imported = load_imported_map(path)
     except SavedMapError as error:
         return {"usable": False, "fault": str(error)}
-    usable = {"usable": True, "fault": ""}
-    if not isinstance(found, ImportedMap):
-        return usable | summarize_map(found)
-    width_m, height_m = np.ptp(found.positions[:, :2], axis=0).tolist()
+    width_m, height_m = np.ptp(imported.positions[:, :2], axis=0).tolist()
     return usable | {
         "kind": "imported",
-        "landmark_count": len(found),
-        "sigma_m": found.sigma_m,
+        "landmark_count": len(imported),
+        "sigma_m": imported.sigma_m,
         "width_m": width_m,
         "height_m": height_m,
-        "pair_count": len(found.pairs),
-        "latitude_deg": found.georeference and found.georeference.latitude_deg,
-        "longitude_deg": found.georeference and found.georeference.longitude_deg,
+        "pair_count": len(imported.pairs),
+        "latitude_deg": imported.georeference and imported.georeference.latitude_deg,
+        "longitude_deg": imported.georeference and imported.georeference.longitude_deg,
     }
 
 
