@@ -33,5 +33,5 @@ def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClos
 
 def rank_stage(stage: str) -> int:
     """Place of a stage in :class:`Stage`; one that is not known comes before all."""
-    stages = list(Stage)
-    return stages.index(Stage(stage)) if stage in stages else -1
+    stages: list[str] = list(Stage)
+    return stages.index(stage) if stage in stages else -1

@@ -58,8 +58,12 @@ def definition_of(message_type: Any) -> tuple[str, str, bytes]:
 
 
 def _pose(T: FloatArray) -> Pose:
+    return Pose(position=_position(T), orientation=_quaternion(T))
+
+
+def _position(T: FloatArray) -> Vector3:
     x, y, z = T[:3, 3].tolist()
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_quaternion(T))
+    return Vector3(x=x, y=y, z=z)
 
 
 def _quaternion(T: FloatArray) -> Quaternion:
@@ -83,12 +87,11 @@ def _odometry(r: m.Odometry) -> Message:
 
 
 def _transform(r: m.Transform) -> FrameTransform:
-    x, y, z = r.T_parent_child[:3, 3].tolist()
     return FrameTransform(
         timestamp=timestamp(r.stamp_ns),
         parent_frame_id=r.parent_frame_id,
         child_frame_id=r.child_frame_id,
-        translation=Vector3(x=x, y=y, z=z),
+        translation=_position(r.T_parent_child),
         rotation=_quaternion(r.T_parent_child),
     )
 

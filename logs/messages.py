@@ -286,11 +286,6 @@ class FactorGraphRecord:
     observation_redundancies: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-PROPOSERS = ("descriptor", "map index", "prediction")
-"""Who proposes places: descriptors of what was seen before, the index of an imported map, closures that the
-odometry carries on."""
-
-
 @frozen
 class LoopClosureRecord:
     """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
@@ -298,7 +293,8 @@ class LoopClosureRecord:
     ``stage``: where it was decided, one of :class:`logs.closures.Stage`; ``reason``: why. ``stamp_ns`` is that of the
     query keyframe. A later record about the same two keyframes replaces an earlier one. ``inserted``: the closure is
     a factor of the graph; an accepted one that repeats what another says already is none. ``proposer``: who
-    proposed the place, one of :data:`PROPOSERS`, "" without a proposal.
+    proposed the place: "descriptor", of what was seen before; "map index", of an imported map; "prediction", of
+    closures that the odometry carries on; "" without a proposal.
 
     What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
     ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the

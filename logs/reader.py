@@ -77,7 +77,7 @@ class LogReader:
         counters = Counter(self._decoding_counters)
         for file in self._open:
             counters.update(file.counters)
-        return {name: count for name, count in sorted(counters.items()) if count}
+        return dict(sorted((+counters).items()))
 
     @property
     def decoding_counters(self) -> Counter[str]:
@@ -117,8 +117,8 @@ class LogReader:
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
-        streams = [file.messages(topics) for file in self._open]
-        return heapq.merge(*streams, key=lambda message: message.log_time_ns) if len(streams) > 1 else streams[0]
+        streams = (file.messages(topics) for file in self._open)
+        return heapq.merge(*streams, key=lambda message: message.log_time_ns)
 
     def items(self, selection: Selection, copy: Collection[str] = ()) -> Iterator[LogItem]:
         """One pass over the selected topics, decoded, and the topics in ``copy``, raw; a topic may be in both.

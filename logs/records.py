@@ -29,9 +29,7 @@ def check_pose(record: Any, name: str, frames: tuple[str, ...]) -> None:
         InvalidRecordError: another shape or type, or a matrix that is no rigid transform; names the field and the
             remedy.
     """
-    _check_stamp(record)
-    for frame in frames:
-        _check_text(record, frame)
+    _check_stamp_and_frames(record, frames)
     _check_array(record, name, (4, 4))
     T = getattr(record, name).astype(np.float64)
     if not np.isfinite(T).all():
@@ -50,8 +48,7 @@ def check_objects(record: Any) -> None:
     Raises:
         InvalidRecordError: another shape or type; names the field and the remedy.
     """
-    _check_stamp(record)
-    _check_text(record, "frame_id")
+    _check_stamp_and_frames(record, ("frame_id",))
     labels = record.labels
     if not (isinstance(labels, tuple) and {*map(type, labels)} <= {str, np.str_}):
         raise _error(record, "labels", "not a tuple of strings; give one for each position")
@@ -62,14 +59,12 @@ def check_objects(record: Any) -> None:
         _check_array(record, "covariances", (count, 3, 3))
 
 
-def _check_stamp(record: Any) -> None:
+def _check_stamp_and_frames(record: Any, frames: tuple[str, ...]) -> None:
     if not isinstance(record.stamp_ns, int | np.integer) or abs(int(record.stamp_ns)) >= 2**63:
         raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
-
-
-def _check_text(record: Any, name: str) -> None:
-    if not isinstance(getattr(record, name), str):
-        raise _error(record, name, f"{getattr(record, name)!r:.40}; give a string")
+    for name in frames:
+        if not isinstance(getattr(record, name), str):
+            raise _error(record, name, f"{getattr(record, name)!r:.40}; give a string")
 
 
 def _check_array(record: Any, name: str, shape: tuple[int, ...]) -> None:

@@ -147,7 +147,13 @@ def _likely_kind(info: TopicInfo) -> RecordKind:
 
 def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:
     """The one topic of the strongest schema that any has; none, or an error if one is needed, where several have it."""
-    ranks = {info.topic: _WEAKER.get(info.schema_name, 0) for info in inputs if _is_chosen(info, kind)}
+    ranks = {
+        info.topic: _WEAKER.get(info.schema_name, 0)
+        for info in inputs
+        # Frames on /tf may not be the odometry.
+        if kind in info.kinds and info.message_count and RecordKind.TRANSFORMS not in info.kinds
+        if info.schema_name not in _WHEN_ASKED_FOR
+    }
     fitting = [topic for topic, rank in ranks.items() if rank == min(ranks.values())]
     if len(fitting) > 1 and is_needed:
         every = f", or use all: --topic {kind}={','.join(fitting)}" if kind == RecordKind.DETECTIONS else ""
@@ -156,12 +162,6 @@ def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind
             f"--topic {kind}={fitting[0]}{every}. {_listing(there)}"
         )
     return fitting if len(fitting) == 1 else []
-
-
-def _is_chosen(info: TopicInfo, kind: RecordKind) -> bool:
-    """Whether a topic may be of that kind without being asked for: frames on /tf may not be the odometry."""
-    is_frames = RecordKind.TRANSFORMS in info.kinds
-    return kind in info.kinds and info.message_count > 0 and not is_frames and info.schema_name not in _WHEN_ASKED_FOR
 
 
 def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:

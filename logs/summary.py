@@ -52,11 +52,11 @@ class TopicSummary:
 
 @frozen
 class LogSummary:
-    """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
+    """A log at a glance. ``selection`` is what a replay would use; empty where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first. ``closure_candidates`` are the final decisions by query
-    stamp. ``first_stamp_ns`` is the earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is
-    the last one in the log.
+    stamp. ``first_stamp_ns`` is the earliest of odometry and poses, or else ``start_ns``. ``counters`` are those of the
+    reader, ``status`` is the last one in the log.
     """
 
     path: str
@@ -65,10 +65,10 @@ class LogSummary:
     end_ns: int
     topics: tuple[TopicSummary, ...]
     class_counts: Mapping[str, int]
-    selection: Selection | None
+    selection: Selection
     obstacle: str
     closure_candidates: tuple[m.LoopClosureRecord, ...]
-    first_stamp_ns: int | None
+    first_stamp_ns: int
     metadata: Mapping[str, Mapping[str, str]]
     counters: Mapping[str, int]
     status: m.StatusRecord | None
@@ -77,6 +77,10 @@ class LogSummary:
     def duration_s(self) -> float:
         """Seconds from the first message to the last."""
         return (self.end_ns - self.start_ns) * 1e-9
+
+    def time_s(self, stamp_ns: int) -> float:
+        """Seconds since the first stamp."""
+        return (stamp_ns - self.first_stamp_ns) * 1e-9
 
 
 def summarize(
@@ -92,25 +96,25 @@ def summarize(
         try:
             selection, obstacle = select_topics(topics, overrides), ""
         except TopicSelectionError as error:
-            selection, obstacle = None, str(error)
+            selection, obstacle = Selection(), str(error)
         gathering = _Gathering()
-        everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
-        mappings = selection.mappings if selection is not None else {}
+        everything = Selection({**select_all(topics).kinds, **selection.kinds}, selection.mappings)
         # A graph is large, and nothing of it is shown.
-        shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
-        for item in reader.items(Selection(shown, mappings), copy=[info.topic for info in topics]):
+        shown = everything.without(RecordKind.FACTOR_GRAPH)
+        for item in reader.items(shown, copy=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
+        start_ns = min(gathering.log_times_ns, default=0)
         return LogSummary(
             path=str(path),
             size_bytes=reader.size_bytes,
-            start_ns=gathering.start_ns or 0,
-            end_ns=gathering.end_ns,
+            start_ns=start_ns,
+            end_ns=max(gathering.log_times_ns, default=0),
             topics=tuple(gathering.topics[info.topic, info.schema_name].summary(info) for info in topics),
             class_counts=dict(sorted(gathering.class_counts.items(), key=lambda pair: (-pair[1], pair[0]))),
             selection=selection,
             obstacle=obstacle,
             closure_candidates=find_final_decisions(gathering.closures),
-            first_stamp_ns=gathering.first_stamp_ns,
+            first_stamp_ns=min(gathering.pose_stamps_ns, default=start_ns),
             metadata=reader.metadata(),
             counters=reader.counters,
             status=gathering.status,
@@ -169,25 +173,22 @@ class _Gathering:
     """What accumulates in the pass."""
 
     def __init__(self) -> None:
-        self.start_ns: int | None = None
-        self.end_ns = 0
+        self.log_times_ns: array[int] = array("q")
+        self.pose_stamps_ns: array[int] = array("q")
         self.class_counts: Counter[str] = Counter()
         self.closures: list[m.LoopClosureRecord] = []
-        self.first_stamp_ns: int | None = None
         self.status: m.StatusRecord | None = None
         self.topics: dict[tuple[str, str], _TopicGathering] = defaultdict(_TopicGathering)
 
     def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
-        self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
-        self.end_ns = max(self.end_ns, raw.log_time_ns)
+        self.log_times_ns.append(raw.log_time_ns)
         topic = self.topics[raw.topic, raw.channel.schema_name]
         is_stamped = bool(records) and not isinstance(records[0], m.Transform)
         topic.times_ns.append(records[0].stamp_ns if is_stamped else raw.log_time_ns)
         for record in records:
             topic.add(record)
             if isinstance(record, (m.Odometry, m.SlamPose)):
-                first = self.first_stamp_ns
-                self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
+                self.pose_stamps_ns.append(record.stamp_ns)
             elif isinstance(record, m.ObjectDetections):
                 self._count_classes(record.labels)
             elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < 100_000:
@@ -200,5 +201,4 @@ class _Gathering:
         if len(self.class_counts) > MAX_CLASSES:  # each may be an identity of its own
             kept = self.class_counts.most_common(MAX_CLASSES // 2)
             gone = self.class_counts.total() - sum(count for _, count in kept)
-            self.class_counts = Counter(dict(kept))
-            self.class_counts[OTHER_CLASSES] += gone
+            self.class_counts = Counter(dict(kept)) + Counter({OTHER_CLASSES: gone})

@@ -47,16 +47,18 @@ def stamp_ns(seconds: int, nanoseconds: int, fallback_ns: int) -> int:
     return total or fallback_ns
 
 
-def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FloatArray:
-    """``(4, 4)`` transform of a position in metres and a quaternion, which is normalised.
+def transform_of(position: Any, orientation: Any) -> FloatArray:
+    """``(4, 4)`` transform of a message's position in metres and its quaternion, which is normalised.
 
     Raises:
         Refusal: NaN or Inf, or a norm further from 1 than ``QUATERNION_NORM_TOLERANCE``.
     """
+    x, y, z = position.x, position.y, position.z
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         raise Refusal("position is not finite", f"x={x}, y={y}, z={z}")
     if max(abs(x), abs(y), abs(z)) > MAX_COORDINATE_M:
         raise Refusal("position is out of range", f"x={x}, y={y}, z={z}")
+    qx, qy, qz, qw = orientation.x, orientation.y, orientation.z, orientation.w
     norm = math.hypot(qx, qy, qz, qw)
     # Written so that NaN fails it.
     if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
@@ -72,7 +74,7 @@ def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float
     )
 
 
-def quaternion_xyzw(T: FloatArray) -> tuple[float, float, float, float]:
+def quaternion_xyzw(T: FloatArray) -> tuple[float, ...]:
     """Unit quaternion (x, y, z, w), w >= 0, of the rotation of ``T`` (4, 4).
 
     Shepperd's method: the largest of the four components is computed first, so that no division is by a small number.
@@ -89,7 +91,7 @@ def quaternion_xyzw(T: FloatArray) -> tuple[float, float, float, float]:
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     if q[3] < 0.0:
         norm = -norm
-    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+    return tuple(component / norm for component in q)
 
 
 def flat_array(values: Sequence[float], shape: tuple[int, ...], what: str, dtype: Any = np.float64) -> NDArray[Any]:
@@ -147,14 +149,14 @@ def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | Non
 
 def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
-    with np.errstate(invalid="ignore"):
-        finite = np.asarray((np.abs(P) <= MAX_COORDINATE_M**2).all(axis=(1, 2)))
-    bounded = np.where(finite[:, None, None], P, 0.0)
-    symmetric = 0.5 * (bounded + np.swapaxes(bounded, -1, -2))
+    with np.errstate(invalid="ignore", over="ignore"):
+        finite = (np.abs(P) <= MAX_COORDINATE_M**2).all(axis=(1, 2))
+        symmetric = 0.5 * (P + np.swapaxes(P, -1, -2))
+    symmetric[~finite] = 0.0
     known = P.any(axis=(1, 2))
     largest = np.abs(symmetric).max(axis=(1, 2), initial=0.0)
     # Singular to double precision.
     good = known & finite & (np.linalg.eigvalsh(symmetric)[:, 0] > 1e-14 * largest)
-    if (known & ~good).any():
-        counters["ignored_covariances"] += int((known & ~good).sum())
+    if ignored := int((known & ~good).sum()):
+        counters["ignored_covariances"] += ignored
     return np.where(good[:, None, None], symmetric, 0.0)

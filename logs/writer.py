@@ -86,7 +86,10 @@ class LogWriter:
             InvalidRecordError: no record, or a time or text that a log cannot hold.
         """
         message = encode(record)
-        time_ns = _checked(topic, record.stamp_ns, log_time_ns)
+        time_ns = int(record.stamp_ns if log_time_ns is None else log_time_ns)
+        for each_ns in (record.stamp_ns, time_ns):
+            if not 0 <= each_ns <= LAST_NS:
+                raise InvalidRecordError(f"{topic}: a log cannot hold the time {each_ns} ns; times count up from 0")
         channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
         self._writer.add_message(channel_id, time_ns, message.SerializeToString(deterministic=True), time_ns)
 
@@ -172,14 +175,6 @@ def _refusing(path: str | Path) -> Iterator[None]:
             f"cannot write {path}: {error.strerror}; "
             "check that the folder exists, that it may be written to, and that the disk has room"
         ) from error
-
-
-def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:
-    """The log time to write at; ``log_time_ns`` or else the stamp."""
-    for time_ns in (stamp_ns, log_time_ns):
-        if time_ns is not None and not 0 <= time_ns <= LAST_NS:
-            raise InvalidRecordError(f"{topic}: a log cannot hold the time {time_ns} ns; times count up from 0")
-    return int(stamp_ns if log_time_ns is None else log_time_ns)
 
 
 def _sync_folder(folder: Path) -> None:

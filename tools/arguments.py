@@ -62,8 +62,8 @@ def parse_topics(pairs: Sequence[str] | None) -> dict[str, str]:
     """kind -> topic, from "kind=/topic"; several of one kind separated by commas."""
     topics: dict[str, str] = {}
     for pair in pairs or ():
-        kind, equals, topic = pair.partition("=")
-        if not equals or not kind or not topic:
+        kind, _, topic = pair.partition("=")
+        if not kind or not topic:
             raise typer.BadParameter(f"{pair!r} is not KIND=/TOPIC, for example odometry=/odom.", param_hint="--topic")
         topics[kind] = f"{topics[kind]},{topic}" if kind in topics else topic
     return topics
@@ -93,9 +93,8 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None])
     from logs.errors import UnwritableLogError
     from logs.storage.placement import check_replaceable, partial_path
 
-    named = [output for output in outputs if output is not None]
     taken: set[str] = set()
-    for output in named:
+    for output in filter(None, outputs):
         check_replaceable(output)
         paths = {os.path.realpath(output), os.path.realpath(partial_path(output))}
         if paths & taken:

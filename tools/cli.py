@@ -13,7 +13,16 @@ from typing import Annotated
 
 import typer
 
+from logs.container.names import visible
 from tools import main as main
+
+
+class VisibleFormatter(logging.Formatter):
+    """Messages of the log, in which the names of a file stand."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One message, tracebacks included."""
+        return visible(super().format(record))
 
 
 class ExitCode(IntEnum):
@@ -97,7 +106,7 @@ def _global_options(
     if verbose or debug:
         level = logging.DEBUG if debug else logging.INFO
         handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(_message_format("%(levelname)s %(name)s: %(message)s"))
+        handler.setFormatter(VisibleFormatter("%(levelname)s %(name)s: %(message)s"))
         logging.basicConfig(level=logging.INFO, handlers=[handler])
         for package in ("slam", "logs", "descriptors", "tools"):
             logging.getLogger(f"{_PREFIX}{package}").setLevel(level)
@@ -109,7 +118,7 @@ def run(arguments: Sequence[str]) -> int:
     moved = [argument for argument in arguments if argument in _ANYWHERE]
     rest = [argument for argument in arguments if argument not in _ANYWHERE]
     if logging.lastResort is not None:
-        logging.lastResort.setFormatter(_message_format("%(message)s"))
+        logging.lastResort.setFormatter(VisibleFormatter("%(message)s"))
     try:
         code = make_app(rest)(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
         sys.stdout.flush()
@@ -120,9 +129,13 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(error, "ctx", None)
         return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", ExitCode.BAD_INPUT)
     except Exception as error:
+        from descriptors.errors import DescriptorError
+        from logs.errors import LogError
+        from slam.common.errors import SlamError
+
         if debug:
             traceback.print_exc()
-        if _is_expected(error):
+        if isinstance(error, (LogError, SlamError, DescriptorError, OSError)):
             return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), ExitCode.BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
             return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
@@ -134,23 +147,7 @@ def run(arguments: Sequence[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _is_expected(error: Exception) -> bool:
-    from descriptors.errors import DescriptorError
-    from logs.errors import LogError
-    from slam.common.errors import SlamError
-
-    return isinstance(error, (LogError, SlamError, DescriptorError, OSError))
-
-
-def _message_format(pattern: str) -> logging.Formatter:
-    from tools.console import VisibleFormatter
-
-    return VisibleFormatter(pattern)
-
-
 def _fail(message: str, code: int) -> int:
-    from logs.container.names import visible
-
     line = visible(" ".join(message.split()))
     if len(line) > 1000:
         line = f"{line[:500]} ... {line[-500:]}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,35 +25,22 @@ MAX_LISTED = 40
 _STYLE: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": None, "pad_edge": False}
 
 
-class VisibleFormatter(logging.Formatter):
-    """Messages of the log, in which the names of a file stand."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """One message, tracebacks included."""
-        return visible(super().format(record))
-
-
-class _PlainTable(Table):
-    """Cells are plain text: no markup, no control characters."""
-
-    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        super().add_row(*(Text(visible(cell)) if isinstance(cell, str) else cell for cell in cells), **options)
+def _as_it_is(text: str) -> Text:
+    """Text without markup and control characters."""
+    return Text(visible(text))
 
 
 def show(*parts: RenderableType) -> None:
     """Print texts and tables to standard output; in a pipe as plain lines of a fixed width."""
+    piped = StringIO()
     if sys.stdout.isatty():
-        _print(Console(highlight=False), parts)
-        return
-    buffer = StringIO()
-    _print(Console(file=buffer, width=PIPE_WIDTH, highlight=False, color_system=None), parts)
-    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in buffer.getvalue().splitlines()))
-
-
-def _print(out: Console, parts: Sequence[RenderableType]) -> None:
+        out = Console(highlight=False)
+    else:
+        out = Console(file=piped, width=PIPE_WIDTH, highlight=False, color_system=None)
     for part in parts:
         # What a narrow terminal cannot hold it wraps; cropping would lose numbers.
-        out.print(Text(visible(part)) if isinstance(part, str) else part, crop=False)
+        out.print(_as_it_is(part) if isinstance(part, str) else part, crop=False)
+    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in piped.getvalue().splitlines()))
 
 
 def show_json(value: Mapping[str, Any]) -> None:
@@ -98,23 +84,23 @@ def first(listed: Iterable[str], what: str = "") -> list[str]:
 
 def pairs(rows: Mapping[str, str]) -> Table:
     """Names and values below one another, without lines."""
-    table = _PlainTable(show_header=False, **_STYLE)
+    table = Table(show_header=False, **_STYLE)
     table.add_column(overflow="fold", style="cyan")
     table.add_column(overflow="fold")
     for name, value in rows.items():
-        table.add_row(name, value)
+        table.add_row(_as_it_is(name), _as_it_is(value))
     return table
 
 
 def table(rows: Sequence[Mapping[Any, str]], *, texts: Collection[str] = (), title: str | None = None) -> Table:
     """Rows with the same headings as a table without lines; the first column and ``texts`` are to the left."""
-    shown = _PlainTable(title=title, header_style="cyan", **_STYLE)
+    shown = Table(title=title, header_style="cyan", **_STYLE)
     for heading in rows[0] if rows else ():
         is_number = bool(shown.columns) and heading not in texts
         width = max(cell_len(row[heading]) for row in rows) if is_number else None  # a number keeps its digits
         shown.add_column(visible(heading), justify="right" if is_number else "left", overflow="fold", min_width=width)
     for row in rows:
-        shown.add_row(*row.values())
+        shown.add_row(*map(_as_it_is, row.values()))
     return shown
 
 

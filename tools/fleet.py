@@ -5,16 +5,12 @@ from __future__ import annotations
 import os
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Jobs, Json, Settings, parse_origin
 from tools.evaluation.requirements import Require, finish
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -57,7 +53,7 @@ def add(
     from slam.common.config import load_config
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
-    from slam.fleet.report import fleet_report, write_report
+    from slam.fleet.report import REPORT_NAME, fleet_report, write_report
     from tools import console
 
     if city.suffix and not city.is_dir():
@@ -66,12 +62,11 @@ def add(
     georeference = None if origin is None else parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)
-    jobs = workers or os.cpu_count() or 1
     result = map_fleet(
         members,
         city,
         config,
-        workers=jobs,
+        workers=workers or os.cpu_count() or 1,
         georeference=georeference,
         tell=partial(typer.echo, err=True),
     )
@@ -80,24 +75,15 @@ def add(
     if json:
         console.show_json(report)
     else:
-        console.show(*_compose(city, report))
+        names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
+        written = [str(city / name) for name in names if (city / name).exists()]
+        columns = ("log", "status", "map", "reason")
+        console.show(
+            console.table(console.rows(report["logs"], columns), texts=columns),
+            console.table(console.rows(report["parts"], FIGURES)),
+            *(f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])),
+            f"written: {', '.join(written)}",
+        )
     finish({"": report}, require, quiet=json)
     if any(log["status"] == "not mapped" for log in report["logs"]):
         raise typer.Exit(1)
-
-
-def _compose(city: Path, report: dict[str, Any]) -> list[RenderableType]:
-    from slam.fleet.report import REPORT_NAME
-    from tools import console
-
-    warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
-    names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
-    written = [str(city / name) for name in names if (city / name).exists()]
-    return [
-        console.table(
-            console.rows(report["logs"], ("log", "status", "map", "reason")), texts=("status", "map", "reason")
-        ),
-        console.table(console.rows(report["parts"], FIGURES)),
-        *warnings,
-        f"written: {', '.join(written)}",
-    ]

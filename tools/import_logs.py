@@ -59,7 +59,7 @@ def csv(
         {
             "output": output,
             **asdict(summary),
-            "odometry_format": drive.odometry.format.value,
+            "odometry_format": drive.odometry.format,
             "odometry_length_m": drive.odometry.length_m,
             "columns_left_out": drive.detections.left_out,
             "notes": drive.notes,

@@ -82,7 +82,7 @@ def live(
     console.report(figures, as_json=json)
 
 
-def _at_speed(reader: LogReader, config: Config, topics: dict[str, str] | None, speed: float) -> Iterator[LogItem]:
+def _at_speed(reader: LogReader, config: Config, topics: dict[str, str], speed: float) -> Iterator[LogItem]:
     """The messages of a log, each not before its time."""
     import time
 
@@ -90,8 +90,7 @@ def _at_speed(reader: LogReader, config: Config, topics: dict[str, str] | None, 
     from slam.prepared_log import prepare_log
 
     prepared = prepare_log(reader, config, topics=topics, copy=(), is_surveyed=False)
-    truths = RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH
-    selection = prepared.selection.without(*truths)
+    selection = prepared.selection.without(RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
     started, first_ns = time.monotonic(), None
     for item in reader.items(selection):
         first_ns = item.raw.log_time_ns if first_ns is None else first_ns

@@ -78,9 +78,9 @@ def relocalize(
             extend=False,
             progress=progress,
         )
-    if picture is not None and summary.relocalization_times_s:
-        draw_drive(output, picture)
     is_found = bool(summary.relocalization_times_s)
+    if picture is not None and is_found:
+        draw_drive(output, picture)
     if json:
         console.show_json({"output": str(output), "found": is_found, **asdict(summary)})
     else:

@@ -39,7 +39,6 @@ _USED = (
     "calibrations",
 )
 _SHOWN = ("landmarks_", "closures_", "relocalizations")
-_LANDMARK_STATES = ("confirmed", "tentative", "retired")
 
 
 def replay(
@@ -116,7 +115,8 @@ def describe(summary: ReplaySummary) -> dict[str, str]:
         "used": f"{counters['odometry_used']} odometry messages, {counters['detections_used']} scans "
         f"with {counters['objects_used']} objects",
         "keyframes": f"{counters['keyframes']}" + (f", {condensed} condensed into earlier ones" if condensed else ""),
-        "landmarks": ", ".join(f"{counters[f'landmarks_{state}']} {state}" for state in _LANDMARK_STATES),
+        "landmarks": f"{counters['landmarks_confirmed']} confirmed, {counters['landmarks_tentative']} tentative, "
+        f"{counters['landmarks_retired']} retired",
         "loops": f"{accepted} loop closures accepted ({retrieved} retrieved, {accepted - retrieved} propagated), "
         f"{counters['closures_inserted']} factors",
         "found": ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes),

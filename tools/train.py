@@ -110,4 +110,4 @@ def _load_map(path: Path) -> TrainingMap:
     if not len(objects.labels):
         raise InputDataError(f"{path} holds no object")
     found, numbers = np.unique(objects.labels, return_inverse=True)
-    return TrainingMap(np.asarray(objects.positions, dtype=np.float64), numbers.astype(np.int64), len(found))
+    return TrainingMap(objects.positions, numbers, len(found))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -63,21 +63,18 @@ def labelled_cloud(columns: Mapping[str, NDArray[Any]], name: str) -> LabelledCl
     there = ", ".join(columns) or "none"
     if not {"x", "y", "z"} <= plain.keys():
         raise DatasetError(f"{name}: no fields x, y and z; it has {there}")
-    class_field = _first(plain, CLASS_FIELDS)
+    class_field = next((field for field in CLASS_FIELDS if field in plain), None)
     if class_field is None:
         raise DatasetError(f"{name}: no field holds the class of a point ({' or '.join(CLASS_FIELDS)}); it has {there}")
     positions = np.stack([plain[axis].astype(np.float64) for axis in "xyz"], axis=1)
     classes = _whole(plain[class_field], f"{name}: field {class_field}")
-    instance_field = _first(plain, [field for field in INSTANCE_FIELDS if field != class_field])
+    instance_field = next((field for field in INSTANCE_FIELDS if field in plain and field != class_field), None)
+    instances = None
     if instance_field is not None:
-        return LabelledCloud(positions, classes, _whole(plain[instance_field], f"{name}: field {instance_field}"))
-    if class_field == "label" and len(classes) and classes.max() > 0xFFFF:
-        return LabelledCloud(positions, classes & 0xFFFF, classes >> 16)
-    return LabelledCloud(positions, classes)
-
-
-def _first(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> str | None:
-    return next((name for name in names if name in columns), None)
+        instances = _whole(plain[instance_field], f"{name}: field {instance_field}")
+    elif class_field == "label" and classes.max(initial=0) > 0xFFFF:
+        classes, instances = classes & 0xFFFF, classes >> 16
+    return LabelledCloud(positions, classes, instances)
 
 
 def _whole(values: NDArray[Any], what: str) -> NDArray[np.int64]:

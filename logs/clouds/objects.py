@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from scipy.sparse import coo_array
+import pandas as pd
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -116,16 +116,11 @@ def _parts(
     cloud: LabelledCloud, names: Mapping[int, str] | None, gap_m: float, voxel_m: float, *, upright: bool
 ) -> Iterator[tuple[str, FloatArray]]:
     """Label and points (K, 3) m of each object."""
-    instances = cloud.instances if cloud.instances is not None else np.zeros(len(cloud.classes), dtype=np.int64)
-    wanted = cloud.classes != 0 if names is None else np.isin(cloud.classes, list(names))
-    rows = np.flatnonzero(wanted)
-    rows = rows[np.lexsort((instances[rows], cloud.classes[rows]))]
-    keys = np.stack([cloud.classes[rows], instances[rows]], axis=1)
-    starts = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
-    for part in np.split(rows, starts) if len(rows) else []:
-        number, points = int(cloud.classes[part[0]]), cloud.positions[part]
-        is_one = instances[part[0]] != 0
-        for each in [points] if is_one else _split(points, gap_m, voxel_m, flat=upright):
+    table = pd.DataFrame({"class": cloud.classes, "instance": 0 if cloud.instances is None else cloud.instances})
+    wanted = table["class"] != 0 if names is None else table["class"].isin(list(names))
+    for (number, instance), rows in table[wanted].groupby(["class", "instance"]):
+        points = cloud.positions[rows.index]
+        for each in [points] if instance else _split(points, gap_m, voxel_m, flat=upright):
             yield str(number) if names is None else names[number], each
 
 
@@ -162,10 +157,11 @@ def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:
 
 
 def clusters(points: FloatArray, gap_m: float) -> IntArray:
-    """Cluster (N,) of each of the points (N, D) m, from 0 on: those that a chain of steps of at most ``gap_m`` joins.
+    """Cluster (N,) of each of the different points (N, D) m, from 0 on: those that a chain of steps of at most
+    ``gap_m`` joins.
 
     DBSCAN (Ester et al., KDD 1996) in which every point is a core point.
     """
-    i, j = cKDTree(points).query_pairs(gap_m, output_type="ndarray").T
-    edges = coo_array((np.ones(len(i), dtype=np.bool_), (i, j)), shape=(len(points), len(points)))
-    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
+    tree = cKDTree(points)
+    steps = tree.sparse_distance_matrix(tree, gap_m, output_type="coo_matrix")
+    return np.asarray(connected_components(steps, directed=False)[1], dtype=np.int64)

@@ -25,7 +25,13 @@ _LARGE = frozenset(
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 # What fields of other types than usual lead to; a log brings its own definitions.
 _OTHER_FIELDS = (
-    *(AttributeError, TypeError, ValueError, LookupError, OverflowError, MemoryError, RecursionError),
+    AttributeError,
+    TypeError,
+    ValueError,
+    LookupError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
     InvalidRecordError,
 )
 
@@ -129,7 +135,7 @@ class RecordDecoder:
         counters: Counter[str] | None = None,
         reported: set[tuple[str, str]] | None = None,
     ) -> None:
-        self._limits = limits or ReadingLimits()
+        self._limits = limits
         self._definitions: set[Schema | None] = set()
         self._reported = set[tuple[str, str]]() if reported is None else reported
         self.counters = Counter[str]() if counters is None else counters
@@ -137,18 +143,16 @@ class RecordDecoder:
     def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:
         """The records of ``raw`` for those of the ``wanted`` kinds that its schema, or ``mapping``, can give."""
         kinds = [kind for kind in wanted if mapping is not None or kind in kinds_of(raw.channel)]
-        self._definitions |= {raw.channel.schema} if len(self._definitions) < MAX_DEFINITIONS else set()
+        if len(self._definitions) < MAX_DEFINITIONS:
+            self._definitions.add(raw.channel.schema)
         if not kinds or raw.channel.schema not in self._definitions:
             self.counters["undecodable"] += 1
             return ()
-        records: Records = ()
         try:
-            for kind in kinds:
-                records += decode(raw, kind, self.counters, self._limits, mapping)
+            return tuple(record for kind in kinds for record in decode(raw, kind, self.counters, self._limits, mapping))
         except InvalidRecordError as error:
             self.counters["invalid_messages"] += 1
             if (raw.topic, error.reason) not in self._reported:
                 self._reported.add((raw.topic, error.reason))
                 _log.warning("%s; further ones on this topic are only counted", error)
             return ()
-        return records

@@ -37,8 +37,8 @@ class FieldMapping:
         """
         objects, *pairs = text.split(" ")
         fields = {part: field for part, _, field in (pair.partition("=") for pair in pairs if pair)}
-        unknown = next((part for part in fields if part not in _PARTS), None)
-        if unknown is not None or not ({"position"} <= fields.keys() or {"x", "y"} <= fields.keys()):
+        has_place = "position" in fields or {"x", "y"} <= fields.keys()
+        if not has_place or not fields.keys() <= {*_PARTS}:
             raise TopicSelectionError(
                 f"{text!r} is not a field mapping; write for example 'plants[] position=position label=kind' with the "
                 f"parts {', '.join(_PARTS)}"
@@ -62,14 +62,9 @@ class FieldMapping:
         return detection_records({place: found}, context.counters)
 
     def _detection(self, item: Any) -> Detection:
-        def part(name: str, otherwise: Any) -> Any:
-            return _field(item, self.fields[name]) if name in self.fields else otherwise
-
-        position = part("position", None)
+        parts = {part: _field(item, path) for part, path in self.fields.items()}
         return Detection(
-            (float(part("x", 0)), float(part("y", 0)), float(part("z", 0))) if position is None else _xyz(position),
-            str(part("label", "")),
-            float(part("score", 1.0)),
+            _xyz(parts.get("position", parts)), str(parts.get("label", "")), float(parts.get("score", 1.0))
         )
 
 

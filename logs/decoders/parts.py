@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from logs.validation import (
     Refusal,
     flat_array,
     stamp_ns,
-    transform_from_quaternion,
+    transform_of,
     usable_covariance,
     usable_covariances,
 )
@@ -68,17 +68,6 @@ def xyz(vector: Any) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
-def transform_of(position: Any, orientation: Any) -> FloatArray:
-    """``(4, 4)`` of a position and a quaternion.
-
-    Raises:
-        Refusal: they are no rigid transform.
-    """
-    return transform_from_quaternion(
-        position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w
-    )
-
-
 def place_of(message: Any, context: Context, otherwise: Place | None = None) -> Place:
     """Stamp and frame of a message, as its ROS header or its own fields have them; where they are empty, those of
     ``otherwise``, or the log time.
@@ -110,14 +99,10 @@ def pose_decoder(path: str, body: str = "") -> Callable[[Any, Context], Records]
     return decode
 
 
-def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]]) -> Records:
-    """Records of (stamp and parent, child, translation, rotation); as odometry, those whose parent is "odom"."""
-    transforms = [
-        Transform(time_ns, parent, child, transform_of(translation, rotation))
-        for (time_ns, parent), child, translation, rotation in frames
-    ]
-    if context.kind != RecordKind.ODOMETRY:
-        return tuple(transforms)
+def frame_records(transforms: tuple[Transform, ...], kind: RecordKind) -> Records:
+    """The frames themselves; as odometry, those whose parent is "odom"."""
+    if kind != RecordKind.ODOMETRY:
+        return transforms
     return tuple(
         Odometry(t.stamp_ns, t.T_parent_child, t.parent_frame_id, t.child_frame_id)
         for t in transforms
@@ -145,19 +130,17 @@ def fix_records(message: Any, context: Context) -> Records:
 def detection_records(scans: Mapping[Place, Sequence[Detection]], counters: Counter[str]) -> Records:
     """A record for each stamp and frame with objects, in their order; without any object, an empty one of the first."""
     filled = {place: found for place, found in scans.items() if found} or dict(list(scans.items())[:1])
-    return tuple(_scan_record(place, found, counters) for place, found in filled.items())
-
-
-def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str]) -> ObjectDetections:
-    n = len(found)
-    record = ObjectDetections(
-        *place,
-        np.array([each.position for each in found], dtype=np.float64).reshape(n, 3),
-        tuple(each.label for each in found),
-        np.array([each.score for each in found], dtype=np.float64),
-        np.array([each.covariance for each in found]).reshape(n, 3, 3),
+    records = (
+        ObjectDetections(
+            *place,
+            np.array([each.position for each in found], dtype=np.float64).reshape(-1, 3),
+            tuple(each.label for each in found),
+            np.array([each.score for each in found], dtype=np.float64),
+            np.array([each.covariance for each in found]).reshape(-1, 3, 3),
+        )
+        for place, found in filled.items()
     )
-    return usable_detections(record, counters)
+    return tuple(usable_detections(record, counters) for record in records)
 
 
 def usable_detections(record: ObjectDetections, counters: Counter[str]) -> ObjectDetections:
@@ -173,7 +156,7 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
         counters["dropped_objects"] += int((~good).sum())
         record = take_rows(record, N=np.flatnonzero(good))
     covariances = record.covariances
-    if covariances is not None and len(covariances):
+    if covariances is not None:
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
     labels = tuple(label or UNKNOWN_LABEL for label in record.labels)

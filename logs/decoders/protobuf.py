@@ -44,12 +44,11 @@ from logs.decoders.parts import (
     usable_detections,
     xyz,
 )
-from logs.dslam_codec import CODECS
+from logs.dslam_codec import CODECS, check_arrays
 from logs.topics import RawMessage, RecordKind
-from logs.validation import Refusal, stamp_ns
+from logs.validation import Refusal, stamp_ns, transform_of
 
 _TRAILING_NUMBER = re.compile(r"[/:_\-# ]*\d*$")
-_SECONDS, _NANOSECONDS = {"sec", "seconds"}, {"nsec", "nanosec", "nanos"}
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
 
 
@@ -80,19 +79,25 @@ def _parse_json(message_class: Any, raw: RawMessage) -> Any:
 
 def _with_text_for_time(values: dict[str, Any]) -> Any:
     """A time in numbers as protobuf's JSON writes it; other values as they are."""
-    if not values or not values.keys() <= _SECONDS | _NANOSECONDS:
+    unit_ns = {"sec": 10**9, "seconds": 10**9, "nsec": 1, "nanosec": 1, "nanos": 1}
+    if not values or not values.keys() <= unit_ns.keys():
         return values
     found = Timestamp()
-    found.FromNanoseconds(sum(int(value) * (10**9 if name in _SECONDS else 1) for name, value in values.items()))
+    found.FromNanoseconds(sum(int(value) * unit_ns[name] for name, value in values.items()))
     return found.ToJsonString()
 
 
 def _frame_transforms(message: Any, context: Context) -> Records:
-    frames = []
-    for t in message.transforms if isinstance(message, FrameTransforms) else [message]:
-        stamp = stamp_ns(t.timestamp.seconds, t.timestamp.nanos, context.raw.log_time_ns)
-        frames.append(((stamp, t.parent_frame_id), t.child_frame_id, t.translation, t.rotation))
-    return frame_records(context, frames)
+    transforms = tuple(
+        m.Transform(
+            stamp_ns(t.timestamp.seconds, t.timestamp.nanos, context.raw.log_time_ns),
+            t.parent_frame_id,
+            t.child_frame_id,
+            transform_of(t.translation, t.rotation),
+        )
+        for t in (message.transforms if isinstance(message, FrameTransforms) else [message])
+    )
+    return frame_records(transforms, context.kind)
 
 
 def _scene_update(message: Any, context: Context) -> Records:
@@ -107,44 +112,45 @@ def _scene_update(message: Any, context: Context) -> Records:
 
 def _class_and_score(entity: Any) -> tuple[str, float]:
     metadata = {pair.key: pair.value for pair in entity.metadata}
-    label = metadata.get("label") or metadata.get("class")
-    if not label:
-        label = entity.texts[0].text if entity.texts else _TRAILING_NUMBER.sub("", entity.id)
+    named = entity.texts[0].text if entity.texts else _TRAILING_NUMBER.sub("", entity.id)
+    label = metadata.get("label") or metadata.get("class") or named
     try:
         return label, float(metadata.get("score", "1"))
     except ValueError:
         return label, 1.0
 
 
-def _own(record: type, *kinds: RecordKind) -> dict[str, MessageDecoder]:
+def _own(record: type, *kinds: RecordKind) -> MessageDecoder:
     codec = CODECS[record]
-    return {
-        codec.message_class.DESCRIPTOR.full_name: MessageDecoder(
-            kinds, lambda message, context: (codec.decode(message, context.counters),), codec.message_class
-        )
-    }
 
+    def decode(message: Any, context: Context) -> Records:
+        found = codec.decode(message, context.counters)
+        if isinstance(found, m.ObjectDetections):
+            return (usable_detections(found, context.counters),)
+        check_arrays(found)
+        return (found,)
 
-def _detections(message: Any, context: Context) -> Records:
-    codec = CODECS[m.ObjectDetections]
-    return (usable_detections(m.ObjectDetections(**codec.values(message, context.counters)), context.counters),)
+    return MessageDecoder(kinds, decode, codec.message_class)
 
 
 DECODERS: dict[str, MessageDecoder] = {
-    "foxglove.Odometry": MessageDecoder(POSE, pose_decoder("pose", "body_frame_id"), Odometry),
-    "foxglove.PoseInFrame": MessageDecoder((*POSE, RecordKind.SLAM_POSE), pose_decoder("pose"), PoseInFrame),
-    "foxglove.FrameTransform": MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
-    "foxglove.FrameTransforms": MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
-    "foxglove.LocationFix": MessageDecoder((RecordKind.GNSS,), fix_records, LocationFix),
-    "foxglove.SceneUpdate": MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
-    "dslam.ObjectDetections": MessageDecoder(DETECTIONS, _detections, CODECS[m.ObjectDetections].message_class),
-    **_own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
-    **_own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
-    **_own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
-    **_own(m.TrajectoryRecord, RecordKind.TRAJECTORY),
-    **_own(m.FactorGraphRecord, RecordKind.FACTOR_GRAPH),
-    **_own(m.LoopClosureRecord, RecordKind.LOOP_CLOSURES),
-    **_own(m.StatusRecord, RecordKind.STATUS),
-    **_own(m.LocalizationRecord, RecordKind.LOCALIZATION),
+    decoder.message_class.DESCRIPTOR.full_name: decoder
+    for decoder in (
+        MessageDecoder(POSE, pose_decoder("pose", "body_frame_id"), Odometry),
+        MessageDecoder((*POSE, RecordKind.SLAM_POSE), pose_decoder("pose"), PoseInFrame),
+        MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
+        MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
+        MessageDecoder((RecordKind.GNSS,), fix_records, LocationFix),
+        MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
+        _own(m.ObjectDetections, RecordKind.DETECTIONS),
+        _own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
+        _own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
+        _own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
+        _own(m.TrajectoryRecord, RecordKind.TRAJECTORY),
+        _own(m.FactorGraphRecord, RecordKind.FACTOR_GRAPH),
+        _own(m.LoopClosureRecord, RecordKind.LOOP_CLOSURES),
+        _own(m.StatusRecord, RecordKind.STATUS),
+        _own(m.LocalizationRecord, RecordKind.LOCALIZATION),
+    )
 }
 """Schema -> what decodes its messages."""

@@ -19,15 +19,17 @@ from logs.decoders.parts import (
     place_of,
     pose_decoder,
 )
+from logs.messages import Transform
 from logs.topics import RecordKind
+from logs.validation import transform_of
 
 
 def _tf(message: Any, context: Context) -> Records:
-    frames = (
-        (place_of(t, context), t.child_frame_id, t.transform.translation, t.transform.rotation)
+    transforms = tuple(
+        Transform(*place_of(t, context), t.child_frame_id, transform_of(t.transform.translation, t.transform.rotation))
         for t in message.transforms
     )
-    return frame_records(context, frames)
+    return frame_records(transforms, context.kind)
 
 
 AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,8 +37,7 @@ def read_detections(table: Table) -> DetectionTable:
     """The detections of ``table``: those of one stamp and frame are a scan.
 
     Needed are a stamp, x and y; z is 0 where it is missing. Others are label, score, sigmas (sigma_x_m, ...), frame
-    and object_id (the truth). A row without position and label is a scan
-    in which nothing was seen.
+    and object_id (the truth). A row without position and label is a scan in which nothing was seen.
 
     Raises:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
@@ -48,14 +47,8 @@ def read_detections(table: Table) -> DetectionTable:
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
     has_truth = table.find(("object_id",))
-    every = ObjectDetections(
-        0,
-        BODY_FRAME,
-        positions,
-        tuple(label or UNLABELLED for label in labels),
-        _scores(table),
-        _covariances(table),
-    )
+    named = tuple(label or UNLABELLED for label in labels)
+    every = ObjectDetections(0, BODY_FRAME, positions, named, _scores(table), _covariances(table))
     frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
     scans: dict[tuple[int, str], list[int]] = {}
     for row, place in enumerate(zip(stamps_ns.tolist(), frames, strict=True)):
@@ -69,17 +62,15 @@ def read_detections(table: Table) -> DetectionTable:
             records.append(DetectionTruth(stamp_ns, tuple("" if name == "-1" else name for name in names)))
     left_out = tuple(name for name in table.columns if name and name not in table.used)
     unlabelled = sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True))
-    return DetectionTable(records, left_out, tuple(_notes(unlabelled, len(labels), {*frames} - {BODY_FRAME})))
-
-
-def _notes(unlabelled: int, count: int, frames: set[str]) -> Iterator[str]:
+    notes = []
     if unlabelled:
-        yield f"{unlabelled} of {count} detections have no label and are of the class {UNLABELLED}"
-    if frames:
-        yield (
-            f"detections are in {', '.join(sorted(frames))}, whose place on the body is not in these files: "
+        notes.append(f"{unlabelled} of {len(labels)} detections have no label and are of the class {UNLABELLED}")
+    if others := {*frames} - {BODY_FRAME}:
+        notes.append(
+            f"detections are in {', '.join(sorted(others))}, whose place on the body is not in these files: "
             "replay with --set calibration.detection.assume_body_frame=true if it is the body"
         )
+    return DetectionTable(records, left_out, tuple(notes))
 
 
 def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], FloatArray]:

@@ -35,9 +35,8 @@ def read_stamps(table: Table, *, strictly: bool) -> IntArray:
     for row, cell in enumerate(table.columns[column.name]):
         try:
             stamps_ns[row] = _nanoseconds(cell, int(column.scale))
-        except (ValueError, ArithmeticError) as error:
-            reason = error if isinstance(error, ValueError) else "not a time"
-            raise table.error(row, column.name, f"{cell[:40]!r} is {reason}; correct it, or {UNIT_REMEDY}") from error
+        except ValueError as error:
+            raise table.error(row, column.name, f"{cell[:40]!r} is {error}; correct it, or {UNIT_REMEDY}") from error
     steps = np.diff(stamps_ns, prepend=stamps_ns[:1] - 1)
     table.refuse(steps < 0, column, "CELL comes after a later stamp; sort the lines by this column")
     twice = "CELL occurs twice; remove one of the two lines, or write the stamps with more digits"
@@ -49,10 +48,17 @@ def _nanoseconds(cell: str, unit_ns: int) -> int:
     """Nanoseconds of a number of units of ``unit_ns``, or of a date as ISO 8601 and pandas write it.
 
     Raises:
-        ArithmeticError: it is neither.
         ValueError: it is no time that a log can hold.
     """
-    exact = Decimal(_date_ns(cell)) if _DATE.match(cell) else Decimal(cell) * unit_ns
+    try:
+        if _DATE.match(cell):
+            import pandas as pd
+
+            exact = Decimal(pd.Timestamp(cell).as_unit("ns").value)  # in UTC where it names no zone
+        else:
+            exact = Decimal(cell) * unit_ns
+    except (ValueError, ArithmeticError) as error:
+        raise ValueError("not a time") from error
     if not exact.is_finite():
         raise ValueError("not a time")
     if exact < 0:
@@ -62,17 +68,3 @@ def _nanoseconds(cell: str, unit_ns: int) -> int:
     if unit_ns == 1 and exact != exact.to_integral_value():
         raise ValueError("not whole nanoseconds")
     return int(exact.to_integral_value())
-
-
-def _date_ns(cell: str) -> int:
-    """Nanoseconds since 1970 of a date with its time; UTC where it names no zone.
-
-    Raises:
-        ValueError: it is none.
-    """
-    import pandas as pd
-
-    try:
-        return int(pd.Timestamp(cell).as_unit("ns").value)
-    except ValueError as error:
-        raise ValueError("not a time") from error

@@ -171,8 +171,8 @@ def read_table(source: SourceText, names: Sequence[str] = ()) -> Table:
             raise DatasetError(
                 f"{source.name}, line {number}: {len(row)} values where {len(names)} are expected ({', '.join(names)})"
             )
-    columns = zip(*rows, strict=True) if rows else ((),) * len(names)
-    return Table(source.name, [number for number, _ in lines], dict(zip(names, columns, strict=True)))
+    columns = {name: [row[i] for row in rows] for i, name in enumerate(names)}
+    return Table(source.name, [number for number, _ in lines], columns)
 
 
 def first_row(source: SourceText) -> list[str]:

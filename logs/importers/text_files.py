@@ -5,13 +5,12 @@ from __future__ import annotations
 import gzip
 import hashlib
 import zlib
-from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 
 from logs.errors import DatasetError
 from logs.records import frozen
-from logs.storage.regular_file import max_unpacked_bytes, read_regular
+from logs.storage.regular_file import read_regular
 
 
 @frozen
@@ -51,7 +50,8 @@ def read_source_text(path: Path) -> SourceText:
 
 
 def _unpacked(name: str, packed: bytes) -> bytes:
-    limit = max_unpacked_bytes(len(packed))
+    # Tables and paths pack to a tenth or so.
+    limit = max(100 * len(packed), 64_000_000)
     try:
         with gzip.open(BytesIO(packed)) as stream:
             content = stream.read(limit + 1)
@@ -63,11 +63,3 @@ def _unpacked(name: str, packed: bytes) -> bytes:
             "unpack it and give the file itself"
         )
     return content
-
-
-def describe_sources(sources: Iterable[tuple[str, SourceText]]) -> dict[str, str]:
-    """What the metadata of an imported log say of its files: by role the name, without folders, and the SHA-256."""
-    described: dict[str, str] = {}
-    for role, source in sources:
-        described |= {role: Path(source.name).name, f"{role}_sha256": source.sha256}
-    return described

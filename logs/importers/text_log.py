@@ -11,7 +11,7 @@ from logs.importers.detection_tables import DetectionTable, read_detections
 from logs.importers.imported_log import DriveRecord
 from logs.importers.stamps import read_stamps
 from logs.importers.tables import read_table
-from logs.importers.text_files import describe_sources, read_source_text
+from logs.importers.text_files import read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
 from logs.messages import GroundTruthPose, Odometry
 from logs.records import frozen
@@ -19,7 +19,7 @@ from logs.records import frozen
 
 @frozen
 class TextLog:
-    """A validated drive. ``notes``: what a user should know of it."""
+    """A validated drive. ``source``: names of its files and their SHA-256; ``notes``: what a user should know of it."""
 
     odometry: Trajectory
     detections: DetectionTable
@@ -59,7 +59,8 @@ def read_text_log(
     Raises:
         DatasetError: a file is missing or wrong; names the file, the line, the column and the remedy.
     """
-    paths = {"odometry": odometry, "ground_truth": ground_truth, "times": times, "calib": calib}
+    table = None if detections.is_dir() else detections
+    paths = {"odometry": odometry, "ground_truth": ground_truth, "times": times, "calib": calib, "detections": table}
     sources = {role: read_source_text(path) for role, path in paths.items() if path is not None}
     times_ns = read_stamps(read_table(sources["times"], ["stamp_s"]), strictly=True) if "times" in sources else None
     trajectories = {
@@ -68,17 +69,16 @@ def read_text_log(
         if role in sources
     }
     path = trajectories["odometry"]
-    described = describe_sources(sources.items())
-    if detections.is_dir():
-        found, sha256 = read_centroids(detections, path.stamps_ns)
-        described |= {"detections": detections.resolve().name, "detections_sha256": sha256}
+    names = {role: Path(source.name).name for role, source in sources.items()}
+    digests = {f"{role}_sha256": source.sha256 for role, source in sources.items()}
+    if "detections" in sources:
+        found = read_detections(read_table(sources["detections"]))
     else:
-        table = read_source_text(detections)
-        found = read_detections(read_table(table))
-        described |= describe_sources([("detections", table)])
+        found, digests["detections_sha256"] = read_centroids(detections, path.stamps_ns)
+        names["detections"] = detections.resolve().name
     notes = found.notes
     if path.format == TrajectoryFormat.KITTI and calib is None:
         notes += (
             "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera",
         )
-    return TextLog(path, found, trajectories.get("ground_truth"), described, notes)
+    return TextLog(path, found, trajectories.get("ground_truth"), names | digests, notes)

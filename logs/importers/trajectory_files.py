@@ -103,14 +103,14 @@ def _find_format(source: SourceText) -> TrajectoryFormat:
 
 def _poses(table: Table) -> FloatArray:
     T = np.tile(np.eye(4), (len(table.lines), 1, 1))
-    for i, name in enumerate("xyz"):
-        column = table.find((name, f"t{name}"), LENGTH_UNITS)
-        if column is not None:
-            T[:, i, 3] = table.numbers(column)
-            too_far = np.abs(T[:, i, 3]) > MAX_COORDINATE_M
-            table.refuse(too_far, column, "CELL m is too far away; correct it, or remove the line")
-        elif name != "z":
-            table.need(f"{name} in metres", f"{name}_m", (name,), LENGTH_UNITS)
+    for i, axis in enumerate("xyz"):
+        names = (axis, f"t{axis}")
+        if axis == "z" and table.find(names, LENGTH_UNITS) is None:
+            continue
+        column = table.need(f"{axis} in metres", f"{axis}_m", names, LENGTH_UNITS)
+        T[:, i, 3] = table.numbers(column)
+        too_far = np.abs(T[:, i, 3]) > MAX_COORDINATE_M
+        table.refuse(too_far, column, "CELL m is too far away; correct it, or remove the line")
     T[:, :3, :3] = _rotations(table)
     return T
 

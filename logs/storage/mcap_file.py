@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import heapq
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from itertools import zip_longest
 
 from mcap import records as mcap_records
 from mcap.opcode import Opcode
@@ -16,8 +16,6 @@ from logs.storage.mcap_index import (
     HEADER,
     MESSAGE_HEADER,
     McapIndex,
-    read_block,
-    records,
     stream_of,
 )
 from logs.topics import Channel, RawMessage
@@ -70,37 +68,25 @@ class McapFile(McapIndex):
         """
         self._timeless_messages = 0
         wanted = {c.id: c for c in self.channels.values() if topics is None or c.topic in topics}
-        waiting = self._blocks_with(wanted)[::-1]
-        # (log time, offset of its block) is unique, so that messages are never compared; the next ones stand last.
-        heap: list[tuple[int, int, list[RawMessage]]] = []
-        held_bytes = Counter[int]()
-        while waiting or heap:
-            while waiting and (not heap or waiting[-1].message_start_time <= heap[0][0]):
-                block = waiting.pop()
-                messages = self._read(block, wanted)
-                if messages:
-                    held_bytes[block.chunk_start_offset] = sum(
-                        # A message takes some 300 bytes besides its content.
-                        len(message.data) + 300
-                        for message in messages
-                    )
-                    heapq.heappush(heap, (messages[-1].log_time_ns, block.chunk_start_offset, messages))
-                    if len(heap) > 1 and held_bytes.total() > self._limits.waiting_bytes:
-                        raise UnreadableLogError(
-                            f"{self._name}: chunks that overlap in time hold more than "
-                            f"{1e-6 * self._limits.waiting_bytes:g} MB of messages until they are read; write the log "
-                            "again in the order of time, or raise memory_mb"
-                        )
-            if not heap:
-                continue
-            _, offset, messages = heap[0]
-            message = messages.pop()
-            if messages:
-                heapq.heapreplace(heap, (messages[-1].log_time_ns, offset, messages))
-            else:
-                heapq.heappop(heap)
-                del held_bytes[offset]
-            yield message
+        blocks = self._blocks_with(wanted)
+        # Of those of equal time the first in the file comes first; messages themselves are never compared.
+        waiting: list[tuple[int, int, int, RawMessage]] = []
+        waiting_bytes = 0
+        for block, following in zip_longest(blocks, blocks[1:]):
+            is_overlap = bool(waiting)
+            for i, message in enumerate(self._read(block, wanted)):
+                heapq.heappush(waiting, (message.log_time_ns, block.chunk_start_offset, i, message))
+                waiting_bytes += _size_bytes(message)
+            if is_overlap and waiting_bytes > self._limits.waiting_bytes:
+                raise UnreadableLogError(
+                    f"{self._name}: chunks that overlap in time hold more than "
+                    f"{1e-6 * self._limits.waiting_bytes:g} MB of messages until they are read; write the log "
+                    "again in the order of time, or raise memory_mb"
+                )
+            while waiting and (following is None or waiting[0][0] < following.message_start_time):
+                *_, message = heapq.heappop(waiting)
+                waiting_bytes -= _size_bytes(message)
+                yield message
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name; of several under one name the last. What goes beyond the limits is left out."""
@@ -122,19 +108,23 @@ class McapFile(McapIndex):
         return found
 
     def _read(self, block: ChunkIndex, wanted: Mapping[int, Channel]) -> list[RawMessage]:
-        """The messages of ``block`` on the channels ``wanted``, the latest first; none if it is damaged."""
+        """The messages of ``block`` on the channels ``wanted``, in the order of the file; none if it is damaged."""
         messages, timeless = list[RawMessage](), 0
         with self.noting_damage(block):
-            content = read_block(self._stream, block, self._limits.chunk_bytes)
-            for opcode, begin, end in records(content):
+            for opcode, record in self.records_of(block):
                 if opcode != Opcode.MESSAGE:
                     continue
-                id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, begin)
+                id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(record)
                 if id in wanted and log_time_ns > LAST_NS:
                     timeless += 1
                 elif id in wanted:
-                    data = content[begin + MESSAGE_HEADER.size : end]
+                    data = record[MESSAGE_HEADER.size :]
                     messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
             self._timeless_messages += timeless
-            return sorted(messages, key=lambda message: message.log_time_ns)[::-1]
+            return messages
         return []
+
+
+def _size_bytes(message: RawMessage) -> int:
+    """What a message takes in memory: some 300 bytes besides its content."""
+    return len(message.data) + 300

@@ -48,7 +48,6 @@ class OversizedChunkError(ValueError):
     """A chunk holds more than is allowed; ``size`` in bytes, decompressed."""
 
     def __init__(self, size: int) -> None:
-        super().__init__(f"{size} bytes")
         self.size = size
 
 
@@ -86,25 +85,6 @@ def _is_enough(summary: Summary, size: int) -> bool:
         and len(summary[mcap_records.MetadataIndex]) == counted.metadata_count
         and len(summary[mcap_records.AttachmentIndex]) == counted.attachment_count
     )
-
-
-def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """(opcode, begin, end) of the content of each record in ``data``.
-
-    Raises:
-        ValueError: a record reaches beyond the end of the data.
-    """
-    position, size = 0, len(data)
-    while position < size:
-        if position + HEADER.size > size:
-            raise ValueError(f"{size - position} stray bytes after the last record")
-        opcode, length = HEADER.unpack_from(data, position)
-        position += HEADER.size
-        end = position + length
-        if end > size or (opcode == Opcode.MESSAGE and length < MESSAGE_HEADER.size):
-            raise ValueError(f"record of {length} bytes does not fit at {position} of {size}")
-        yield opcode, position, end
-        position = end
 
 
 def stream_of(data: bytes) -> ReadDataStream:
@@ -161,7 +141,7 @@ class McapIndex:
 
     ``blocks``: chunks, or runs of records outside of chunks, by their first log time; the channels that may be in one
     are those in its ``message_index_offsets``, all if that is empty. ``lost_blocks``: offset -> bytes; ``oversized``:
-    offset -> bytes, decompressed; ``lost_tail_bytes``: at the end of the file, that are no records.
+    offsets of blocks that are too large; ``lost_tail_bytes``: at the end of the file, that are no records.
 
     Raises:
         UnreadableLogError: it holds more channels or blocks, or longer names, than the limits allow; ``name`` is what
@@ -181,7 +161,7 @@ class McapIndex:
         self.is_complete = True
         self.lost_tail_bytes = 0
         self.lost_blocks: dict[int, int] = {}
-        self.oversized: dict[int, int] = {}
+        self.oversized: set[int] = set()
         summary = read_summary(stream)
         if summary is None:
             for start, end in self._walk():
@@ -213,6 +193,25 @@ class McapIndex:
         except DAMAGE:
             self.lost_blocks[block.chunk_start_offset] = block.chunk_length
 
+    def records_of(self, block: ChunkIndex) -> Iterator[tuple[int, bytes]]:
+        """Opcode and content of each record in ``block``.
+
+        Raises:
+            OversizedChunkError: it is too large, and was not read.
+            OSError: the disk fails.
+            DAMAGE: it is damaged.
+        """
+        data = read_block(self._stream, block, self._limits.chunk_bytes)
+        position = 0
+        while position < len(data):
+            opcode, length = HEADER.unpack_from(data, position)
+            position += HEADER.size
+            record = data[position : position + length]
+            if len(record) < length:
+                raise ValueError(f"record of {length} bytes at {position} of {len(data)}")
+            position += length
+            yield opcode, record
+
     def report(self, what: str, size: int) -> None:
         """Warn once of what goes beyond the limits."""
         if what not in self._reported:
@@ -221,7 +220,7 @@ class McapIndex:
             _log.warning(text, self._name, what, 1e-6 * size, self._limits.chunk_mb)
 
     def _note_oversized(self, offset: int, size: int) -> None:
-        self.oversized[offset] = size
+        self.oversized.add(offset)
         self.report("a chunk", size)
 
     def _walk(self) -> Iterator[tuple[int, int]]:
@@ -270,15 +269,14 @@ class McapIndex:
             compression="",
         )
         with self.noting_damage(block):
-            content = read_block(self._stream, block, self._limits.chunk_bytes)
-            for opcode, begin, stop in records(content):
+            for opcode, record in self.records_of(block):
                 if opcode == Opcode.MESSAGE:
-                    channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content, begin)
+                    channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(record)
                     self.message_counts[channel_id] += 1
                     block.message_start_time = min(block.message_start_time, log_time_ns)
                     block.message_end_time = max(block.message_end_time, log_time_ns)
                 elif opcode in _DEFINITIONS:
-                    self._add(_DEFINITIONS[opcode].read(stream_of(content[begin:stop])))
+                    self._add(_DEFINITIONS[opcode].read(stream_of(record)))
             self.blocks.append(block)
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:

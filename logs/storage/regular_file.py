@@ -12,13 +12,6 @@ MAX_BYTES = 1_000_000_000
 """Of a file that is read as a whole: a day of detections as a table."""
 
 
-def max_unpacked_bytes(packed_bytes: int) -> int:
-    """Bytes that a file of ``packed_bytes`` may unpack to: a hundred times as many, as logs, tables and paths pack to a
-    tenth or so, and 64 MB in any case.
-    """
-    return max(100 * packed_bytes, 64_000_000)
-
-
 def open_regular(path: AnyPath) -> BufferedReader:
     """Open a file to read its bytes.
 

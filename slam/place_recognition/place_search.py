@@ -28,7 +28,7 @@ class Place:
     """A candidate pose of a query: ``T_local_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
     of a ``segment``.
 
-    ``proposer``: one of :data:`logs.messages.PROPOSERS`;
+    ``proposer``: one of those of :class:`logs.messages.LoopClosureRecord`;
     ``predicted_by``: the keyframe whose closure predicts the pose, None if none does.
     """
 

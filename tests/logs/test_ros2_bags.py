@@ -96,7 +96,7 @@ def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_p
 
 
 def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from logs.storage import mcap_file
+    from logs.storage import mcap_index
 
     picture = {"height": 1, "width": 500_000, "step": 500_000, "encoding": "rgb8", "data": np.zeros(500_000)}
     messages: list[Message] = []
@@ -106,13 +106,13 @@ def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monk
         messages.append(("/image", "sensor_msgs/msg/Image", i, picture))
     bag = write_bag(tmp_path / "bag", messages)
     loaded = []
-    inner = mcap_file.read_block  # type: ignore[attr-defined]
+    inner = mcap_index.read_block
 
     def read_block(stream, block, max_bytes):
         loaded.append(block.chunk_start_offset)
         return inner(stream, block, max_bytes)
 
-    monkeypatch.setattr(mcap_file, "read_block", read_block)
+    monkeypatch.setattr(mcap_index, "read_block", read_block)
     with LogReader(bag) as reader:
         assert len(list(reader.messages({"/odom"}))) == 3
         assert len(set(loaded)) == 3

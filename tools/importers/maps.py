@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import Json, check_outputs, parse_origin
-
-if TYPE_CHECKING:
-    from logs.importers.maps.map_objects import MapObjects
 
 NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.")]
 Origin = Annotated[
@@ -62,6 +59,13 @@ def map_of_objects(
     Example: dslam import map town_map.mcap --file objects.csv --origin 60.17,24.94
     """
     check_outputs([output], [file])
+    import numpy as np
+
+    from logs.importers.tables import UNLABELLED
+    from slam.localization.map_import import import_map
+    from slam.place_recognition.imported_map import save_imported_map
+    from tools import console
+
     suffix = Path(file.name.removesuffix(".gz")).suffix
     is_drawn = suffix in (".osm", ".pbf", ".bz2")
     if is_drawn:
@@ -76,29 +80,9 @@ def map_of_objects(
         from logs.importers.maps.object_table import read_object_table
 
         objects = read_object_table(file)
-    sigma_m = sigma or (DRAWN_SIGMA_M if is_drawn else SURVEYED_SIGMA_M)
-    _make_map(output, objects, origin, label, sigma_m, json=json)
-
-
-def _make_map(
-    output: Path,
-    objects: MapObjects,
-    origin: str | None,
-    label: str | None,
-    sigma_m: float,
-    *,
-    json: bool,
-) -> None:
-    """Write the map of ``objects`` and print what is in it."""
-    import numpy as np
-
-    from logs.importers.tables import UNLABELLED
-    from slam.localization.map_import import import_map
-    from slam.place_recognition.imported_map import save_imported_map
-    from tools import console
-
     if label is not None:
         objects = replace(objects, labels=(label,) * len(objects))
+    sigma_m = sigma or (DRAWN_SIGMA_M if is_drawn else SURVEYED_SIGMA_M)
     imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
     notes, georeference = list(objects.notes), imported.georeference

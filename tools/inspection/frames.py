@@ -23,13 +23,14 @@ def find_faults(summary: LogSummary) -> list[str]:
     """Reasons why detections cannot be placed on the odometry: unconnected frames, and other clocks."""
     from logs.topics import RecordKind
 
-    if summary.selection is None:
-        return []
     of_topic = {topic.topic: topic for topic in summary.topics}
     odometry = [of_topic[name] for name in summary.selection.topics_of(RecordKind.ODOMETRY)]
     detections = [of_topic[name] for name in summary.selection.topics_of(RecordKind.DETECTIONS)]
     bodies = {child for topic in odometry for _, child in topic.frame_edges}
-    placed = _connected(summary.topics, bodies)
+    edges = [edge for topic in summary.topics for edge in topic.frame_edges]
+    placed = set(bodies)
+    while beside := {frame for edge in edges if not placed.isdisjoint(edge) for frame in edge} - placed:
+        placed |= beside
     faults = [
         f"{topic.topic} is in the frame {frame}, which no transform connects with {', '.join(sorted(bodies))}"
         for topic in detections
@@ -42,12 +43,3 @@ def find_faults(summary: LogSummary) -> list[str]:
                 apart_s = max(topic.first_ns - other.last_ns, other.first_ns - topic.last_ns) * 1e-9
                 faults.append(f"{topic.topic} and {other.topic} are {apart_s:.1f} s apart: not on one clock")
     return faults
-
-
-def _connected(topics: Sequence[TopicSummary], bodies: set[str]) -> set[str]:
-    """The frames that a chain of transforms connects with those of the body."""
-    edges = [edge for topic in topics for edge in topic.frame_edges]
-    found = set(bodies)
-    while beside := {frame for edge in edges if not found.isdisjoint(edge) for frame in edge} - found:
-        found |= beside
-    return found

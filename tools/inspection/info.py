@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -51,18 +50,20 @@ def info(
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     wanted = closures or keyframe is not None
     about_map = summary.metadata.get(saved_map.METADATA)
-    saved = None if about_map is None else saved_map.describe(log, about_map)
+    saved = {} if about_map is None else saved_map.describe(log, about_map)
     if json:
-        told = {each.name: getattr(summary, each.name) for each in fields(summary) if each.name != "closure_candidates"}
-        told |= {"selection": _selected(summary), "duration_s": summary.duration_s}
-        told |= {} if saved is None else {"map": saved}
+        told = plain(summary) | {"selection": summary.selection.kinds, "duration_s": summary.duration_s}
+        told |= {"map": saved} if saved else {}
+        del told["closure_candidates"]
         if wanted:
-            told["closure_candidates"] = [{"time_s": _time_s(summary, each), **plain(each)} for each in candidates]
+            told["closure_candidates"] = [
+                {"time_s": summary.time_s(each.stamp_ns), **plain(each)} for each in candidates
+            ]
         console.show_json(told)
         return
     if keyframe is None:
         head = f"{summary.path}: {summary.duration_s:.1f} s, {summary.size_bytes / 1e6:.2f} MB"
-        rows = {**_rows(summary), **(saved_map.rows(log, saved) if saved else {})}
+        rows = _rows(summary) | (saved_map.rows(log, saved) if saved else {})
         console.show(head, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows))
     if closures and keyframe is None:
         decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)
@@ -75,29 +76,26 @@ def info(
         shown = [_candidate(summary, each) for each in candidates[: console.MAX_LISTED]]
         table = console.table(shown, texts=("decision", "stage", "reason"), title="Candidates by query keyframe")
         console.show(table if shown else "no loop-closure candidate")
-    if wanted and len(candidates) > console.MAX_LISTED:
-        more = len(candidates) - console.MAX_LISTED
-        console.show(f"and {more} more: --keyframe ID lists those of one query keyframe, --json all")
+        if more := len(candidates) - len(shown):
+            console.show(f"and {more} more: --keyframe ID lists those of one query keyframe, --json all")
 
 
 def _rows(summary: LogSummary) -> dict[str, str]:
     """What is in a log beside its topics, by names for people."""
-    is_mapped = REPLAYED in summary.metadata
-    listed = {"landmarks" if _is_map(summary) else "objects": _classes(summary)}
-    if not is_mapped:
-        listed["frames"] = "\n".join(console.first(frames.list_edges(summary.topics)))
-        listed["not placed"] = "\n".join(frames.find_faults(summary))
-    of_replay = [topic for topic in summary.topics if is_mapped and topic.topic.startswith(("/slam/", "/tf"))]
-    faults = [
-        f"{topic.topic}: {text}" for topic in summary.topics if topic not in of_replay and (text := _faults(topic))
-    ]
-    listed["gaps, order"] = "\n".join(faults)
-    uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in _selected(summary).items())
-    listed |= {"replay uses": uses, "no replay": "" if uses else _obstacle(summary)}
-    listed["lost"] = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items())
-    if summary.status is not None:
-        listed["status"] = f"{summary.status.level}: {summary.status.message}"
-        listed["counters"] = ", ".join(f"{name} {count}" for name, count in summary.status.counters.items())
+    is_mapped, status = REPLAYED in summary.metadata, summary.status
+    measured = [topic for topic in summary.topics if not (is_mapped and topic.topic.startswith(("/slam/", "/tf")))]
+    uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in summary.selection.kinds.items())
+    listed = {
+        "landmarks" if _is_map(summary) else "objects": _classes(summary),
+        "frames": "" if is_mapped else "\n".join(console.first(frames.list_edges(summary.topics))),
+        "not placed": "" if is_mapped else "\n".join(frames.find_faults(summary)),
+        "gaps, order": "\n".join(f"{topic.topic}: {text}" for topic in measured if (text := _faults(topic))),
+        "replay uses": uses,
+        "no replay": "" if uses else _obstacle(summary),
+        "lost": ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in summary.counters.items()),
+        "status": f"{status.level}: {status.message}" if status else "",
+        "counters": ", ".join(f"{name} {count}" for name, count in status.counters.items()) if status else "",
+    }
     for name, values in summary.metadata.items():
         if name != "rosbag2":  # a copy of metadata.yaml, which says what stands above
             # Longer values, such as a whole configuration, are in the JSON only.
@@ -126,10 +124,6 @@ def _classes(summary: LogSummary) -> str:
     return ", ".join(console.first([f"{name} {count}" for name, count in counts], " classes"))
 
 
-def _selected(summary: LogSummary) -> dict[str, list[str]]:
-    return {topic: list(kinds) for topic, kinds in summary.selection.kinds.items()} if summary.selection else {}
-
-
 def _obstacle(summary: LogSummary) -> str:
     if saved_map.METADATA in summary.metadata:
         return "this is a saved map, not a drive; give it to replay or relocalize by --map"
@@ -140,15 +134,14 @@ def _obstacle(summary: LogSummary) -> str:
 
 def _topics(summary: LogSummary) -> list[dict[str, str]]:
     """A row for each topic. Times count from the first stamp of the odometry, or else from the first message."""
-    start_ns = summary.start_ns if summary.first_stamp_ns is None else summary.first_stamp_ns
     return [
         {
             "topic": topic.topic,
             "messages": str(topic.message_count),
             "Hz": _number(topic.rate_hz, ".1f"),
             "length m": _number(topic.length_m, ".0f"),
-            "from s": f"{(topic.first_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
-            "to s": f"{(topic.last_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
+            "from s": f"{summary.time_s(topic.first_ns):.1f}" if topic.message_count else "",
+            "to s": f"{summary.time_s(topic.last_ns):.1f}" if topic.message_count else "",
             "schema": topic.schema_name,
             "frame": "" if topic.frame_edges else ", ".join(topic.frames),
         }
@@ -165,17 +158,11 @@ def _faults(topic: TopicSummary) -> str:
     return "; ".join(text for text, count in parts.items() if count)
 
 
-def _time_s(summary: LogSummary, candidate: LoopClosureRecord) -> float:
-    """Seconds from the start of the drive to the query keyframe, on the clock of the measurements."""
-    first_ns = summary.first_stamp_ns
-    return (candidate.stamp_ns - (summary.closure_candidates[0].stamp_ns if first_ns is None else first_ns)) * 1e-9
-
-
 def _candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, str]:
     return {
         "query": str(candidate.query_keyframe_id),
         "reference": str(candidate.reference_keyframe_id),
-        "time s": f"{_time_s(summary, candidate):.1f}",
+        "time s": f"{summary.time_s(candidate.stamp_ns):.1f}",
         "score": f"{candidate.score:.3g}",
         "LLR": _number(candidate.log_likelihood_ratio),
         "penalty": _number(candidate.odometry_penalty),

@@ -14,26 +14,23 @@ METADATA = "dslam_map"
 
 def describe(path: Path, about: Mapping[str, str]) -> dict[str, Any]:
     """The map for JSON: its summary, or why it cannot be used; ``about``: its metadata."""
+    import numpy as np
+
     from slam.common.errors import SavedMapError
     from slam.object_map.map_io import IMPORTED, load_map
     from slam.object_map.map_summary import summarize_map
 
+    usable = {"usable": True, "fault": ""}
     try:
-        is_imported = about.get("kind") == IMPORTED
-        described = _describe_imported(path) if is_imported else summarize_map(load_map(path))
-        return {"usable": True, "fault": "", **described}
+        if about.get("kind") != IMPORTED:
+            return usable | summarize_map(load_map(path))
+        from slam.place_recognition.imported_map import load_imported_map
+
+        imported = load_imported_map(path)
     except SavedMapError as error:
         return {"usable": False, "fault": str(error)}
-
-
-def _describe_imported(path: Path) -> dict[str, Any]:
-    import numpy as np
-
-    from slam.place_recognition.imported_map import load_imported_map
-
-    imported = load_imported_map(path)
     width_m, height_m = np.ptp(imported.positions[:, :2], axis=0).tolist()
-    return {
+    return usable | {
         "kind": "imported",
         "landmark_count": len(imported),
         "sigma_m": imported.sigma_m,

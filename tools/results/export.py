@@ -12,9 +12,6 @@ from tools.arguments import check_outputs, parse_origin
 
 if TYPE_CHECKING:
     from slam.common.georeference import Georeference
-    from slam.evaluation.inputs.records import EvaluationRecords
-    from slam.evaluation.inputs.synchronization import PoseSeries
-
 
 _REMEDY = "give a log that 'dslam replay' finished"
 
@@ -73,7 +70,14 @@ def export(
     georeference = _find_georeference(log, origin) if geodetic or geojson else None
     records = read_records(log)
     if tum or kitti or geodetic:
-        track = _choose_track(log, records, of)
+        track = {
+            Track.ESTIMATE: records.final_path,
+            Track.ONLINE: records.online_path,
+            Track.ODOMETRY: records.odometry_path,
+            Track.TRUTH: records.true_path,
+        }[of]
+        if not track:
+            raise InputDataError(f"{log} has no poses of the {of}; {_REMEDY}, or choose other poses by --of")
         if georeference and geodetic:
             text.write_geodetic(geodetic, track.stamps_ns, track.T_world_body, georeference)
         if tum:
@@ -96,20 +100,6 @@ def export(
         write_g2o(g2o, records.graph, records.object_map)
         count = len(records.graph.edge_kinds)
         console.show(f"{g2o}: {count} edges, without robust kernels, which g2o cannot hold")
-
-
-def _choose_track(log: Path, records: EvaluationRecords, of: Track) -> PoseSeries:
-    from slam.common.errors import InputDataError
-
-    path = {
-        Track.ESTIMATE: records.final_path,
-        Track.ONLINE: records.online_path,
-        Track.ODOMETRY: records.odometry_path,
-        Track.TRUTH: records.true_path,
-    }[of]
-    if not path:
-        raise InputDataError(f"{log} has no poses of the {of}; {_REMEDY}, or choose other poses by --of")
-    return path
 
 
 def _find_georeference(log: Path, origin: str | None) -> Georeference:

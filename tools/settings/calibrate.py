@@ -45,13 +45,8 @@ def calibrate(
     if output is not None:
         output.write_text(to_toml(calibration), encoding="utf-8")
     if json:
-        console.show_json(
-            {
-                "calibration": calibration.model_dump(mode="json"),
-                "estimated": sorted(found.estimated),
-                "notes": list(found.notes),
-            }
-        )
+        estimated = sorted(found.estimated)
+        console.show_json({"calibration": calibration, "estimated": estimated, "notes": found.notes})
     else:
         _show(found, output)
 
@@ -65,6 +60,5 @@ def _show(found: CalibratedLog, output: Path | None) -> None:
         sigma = calibration.sigmas.get(key)
         rows[key] = f"{value:.4g}" + ("" if sigma is None else f" +- {sigma:.2g}")
     rows["from"] = ", ".join(f"{name} {value:.0f}" for name, value in calibration.evidence.items())
-    rows |= {"notes": "; ".join(found.notes)} if found.notes else {}
-    rows |= {"written": str(output)} if output is not None else {}
-    console.show(console.pairs(rows))
+    rows |= {"notes": "; ".join(found.notes), "written": str(output or "")}
+    console.show(console.pairs({name: text for name, text in rows.items() if text}))

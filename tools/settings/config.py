@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-
-if TYPE_CHECKING:
-    from slam.common.config import Config
 
 
 def config(
@@ -39,15 +36,14 @@ def config(
     from slam.simulation.config import SimulationConfig
 
     model = SimulationConfig if simulation else Config
-    tree = load_tree(model, config_file, settings) if made_from is None else _recorded(made_from)
+    if made_from is None:
+        tree = load_tree(model, config_file, settings)
+    else:
+        from logs.reader import LogReader
+        from slam.object_map.map_io import METADATA
+        from slam.provenance import recorded_config
+
+        with LogReader(made_from) as reader:
+            found = reader.metadata()
+        tree = recorded_config(found.get("dslam") or found.get(METADATA) or {})
     sys.stdout.write(tree.model_dump_json(indent=2) + "\n" if json else to_toml(tree))
-
-
-def _recorded(path: Path) -> Config:
-    from logs.reader import LogReader
-    from slam.object_map.map_io import METADATA
-    from slam.provenance import recorded_config
-
-    with LogReader(path) as reader:
-        found = reader.metadata()
-    return recorded_config(found.get("dslam") or found.get(METADATA) or {})

@@ -66,13 +66,8 @@ def read_geojson(path: Path) -> MapObjects:
         raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
     geodetic = np.array(coordinates).reshape(-1, 3)
     check_degrees(str(path), geodetic)
-    labels = find_labels(_table(str(path), properties))
+    keys = sorted({key for row in properties for key in row})
+    cells = {key: ["" if row.get(key) is None else str(row[key]) for row in properties] for key in keys}
+    labels = find_labels(Table(str(path), range(1, len(properties) + 1), cells))
     notes = (f"{others.total()} features that are not points were ignored ({kinds})",) if others else ()
     return MapObjects(str(path), geodetic, labels, distinct(names), True, source.sha256, notes)
-
-
-def _table(name: str, rows: list[dict[str, Any]]) -> Table:
-    """The properties of features as columns of text."""
-    keys = {key for row in rows for key in row}
-    cells = {key: ["" if row.get(key) is None else str(row[key]) for row in rows] for key in sorted(keys)}
-    return Table(name, range(1, len(rows) + 1), cells)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ _VALUES: Mapping[str, str] = {
     "tourism": "artwork information",
     "traffic_sign": ANY,
 }
-TAGS: Mapping[str, frozenset[str]] = {key: frozenset(values.split()) for key, values in _VALUES.items()}
+TAGS: Mapping[str, Collection[str]] = {key: values.split() for key, values in _VALUES.items()}
 """Keys and their values that make a node an object; with ``ANY`` all values do, and the class is the key."""
 
 
@@ -53,38 +54,40 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     import osmium
 
     wanted = _parsed(tags) if tags else TAGS
-    positions, labels, ids = list[tuple[float, float, float]](), list[str](), list[str]()
+    found: list[tuple[float, float, str, str]] = []
     try:
         open_regular(path).close()
         nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*wanted))
         for node in nodes:
             label = _class_of(node, wanted)
             if label and node.location.valid():
-                positions.append((node.location.lat, node.location.lon, 0.0))
-                labels.append(label)
-                ids.append(f"n{node.id}")
+                found.append((node.location.lat, node.location.lon, label, f"n{node.id}"))
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise DatasetError(
             f"{path}: not an extract of OpenStreetMap, or truncated ({reason}); download it again"
         ) from error
-    if not labels:
+    if not found:
         names = ", ".join(wanted)
         raise DatasetError(f"{path}: no node is an object by its tags ({names}); say which with --tag KEY=VALUE")
-    return MapObjects(str(path), np.array(positions), tuple(labels), tuple(ids), True, file_sha256(path))
+    latitudes, longitudes, labels, ids = zip(*found, strict=True)
+    positions = np.column_stack([latitudes, longitudes, np.zeros(len(found))])
+    return MapObjects(str(path), positions, labels, ids, True, file_sha256(path))
 
 
-def _class_of(node: osmium.osm.Node, wanted: Mapping[str, frozenset[str]]) -> str:
+def _class_of(node: osmium.osm.Node, wanted: Mapping[str, Collection[str]]) -> str:
     for key in sorted(wanted):
         value = node.tags.get(key)
-        if value is not None and not wanted[key].isdisjoint((value, ANY)):
-            return key if ANY in wanted[key] else str(value)
+        if value is not None and ANY in wanted[key]:
+            return key
+        if value in wanted[key]:
+            return str(value)
     return ""
 
 
-def _parsed(tags: Sequence[str]) -> dict[str, frozenset[str]]:
-    wanted: dict[str, frozenset[str]] = {}
+def _parsed(tags: Sequence[str]) -> dict[str, list[str]]:
+    wanted = defaultdict[str, list[str]](list)
     for tag in tags:
         key, _, value = tag.partition("=")
-        wanted[key] = wanted.get(key, frozenset()) | {value or ANY}
+        wanted[key].append(value or ANY)
     return wanted
