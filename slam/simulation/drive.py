@@ -69,11 +69,9 @@ def plan_drive(tour: FloatArray, config: DriveConfig) -> DrivePlan:
     the tour turns back on itself, the body turns on the spot at the greatest yaw rate.
 
     Raises:
-        SimulationError: the tour has no length.
+        SimulationError: the rounded tour has no length.
     """
     corner_m = travelled_m(tour)
-    if corner_m[-1] <= 0.0:
-        raise SimulationError(f"a tour of {len(tour)} points without length cannot be driven")
     keep = np.concatenate([[True], step_lengths(tour) > 0.0])
     count = max(2, int(np.ceil(corner_m[-1] / 0.25)) + 1)  # samples of a tour 0.25 m apart
     tour_m = np.linspace(0.0, corner_m[-1], count)

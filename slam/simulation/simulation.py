@@ -64,13 +64,13 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
 
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
-    if config.kidnap is None:
-        drives = [plan.sample(0.0, plan.length_m, start_ns=_start_ns(config))]
+    start_ns, kidnap = START_NS + config.drive.start_day * 86_400 * 10**9, config.kidnap
+    if kidnap is None:
+        drives = [plan.sample(0.0, plan.length_m, start_ns=start_ns)]
     else:
-        kidnap = config.kidnap
         first_m = 0.0 if kidnap.before_m is None else max(kidnap.from_m - kidnap.before_m, 0.0)
         last_m = plan.length_m if kidnap.after_m is None else min(kidnap.to_m + kidnap.after_m, plan.length_m)
-        before = plan.sample(first_m, kidnap.from_m, start_ns=_start_ns(config))
+        before = plan.sample(first_m, kidnap.from_m, start_ns=start_ns)
         gap_s = 1.0 / config.drive.rate_hz if kidnap.silent else kidnap.gap_s
         resume_ns = int(before.stamps_ns[-1]) + round(gap_s * 1e9)
         drives = [before, plan.sample(kidnap.to_m, last_m, start_ns=resume_ns)]
@@ -83,16 +83,11 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
     return drives
 
 
-def _start_ns(config: SimulationConfig) -> int:
-    return START_NS + config.drive.start_day * 86_400 * 10**9
-
-
 def _records(
     world: World, config: SimulationConfig, drives: list[Drive], rngs: Mapping[str, np.random.Generator]
 ) -> Iterator[DriveRecord]:
-    start_ns = _start_ns(config)
-    names, class_indices = np.unique(world.labels, return_inverse=True)
-    vocabulary = tuple(names.tolist())
+    vocabulary, class_indices = world.vocabulary, np.searchsorted(world.vocabulary, world.labels)
+    start_ns = int(drives[0].stamps_ns[0])
     yield ObjectMapRecord.of_objects(
         world.object_ids, world.positions, class_indices, vocabulary, stamp_ns=start_ns, frame_id="world"
     )

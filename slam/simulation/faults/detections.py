@@ -155,9 +155,7 @@ def label_confusion(log: Recording, probability: Share = 0.5, *, rng: np.random.
 def labels_random(log: Recording, *, rng: np.random.Generator) -> None:
     """Each detection has a label of the log drawn at random."""
     labels = log.labels
-    for scan in log.scans:
-        drawn = rng.integers(max(len(labels), 1), size=len(scan.seen.labels))
-        scan.change(labels=tuple(labels[i] for i in drawn))
+    _rename(log, lambda label: labels[rng.integers(len(labels))])
 
 
 def labels_unique(log: Recording) -> None:

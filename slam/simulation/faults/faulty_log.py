@@ -96,7 +96,7 @@ def write_faulty(
     with LogReader(source) as reader:
         selection = select_topics(reader.topics(), topics, needed=_NEEDED)
         log = make_recording(_read(reader, selection))
-        left_out = dict(sorted((+Counter(reader.counters)).items()))
+        left_out = reader.counters
         before, detections_before = Counter(log.messages), _detection_count(log)
         apply_faults(log, faults, seed=seed)
         rewritten = _changed_topics(before, Counter(log.messages), selection)

@@ -46,9 +46,9 @@ def odometry_wild(log: Recording, distance_m: Metres = 1000.0, *, rng: np.random
 
 def odometry_freezes(log: Recording, seconds: Duration = 10.0) -> None:
     """It stands still for S from half time on; travel of that time is missing afterwards."""
-    begin_ns, end_ns = log.from_half(seconds)
-    still = (log.stamps_ns[1:] > begin_ns) & (log.stamps_ns[1:] <= end_ns)
-    log.steps = np.where(still[:, None, None], np.eye(4), log.steps)
+    steps = log.steps
+    steps[log.are_after_half(seconds)[:-1]] = np.eye(4)
+    log.steps = steps
 
 
 def odometry_scale(log: Recording, factor: Factor = 1.2) -> None:
@@ -73,9 +73,8 @@ def gyro_bias(log: Recording, rate_deg_s: _Rate = 3.0, seconds: Duration = 10.0)
 
 def wheel_slip(log: Recording, factor: Factor = 1.5, seconds: Duration = 5.0) -> None:
     """Its travel is multiplied for S from half time on."""
-    begin_ns, end_ns = log.from_half(seconds)
     steps = log.steps
-    steps[(log.stamps_ns[:-1] >= begin_ns) & (log.stamps_ns[:-1] < end_ns), :3, 3] *= factor
+    steps[log.are_after_half(seconds)[:-1], :3, 3] *= factor
     log.steps = steps
 
 
@@ -96,9 +95,7 @@ def odometry_translation_noise(log: Recording, sigma: _TranslationNoise = 0.05, 
 def odometry_yaw_noise(log: Recording, sigma: _YawNoise = 0.005, *, rng: np.random.Generator) -> None:
     """Its heading has noise, RAD/SQRT(M) after 1 m of travel, which adds up."""
     steps = log.steps
-    errors = sigma * _root_m(steps) * rng.standard_normal(len(steps))
-    steps[:, :3, :3] = steps[:, :3, :3] @ _turn(errors)[:, :3, :3]
-    log.steps = steps
+    log.steps = steps @ _turn(sigma * _root_m(steps) * rng.standard_normal(len(steps)))
 
 
 def _root_m(steps: FloatArray) -> FloatArray:

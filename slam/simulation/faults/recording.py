@@ -88,9 +88,8 @@ class Scan:
         self.put(take_rows(self.seen, N=np.flatnonzero(is_kept)), ids)
 
     def add(self, false: ObjectDetections) -> None:
-        """Add detections of nothing that is in the truth; they have no tracks."""
-        seen = replace(joined([self.seen, false]), stamp_ns=self.stamp_ns, frame_id=self.seen.frame_id)
-        self.put(seen, (*self.ids, *[""] * len(false.labels)))
+        """Add detections of nothing that is in the truth."""
+        self.put(joined([self.seen, false]), (*self.ids, *[""] * len(false.labels)))
 
 
 @dataclass(slots=True, eq=False)
@@ -119,6 +118,11 @@ class Recording:
         """The stamp at half time, and so long after it."""
         half_ns = self.stamp_at(0.5)
         return half_ns, half_ns + seconds_ns(seconds)
+
+    def are_after_half(self, seconds: float) -> BoolArray:
+        """Which stamps (N,) of the odometry are within so long from half time on."""
+        begin_ns, end_ns = self.from_half(seconds)
+        return (self.stamps_ns >= begin_ns) & (self.stamps_ns < end_ns)
 
     @property
     def stamps_ns(self) -> IntArray:
@@ -222,22 +226,15 @@ def seconds_ns(seconds: float) -> int:
 
 
 def joined(every: Sequence[ObjectDetections]) -> ObjectDetections:
-    """All detections as one message, the first that has any; covariances that only some have are zero for the
-    others.
-    """
-    parts = [part for part in every if part.labels] or every[:1]
-
-    def stack(name: str, shape: tuple[int, ...]) -> Any:
-        arrays = [getattr(part, name) for part in parts]
-        if all(array is None for array in arrays):
-            return None
-        zeros = [np.zeros((len(part.labels), *shape)) for part in parts]
-        return np.concatenate([zero if array is None else array for array, zero in zip(arrays, zeros, strict=True)])
-
+    """All detections in the first message; covariances that only some have are zero for the others."""
+    covariances = [
+        np.zeros((len(part.labels), 3, 3)) if part.covariances is None else part.covariances for part in every
+    ]
+    are_known = any(part.covariances is not None for part in every)
     return replace(
-        parts[0],
-        positions=stack("positions", (3,)),
-        labels=tuple(label for part in parts for label in part.labels),
-        scores=stack("scores", ()),
-        covariances=stack("covariances", (3, 3)),
+        every[0],
+        positions=np.concatenate([part.positions for part in every]),
+        labels=tuple(label for part in every for label in part.labels),
+        scores=np.concatenate([part.scores for part in every]),
+        covariances=np.concatenate(covariances) if are_known else None,
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from slam.common.arrays import BoolArray
 from slam.simulation.faults.parameters import Duration, Hertz, Part, Seconds
 from slam.simulation.faults.recording import Recording, Scan, seconds_ns
 
@@ -50,8 +50,7 @@ def detections_stop(log: Recording, fraction: Part = 0.5) -> None:
 
 def odometry_pause(log: Recording, seconds: Duration = 10.0) -> None:
     """No odometry comes for S from half time on."""
-    kept = ~_after_half(log, seconds)
-    log.odometry = [log.odometry[row] for row in np.flatnonzero(kept)]
+    log.odometry = list(compress(log.odometry, ~log.are_after_half(seconds)))
 
 
 def log_gap(log: Recording, seconds: Duration = 10.0) -> None:
@@ -69,13 +68,7 @@ def messages_twice(log: Recording) -> None:
 
 def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> None:
     """Stamps of the odometry fall instead of rising for S from half time on."""
-    log.stamps_ns = np.where(_after_half(log, seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
-
-
-def _after_half(log: Recording, seconds: float) -> BoolArray:
-    """Which stamps (N,) of the odometry are within so long from half time on."""
-    begin_ns, end_ns = log.from_half(seconds)
-    return (log.stamps_ns >= begin_ns) & (log.stamps_ns < end_ns)
+    log.stamps_ns = np.where(log.are_after_half(seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
 
 
 def _thinned(stamps_ns: list[int], rate_hz: float) -> set[int]:
