@@ -72,7 +72,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
             return None
 
     paths = {"estimate": records.final_path, "odometry": records.odometry_path, "online": records.online_path}
-    axes = _true_axes(records, protocol)
+    axes = _true_axes(records)
     records = replace(records, true_path=records.true_path.turned(axes.T))
     trajectories = {
         name: measure("trajectory" if name == "estimate" else name, partial(_trajectory, records, protocol, name, path))
@@ -83,9 +83,9 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     labelled = measure("associations", partial(_label_detections, records))
     matches = _match_by_detections(records, labelled)
     landmarks = measure("landmarks", partial(_landmarks, records, protocol, labelled, matches, T_world_map))
-    measure("closures", partial(_need_truth_of_closures, records))
-    judged, queries = _judge_closures(records, protocol)
-    calibration, missing = evaluate_calibration(records, matches, judged, protocol)
+    judged = _judge_closures(records, protocol)
+    queries = measure("closures", partial(_find_revisits, records, judged, protocol))
+    calibration, missing = evaluate_calibration(records, matches, judged)
     if missing:
         unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
     if map_alignment is not None and not records.has_prior_map:
@@ -102,7 +102,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         "closures": {} if judged is None else describe_closures(judged, protocol),
         "relocalization": relocalization or {},
         "calibration": calibration,
-        "counters": records.status.counters if records.status else {},
+        "counters": records.statuses[-1].counters if records.statuses else {},
         "unavailable": unavailable,
         "protocol": plain(protocol),
     }
@@ -111,11 +111,11 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     return Evaluation(plain(results), **trajectories, closures=judged)
 
 
-def _true_axes(records: EvaluationRecords, protocol: Protocol) -> FloatArray:
+def _true_axes(records: EvaluationRecords) -> FloatArray:
     """The axes (3, 3) of the body of the truth, in those of the estimate."""
     with suppress(EvaluationError):
         path = records.final_path or records.online_path
-        est, gt = synchronize(path, records.true_path, max_gap_s=protocol.max_truth_gap_s)
+        est, gt = synchronize(path, records.true_path)
         R_world_map = align_path(est.positions, gt.positions)[:3, :3]
         return find_axes(R_world_map @ est.T_world_body[:, :3, :3], gt.T_world_body[:, :3, :3])
     return np.eye(3)
@@ -130,7 +130,7 @@ def _describe_turn(R: FloatArray) -> str | None:
 def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:
     truth = records.true_path
     _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(truth) > 0})
-    return evaluate_trajectory(path, truth, max_gap_s=protocol.max_truth_gap_s, kidnapping_m=protocol.revisit_m)
+    return evaluate_trajectory(path, truth, kidnapping_m=protocol.revisit_m)
 
 
 def _label_detections(records: EvaluationRecords) -> pd.DataFrame:
@@ -181,30 +181,21 @@ def _landmarks(
     )
 
 
-def _judge_closures(records: EvaluationRecords, protocol: Protocol) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
-    """The candidates, None without any; and the keyframes that may be revisits, None where they are not known."""
+def _judge_closures(records: EvaluationRecords, protocol: Protocol) -> pd.DataFrame | None:
+    """The candidates; None without any, where it is not known either that there should be one."""
+    if not records.closures and (records.graph is None or not len(records.true_path)):
+        return None
+    return judge_closures(find_final_decisions(records.closures), records.true_path, protocol)
+
+
+def _find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, protocol: Protocol) -> pd.DataFrame:
     graph, truth = records.graph, records.true_path
-    is_known = graph is not None and len(truth) > 0
-    if not records.closures and not is_known:
-        return None, None
-    judged = judge_closures(find_final_decisions(records.closures), truth, protocol)
-    if graph is None or not is_known or records.has_prior_map or not len(graph.keyframe_ids):
-        return judged, None
-    return judged, find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, protocol)
-
-
-def _need_truth_of_closures(records: EvaluationRecords) -> None:
-    is_known = records.graph is not None and len(records.true_path) > 0
-    _require(
-        {
-            "no loop-closure candidate in the log": is_known or bool(records.closures),
-            NO_TRUTH: len(records.true_path) > 0,
-            "no keyframes in the log (/slam/graph), so revisits are unknown": records.graph is not None,
-            "closures with keyframes of a given map have no truth in this log: see relocalization": (
-                not records.has_prior_map
-            ),
-        }
-    )
+    _require({"no loop-closure candidate in the log": judged is not None, NO_TRUTH: len(truth) > 0})
+    if graph is None:
+        raise EvaluationError("no keyframes in the log (/slam/graph), so revisits are unknown")
+    if records.has_prior_map:
+        raise EvaluationError("closures with keyframes of a given map have no truth in this log: see relocalization")
+    return find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, protocol)
 
 
 def _relocalization(

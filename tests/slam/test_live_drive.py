@@ -40,8 +40,7 @@ def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
     poses = [record.stamp_ns for _, record, _ in published if isinstance(record, SlamPose)]
     written = read_records(tmp_path / "out.mcap")
     assert written.online_path.stamps_ns.tolist() == poses
-    assert written.status is not None
-    assert written.status.message == final.status.message
+    assert written.statuses[-1].message == final.status.message
     assert {"/tf", "/slam/map", "/slam/status"} <= {topic for topic, _, _ in published}
     found = [record for _, record, _ in published if isinstance(record, LocalizationRecord)]
     assert len({record.stamp_ns for record in found}) == scans

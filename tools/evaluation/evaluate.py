@@ -79,12 +79,11 @@ def _locate_map_of(log: Path) -> FloatArray:
         EvaluationError: it has no trajectory or no truth.
     """
     from slam.common.errors import EvaluationError
-    from slam.evaluation.inputs.protocol import Protocol
     from slam.evaluation.inputs.records import read_records
     from slam.evaluation.metrics.trajectory import evaluate_trajectory
 
-    mapping, max_gap_s = read_records(log), Protocol().max_truth_gap_s
+    mapping = read_records(log)
     try:
-        return evaluate_trajectory(mapping.final_path, mapping.true_path, max_gap_s=max_gap_s).T_world_map
+        return evaluate_trajectory(mapping.final_path, mapping.true_path).T_world_map
     except EvaluationError as error:
         raise EvaluationError(f"--map-run {log}: {error}") from error

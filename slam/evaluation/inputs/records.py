@@ -79,11 +79,6 @@ class EvaluationRecords:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def status(self) -> StatusRecord | None:
-        """The last status."""
-        return _last(self.statuses)
-
-    @property
     def sensor_range_m(self) -> float | None:
         """The sensor range of the run, estimated or given; None if the log, of any version, does not hold it."""
         estimated, given = (_read_tree(self.provenance.get(name, "")) for name in ("estimated", "configuration"))

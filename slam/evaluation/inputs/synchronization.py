@@ -10,6 +10,7 @@ from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import interpolate, make_transform, travelled_m
+from slam.evaluation.inputs.protocol import Protocol
 
 
 @frozen
@@ -43,10 +44,11 @@ class PoseSeries:
         known = (self.stamps_ns - origin_ns).astype(np.float64)
         return np.asarray(np.interp(offsets.astype(np.float64), known, self.travelled_m))
 
-    def poses_at(self, at_ns: IntArray, *, max_gap_s: float = np.inf) -> tuple[BoolArray, FloatArray]:
+    def poses_at(self, at_ns: IntArray) -> tuple[BoolArray, FloatArray]:
         """Poses at any times, in any order, interpolated within the span of the series.
 
-        Strictly between two poses that are more than ``max_gap_s`` apart none is known; at the stamp of a pose it is.
+        Strictly between two poses that are more than ``max_truth_gap_s`` of the protocol apart none is known; at the
+        stamp of a pose it is.
 
         Returns:
             Whether the pose is known (M,), and T_world_body (M, 4, 4), the identity where it is not.
@@ -56,7 +58,7 @@ class PoseSeries:
             return np.zeros(len(at_ns), dtype=np.bool_), T_world_body
         after = np.searchsorted(self.stamps_ns, at_ns).clip(0, len(self) - 1)
         gaps_ns = self.stamps_ns[after] - self.stamps_ns[(after - 1).clip(0)]
-        known = (self.stamps_ns[after] == at_ns) | (gaps_ns <= np.rint(max_gap_s * 1e9))
+        known = (self.stamps_ns[after] == at_ns) | (gaps_ns <= np.rint(Protocol().max_truth_gap_s * 1e9))
         known &= (at_ns >= self.stamps_ns[0]) & (at_ns <= self.stamps_ns[-1])
         T_world_body[known] = interpolate(self.stamps_ns, self.T_world_body, at_ns[known])
         return known, T_world_body
@@ -89,7 +91,7 @@ def clean_poses(stamps_ns: IntArray, T_world_body: FloatArray) -> PoseSeries:
 NO_POSES = series_of(())
 
 
-def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> tuple[PoseSeries, PoseSeries]:
+def synchronize(estimate: PoseSeries, truth: PoseSeries) -> tuple[PoseSeries, PoseSeries]:
     """The estimate and the truth at the stamps of the estimate at which the truth is known, as ``poses_at`` has it.
 
     Raises:
@@ -98,11 +100,12 @@ def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) ->
     if not len(estimate) or not len(truth):
         raise EvaluationError(f"no {'true' if len(estimate) else 'estimated'} pose to compare")
     stamps_ns = estimate.stamps_ns
-    known, T_world_body = truth.poses_at(stamps_ns, max_gap_s=max_gap_s)
+    known, T_world_body = truth.poses_at(stamps_ns)
     if not known.any():
+        bridged_s = Protocol().max_truth_gap_s
         raise EvaluationError(
             f"none of {len(stamps_ns)} estimated poses in [{stamps_ns[0]}, {stamps_ns[-1]}] ns has truth, which spans "
-            f"[{truth.stamps_ns[0]}, {truth.stamps_ns[-1]}] ns with gaps of at most {max_gap_s:g} s bridged; "
+            f"[{truth.stamps_ns[0]}, {truth.stamps_ns[-1]}] ns with gaps of at most {bridged_s:g} s bridged; "
             "give the ground truth of this drive, with the same clock"
         )
     found = stamps_ns[known]

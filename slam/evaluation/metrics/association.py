@@ -65,8 +65,7 @@ def label_detections(
                 f"flags and {len(object_ids)} true ids; the ground truth belongs to another log"
             )
         landmark_ids = (aliases.get(name, name) for name in frame.landmark_ids)
-        created = (bool(each) for each in frame.created)
-        rows += ((len(stamps), *row) for row in zip(landmark_ids, object_ids, created, strict=True))
+        rows += ((len(stamps), *row) for row in zip(landmark_ids, object_ids, frame.created.tolist(), strict=True))
         stamps.append(frame.stamp_ns)
     table = pd.DataFrame(rows, columns=["frame", "landmark", "object", "created"])
     table = table.astype({"frame": np.int64, "landmark": object, "object": object, "created": np.bool_})

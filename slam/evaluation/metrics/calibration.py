@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray, least_eigenvalues
 from slam.common.geometry import apply, invert, squared_mahalanobis
-from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 
@@ -43,7 +42,7 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
 
 
 def evaluate_calibration(
-    records: EvaluationRecords, matches: pd.DataFrame | None, judged: pd.DataFrame | None, protocol: Protocol
+    records: EvaluationRecords, matches: pd.DataFrame | None, judged: pd.DataFrame | None
 ) -> tuple[dict[str, float | None], str]:
     """NEES and number of errors of keyframes, landmarks and closures, and why some of them are missing.
 
@@ -54,18 +53,17 @@ def evaluate_calibration(
         records: of the log.
         matches: of confirmed landmarks with true objects, by the truth of their detections.
         judged: candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
-        protocol: the thresholds.
     """
     errors: dict[str, _Errors] = {}
     graph, map_est, map_gt, truth = records.graph, records.object_map, records.true_objects, records.true_path
-    T_map_world = _tie_first(graph, truth, protocol)
+    T_map_world = _tie_first(graph, truth)
     if graph is not None and T_map_world is not None:
         if len(graph.pose_covariances):
-            errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
+            errors["pose"] = _pose_errors(graph, T_map_world, truth)
         if map_est is not None and map_gt is not None and matches is not None:
             errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
     if judged is not None:
-        errors["closure"] = _closure_errors(judged, truth, protocol)
+        errors["closure"] = _closure_errors(judged, truth)
     nothing = (np.zeros((0, 1)), np.zeros((0, 1, 1)))
     parts = {kind: measure_consistency(*errors.get(kind, nothing)) for kind in NEEDS}
     figures = {f"{kind}_{name}": value for kind, part in parts.items() for name, value in part.items()}
@@ -80,16 +78,16 @@ def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
     return RigidTransform.from_matrix(invert(T_est) @ T_gt).as_exp_coords()
 
 
-def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries, protocol: Protocol) -> FloatArray | None:
+def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries) -> FloatArray | None:
     """``T_map_world`` (4, 4) that lays the truth of the first keyframe on its estimate; None where it has no truth."""
     if graph is None or len(graph.keyframe_ids) == 0:
         return None
-    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns[:1], max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns[:1])
     return invert(T_world_body[0] @ invert(graph.T_map_body[0])) if known[0] else None
 
 
-def _pose_errors(graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries, protocol: Protocol) -> _Errors:
-    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
+def _pose_errors(graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries) -> _Errors:
+    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns)
     known[0] = False
     return pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known]), graph.pose_covariances[known]
 
@@ -101,12 +99,11 @@ def _landmark_errors(
     return map_est.positions[rows] - apply(T_map_world, map_gt.positions[objects]), map_est.covariances[rows]
 
 
-def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors:
+def _closure_errors(judged: pd.DataFrame, truth: PoseSeries) -> _Errors:
     chosen = judged[judged["accepted"] & judged["true"]]
     chosen = chosen[np.array([record.covariance is not None for record in chosen["record"]], dtype=np.bool_)]
     T_world_reference, T_world_query = (
-        truth.poses_at(chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
-        for name in ("reference_stamp_ns", "stamp_ns")
+        truth.poses_at(chosen[name].to_numpy())[1] for name in ("reference_stamp_ns", "stamp_ns")
     )
     T_reference_query = np.array([record.T_reference_query for record in chosen["record"]]).reshape(-1, 4, 4)
     covariances = np.array([record.covariance for record in chosen["record"]]).reshape(-1, 6, 6)

@@ -14,8 +14,8 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import fraction, percentile
+from slam.localization.state import State
 
-LOST = "LOST"
 MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
 Method = Literal["closure", "map", "trajectory"]
 Span = tuple[int, int | None]
@@ -49,7 +49,7 @@ def evaluate_relocalization(
     """
     spans = find_losses(records.statuses)
     placed = [
-        _place_by_closure(records, span, protocol)
+        _place_by_closure(records, span)
         if method == "closure"
         else _place_by_pose(records.online_path, span, T_world_map)
         for span in spans
@@ -77,12 +77,11 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
     losses: list[Span] = []
     is_lost = False
     for status in statuses:
-        if status.state == LOST and not is_lost:
+        was_lost, is_lost = is_lost, status.state == State.LOST
+        if is_lost and not was_lost:
             losses.append((status.stamp_ns, None))
-            is_lost = True
-        elif status.state != LOST and is_lost:
+        elif was_lost and not is_lost:
             losses[-1] = losses[-1][0], status.stamp_ns
-            is_lost = False
     return losses
 
 
@@ -91,7 +90,7 @@ def _describe_loss(
 ) -> dict[str, Any]:
     """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
-    error = _error(placed, records.true_path, protocol)
+    error = _error(placed, records.true_path)
     return {
         "lost_ns": lost_ns,
         "fix_ns": fix_ns,
@@ -111,17 +110,17 @@ def _travel_m(records: EvaluationRecords, from_ns: int, to_ns: int) -> float | N
     return None
 
 
-def _error(placed: PlacedPose | None, truth: PoseSeries, protocol: Protocol) -> FloatArray | None:
+def _error(placed: PlacedPose | None, truth: PoseSeries) -> FloatArray | None:
     """Errors [m, rad] of a pose; None without it, or without a true pose at its time."""
     if placed is None:
         return None
     stamp_ns, T_world_body = placed
-    known, T_world_body_gt = truth.poses_at(np.array([stamp_ns]), max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body_gt = truth.poses_at(np.array([stamp_ns]))
     T_error = invert(T_world_body_gt[0]) @ T_world_body
     return np.array([np.linalg.norm(T_error[:3, 3]), rotation_angle_rad(T_error)]) if known[0] else None
 
 
-def _place_by_closure(records: EvaluationRecords, span: Span, protocol: Protocol) -> PlacedPose | None:
+def _place_by_closure(records: EvaluationRecords, span: Span) -> PlacedPose | None:
     """Where the closure across the break that ended a loss puts its query keyframe in the world, at its stamp."""
     lost_ns, fix_ns = span
     across = [
@@ -132,8 +131,7 @@ def _place_by_closure(records: EvaluationRecords, span: Span, protocol: Protocol
     made = max(across, key=lambda c: c.stamp_ns, default=None)
     if made is None or made.T_reference_query is None:
         return None
-    at_ns = np.array([made.reference_stamp_ns])
-    known, T_world_reference = records.true_path.poses_at(at_ns, max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_reference = records.true_path.poses_at(np.array([made.reference_stamp_ns]))
     return (made.stamp_ns, T_world_reference[0] @ made.T_reference_query) if known[0] else None
 
 

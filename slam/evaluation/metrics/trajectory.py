@@ -7,6 +7,7 @@ import numpy as np
 from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, rotation_angle_rad, step_lengths, travelled_m
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path
 
@@ -32,9 +33,7 @@ class TrajectoryErrors:
     pose_count: int
 
 
-def evaluate_trajectory(
-    estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float, kidnapping_m: float = np.inf
-) -> TrajectoryErrors:
+def evaluate_trajectory(estimate: PoseSeries, truth: PoseSeries, *, kidnapping_m: float = np.inf) -> TrajectoryErrors:
     """All errors of one trajectory of the body against its truth, in which longer steps are kidnappings.
 
     The absolute error is that of Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq.
@@ -43,12 +42,12 @@ def evaluate_trajectory(
     Raises:
         EvaluationError: no common time, a single common pose, or no motion; never a NaN.
     """
-    est, gt = synchronize(estimate, truth, max_gap_s=max_gap_s)
+    est, gt = synchronize(estimate, truth)
     T_world_map = align_path(est.positions, gt.positions)
     aligned = apply(T_world_map, est.positions)
     errors_m = np.linalg.norm(aligned - gt.positions, axis=1)
     steps_m = step_lengths(gt.positions)
-    is_driven = (np.diff(gt.stamps_ns) <= max_gap_s * 1e9) & (steps_m < kidnapping_m)
+    is_driven = (np.diff(gt.stamps_ns) <= Protocol().max_truth_gap_s * 1e9) & (steps_m < kidnapping_m)
     translation_percent, rotation_deg_per_100m = compute_relative_error(est.T_world_body, gt.T_world_body)
     return TrajectoryErrors(
         ate_m=float(np.sqrt(np.mean(errors_m**2))),

@@ -42,7 +42,7 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
     count = len(candidates)
     query_ns = np.array([c.stamp_ns for c in candidates], dtype=np.int64)
     reference_ns = np.array([c.reference_stamp_ns for c in candidates], dtype=np.int64)
-    known, poses = truth.poses_at(np.concatenate([query_ns, reference_ns]), max_gap_s=protocol.max_truth_gap_s)
+    known, poses = truth.poses_at(np.concatenate([query_ns, reference_ns]))
     T_world_query, T_world_reference = poses[:count], poses[count:]
     registered = np.array([c.T_reference_query is not None for c in candidates], dtype=np.bool_)
     T_reference_query = [np.eye(4) if c.T_reference_query is None else c.T_reference_query for c in candidates]

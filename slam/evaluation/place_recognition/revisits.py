@@ -39,7 +39,7 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
         A row a query, in the order of time: ``keyframe`` (id), ``stamp_ns``, and ``direction``, one of
         :data:`DIRECTIONS`, "" where it is no revisit.
     """
-    known, T_world_body = truth.poses_at(stamps_ns, max_gap_s=protocol.max_truth_gap_s)
+    known, T_world_body = truth.poses_at(stamps_ns)
     rows = np.flatnonzero(known)
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
     T_world_body = T_world_body[rows]

@@ -24,7 +24,7 @@ from logs.topics import RecordKind
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.common.geometry import invert, yaw_rad
+from slam.common.geometry import interpolate, invert, yaw_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, series_of, synchronize
 from slam.evaluation.metrics.statistics import percentile
@@ -132,28 +132,24 @@ def benchmark_relocalization(
     }
 
 
-def map_drive(records: Iterable[Record], config: Config) -> KnownMap:
+def map_drive(records: Sequence[Record], config: Config) -> KnownMap:
     """Map a drive whose truth is known.
 
     Raises:
         SlamError: it cannot be mapped, or holds no truth.
     """
-    slam, poses = Slam(config), list[GroundTruthPose]()
+    slam = Slam(config)
     for record in records:
-        if isinstance(record, GroundTruthPose):
-            poses.append(record)
-        else:
-            slam.process(record)
-    final = slam.finish()
-    max_gap_s = Protocol().max_truth_gap_s
+        slam.process(record)
+    final, truth = slam.finish(), truth_of(records)
     estimate = series_of(zip(final.trajectory.stamps_ns.tolist(), final.trajectory.T_map_body, strict=True))
-    est, gt = synchronize(estimate, truth_of(poses), max_gap_s=max_gap_s)
+    est, gt = synchronize(estimate, truth)
     return KnownMap(
         saved=SavedMap(confirmed(final.object_map), final.graph),
         positions=gt.positions,
         T_map_body=est.T_world_body,
         T_world_body_gt=gt.T_world_body,
-        ate_m=evaluate_trajectory(estimate, truth_of(poses), max_gap_s=max_gap_s).ate_m,
+        ate_m=evaluate_trajectory(estimate, truth).ate_m,
     )
 
 
@@ -184,12 +180,9 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
         and ``seconds`` from the start, ``error_m`` and ``error_deg`` in the plane and in heading, and ``is_right``.
     """
     truth = truth_of(records)
-    slam, fix = Slam(config, known.saved, extend=False), None
-    for record in records:
-        if not isinstance(record, GroundTruthPose):
-            fix = next((each for each in slam.process(record) if isinstance(each, SlamPose)), None)
-        if fix is not None:
-            break
+    slam = Slam(config, known.saved, extend=False)
+    updates = (update for record in records for update in slam.process(record))
+    fix = next((update for update in updates if isinstance(update, SlamPose)), None)
     outcome: dict[str, Any] = {
         "objects": next((len(each.labels) for each in records if isinstance(each, ObjectDetections)), 0),
         "query_ms": [1e3 * seconds for seconds in slam.closing_seconds],
@@ -197,7 +190,7 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
     }
     if fix is not None:
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
-        T_world_body = truth.poses_at(at_ns)[1][0]
+        T_world_body = interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0]
         error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
         outcome |= {
             "distance_m": float(truth.travelled_at_m(at_ns)[0]),

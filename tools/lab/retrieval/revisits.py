@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from descriptors.registry import make_index
 from logs.messages import GroundTruthPose
 from logs.reader import LogReader
 from logs.selection import select_topics
@@ -60,11 +59,9 @@ def measure_revisits(
 
     Raises:
         LogError: the log cannot be read.
-        DescriptorError: a descriptor that does not exist, or that does not fit the drive.
+        DescriptorError: a descriptor that does not fit the drive.
         SlamError: it cannot be mapped, holds no truth, or never comes back.
     """
-    for name in descriptors:  # what cannot be made is refused before anything is mapped
-        make_index(name)
     truth = read_records(path, topics=topics).true_path
     if not len(truth.stamps_ns):
         raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
@@ -139,7 +136,7 @@ class _AskingSlam(Slam):
         """Poses (R, 4, 4) of the query in the local frame, by the earlier keyframes that it truly comes back to."""
         keyframes = self._mapper.keyframes
         stamps_ns = np.array([each.odometry.stamp_ns for each in keyframes], dtype=np.int64)
-        known, T_world_body = self._truth.poses_at(stamps_ns, max_gap_s=self._protocol.max_truth_gap_s)
+        known, T_world_body = self._truth.poses_at(stamps_ns)
         travelled_m = self._truth.travelled_at_m(stamps_ns)
         apart_m = np.linalg.norm(T_world_body[:, :3, 3] - T_world_body[-1, :3, 3], axis=1)
         near = known & known[-1] & (apart_m <= self._protocol.revisit_distance_m)

@@ -19,7 +19,7 @@ def test_disorder_and_duplicates_are_repaired() -> None:
 def test_synchronize_interpolates_at_epoch_scale() -> None:
     truth = series(straight_path(11, step_m=10.0), rate_hz=1.0)  # 10 m/s
     at_ns = START_NS + np.array([1, 250_000_001, 9_999_999_999], dtype=np.int64)
-    _, gt = synchronize(PoseSeries(at_ns, straight_path(3)), truth, max_gap_s=1.0)
+    _, gt = synchronize(PoseSeries(at_ns, straight_path(3)), truth)
     np.testing.assert_allclose(gt.positions[:, 0], [1e-8, 2.50000001, 99.99999999], rtol=0, atol=1e-11)
 
 
@@ -27,7 +27,7 @@ def test_poses_beyond_the_truth_and_in_its_gaps_have_none() -> None:
     estimate = series(straight_path(101))  # 0 .. 10 s
     truth_at = np.array([1.0, 2.0, 3.0, 6.0, 7.0, 8.0])
     truth = clean_poses(START_NS + (truth_at * 1e9).astype(np.int64), straight_path(6))
-    est, _ = synchronize(estimate, truth, max_gap_s=1.0)
+    est, _ = synchronize(estimate, truth)
     seconds = (est.stamps_ns - START_NS) / 1e9
     assert not np.any((seconds > 3.0) & (seconds < 6.0))
     assert {3.0, 6.0} <= set(seconds.tolist())
@@ -39,7 +39,7 @@ def test_without_common_time_the_error_names_both_spans() -> None:
     early = series(straight_path(5))
     late = PoseSeries(early.stamps_ns + 10**12, early.T_world_body)
     with pytest.raises(EvaluationError, match=f"{late.stamps_ns[0]}.*{early.stamps_ns[0]}.*with the same clock"):
-        synchronize(late, early, max_gap_s=1.0)
+        synchronize(late, early)
 
 
 @pytest.mark.parametrize("which", ["estimated", "true"])
@@ -47,7 +47,7 @@ def test_no_pose_at_all_is_an_error(which: str) -> None:
     none, some = series(np.zeros((0, 4, 4))), series(straight_path(3))
     pair = (none, some) if which == "estimated" else (some, none)
     with pytest.raises(EvaluationError, match=f"no {which} pose"):
-        synchronize(*pair, max_gap_s=1.0)
+        synchronize(*pair)
 
 
 def test_clean_poses_refuses_non_finite_pose() -> None:

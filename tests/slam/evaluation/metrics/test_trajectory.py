@@ -14,7 +14,7 @@ def test_statistics_of_absolute_error_by_hand() -> None:
     corners = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
     T_gt, T_est = np.tile(np.eye(4), (4, 1, 1)), np.tile(np.eye(4), (4, 1, 1))
     T_gt[:, :3, 3], T_est[:, :3, 3] = corners * [[1.5], [1.1], [1.5], [1.1]], corners
-    errors = evaluate_trajectory(series(T_est), series(T_gt), max_gap_s=1.0)
+    errors = evaluate_trajectory(series(T_est), series(T_gt))
     assert errors.ate_m == pytest.approx(np.sqrt((0.5**2 + 0.1**2) / 2.0))
     assert (errors.median_m, errors.max_m, errors.p95_m) == pytest.approx((0.3, 0.5, 0.5))
     assert errors.pose_count == 4
@@ -38,7 +38,7 @@ def test_drift_of_heading_gives_that_relative_error() -> None:
 
 
 def test_short_drive_has_only_absolute_error() -> None:
-    errors = evaluate_trajectory(series(winding_path(60)), series(winding_path(60)), max_gap_s=1.0)
+    errors = evaluate_trajectory(series(winding_path(60)), series(winding_path(60)))
     assert errors.rpe_translation_percent is errors.rpe_rotation_deg_per_100m is None
     assert errors.ate_m == pytest.approx(0.0, abs=1e-9)
 
@@ -46,7 +46,7 @@ def test_short_drive_has_only_absolute_error() -> None:
 @needs_kitti
 def test_published_errors_of_s_ptam_on_kitti_00() -> None:
     estimate, truth = (series(kitti_poses(f"KITTI_00_{name}.txt")) for name in ("SPTAM", "gt"))
-    errors = evaluate_trajectory(estimate, truth, max_gap_s=1.0)
+    errors = evaluate_trajectory(estimate, truth)
     # As evo 1.38.1 computes them: evo_ape kitti KITTI_00_gt.txt KITTI_00_SPTAM.txt --align
     assert errors.ate_m == pytest.approx(3.7385, abs=1e-3)
     assert errors.rpe_translation_percent == pytest.approx(1.49, abs=0.005)
