@@ -34,6 +34,21 @@ COMPARED = {
 """Figures of a comparison that fit beside one another, with their digits."""
 
 
+def compared_descriptors(named: Sequence[str] | None) -> list[str]:
+    """The descriptors that were named, by default all, and random vectors.
+
+    Raises:
+        DescriptorError: one that cannot be made; it is refused before anything is measured.
+    """
+    from descriptors.random_vector import RandomVector
+    from descriptors.registry import DESCRIPTOR_NAMES, make_index
+
+    names = list(dict.fromkeys([*(named or DESCRIPTOR_NAMES), RandomVector.name]))
+    for name in names:
+        make_index(name)
+    return names
+
+
 def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, str]:
     """The cells of ``figures``; ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}"."""
     from slam.evaluation.report.figures import fill

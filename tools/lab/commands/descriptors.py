@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import Descriptors, Markdown, report, row_of
+from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report, row_of
 
 Objects = Annotated[Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")]
 Trajectory = Annotated[Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.")]
@@ -42,8 +42,6 @@ def descriptors(
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor gosmatch_vertex --queries 100
     """
-    from descriptors.random_vector import RandomVector
-    from descriptors.registry import DESCRIPTOR_NAMES
     from tools import console
     from tools.lab.retrieval.labelled_map import labelled_map
     from tools.lab.retrieval.paper import benchmark_descriptors
@@ -51,12 +49,11 @@ def descriptors(
 
     world = load_or_generate(objects, trajectory, seed=0)
     objects_of_map = labelled_map(world)
-    methods = list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name]))
     with console.progress_bar("localizing") as move:
         cells = benchmark_descriptors(
             objects_of_map,
             world.tour,
-            methods,
+            compared_descriptors(descriptor),
             queries=queries,
             seeds=seeds,
             on_progress=move,

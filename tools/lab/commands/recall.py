@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import Descriptors, Markdown, report, row_of
+from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report, row_of
 
 COLUMNS = {
     "descriptor": "{proposer}",
@@ -59,8 +59,6 @@ def recall(
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
-    from descriptors.random_vector import RandomVector
-    from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
     from tools.lab.retrieval.contest import run_contest
@@ -69,7 +67,7 @@ def recall(
     with console.progress_bar("measuring") as move:
         cells = run_contest(
             world,
-            list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name])),
+            compared_descriptors(descriptor),
             sizes=size or [10_000],
             classes=classes or [20],
             scenarios=query or [""],

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import Descriptors, Markdown, report, row_of
+from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report, row_of
 
 COLUMNS = {
     "drive": "{drive}",
@@ -36,15 +36,16 @@ def retrieval(
     The drive is mapped without closing loops, and every descriptor gets the same submaps. Places: queries with a
     right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals.
 
+    Random vectors are always measured.
+
     Example: dslam benchmark retrieval drive.mcap --descriptor gosmatch_vertex --descriptor descriptellation_lr
     """
-    from descriptors.registry import DESCRIPTOR_NAMES
     from slam.common.config import load_config
     from tools import console
     from tools.lab.retrieval.revisits import measure_revisits
 
     config = load_config(config_file, settings)
-    names = descriptor or list(DESCRIPTOR_NAMES)
+    names = compared_descriptors(descriptor)
     figures: list[dict[str, Any]] = []
     for log in logs:
         with console.progress_bar(f"mapping {log.name}") as move:

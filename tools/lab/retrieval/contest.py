@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
 from descriptors.random_vector import RandomVector
-from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratios
 from slam.object_map.submap import Submap
@@ -66,17 +66,14 @@ def run_contest(
 
     Raises:
         SimulationError: objects so sparse that too few paths pass enough of them.
-        DescriptorError: a descriptor that does not exist.
     """
-    for name in proposers:  # what cannot be made is refused before anything is measured
-        make_index(name)
-    order = _by_distance(objects.positions, np.random.default_rng(seed))
+    order, labels = _by_distance(objects.positions, np.random.default_rng(seed)), np.array(objects.labels)
     there = sorted({min(size, len(order)) for size in sizes})
     runs = list(product(classes, there, proposers))
     rows = list[dict[str, Any]]()
     with threadpool_limits(limits=1):
         for done, (count, size, name) in enumerate(runs, start=1):
-            world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], count)
+            world = _with_classes(objects.positions[order], labels[order], count)
             map_ = world.first(size)
             started = time.process_time()
             pairs, search = make_search(name, map_)
@@ -92,11 +89,7 @@ def run_contest(
 
 
 def make_search(name: str, objects: LabelledMap) -> tuple[LandmarkPairs, PlaceSearch]:
-    """The index of a map by a descriptor, by its name in the registry, and the search of the map with it.
-
-    Raises:
-        DescriptorError: a descriptor that does not exist.
-    """
+    """The index of a map by a descriptor, by its name in the registry, and the search of the map with it."""
     pairs, rows = make_landmark_pairs(Config().closing(descriptor=name)), np.arange(len(objects))
     pairs.enter(Batch(objects.positions, objects.labels, rows, rows, 0, objects.vocabulary))
     return pairs, PlaceSearch(pairs, objects.positions, objects.labels, len(objects.vocabulary))
@@ -163,16 +156,15 @@ def _answer(
     }
 
 
-def _by_distance(positions: FloatArray, rng: np.random.Generator) -> list[int]:
+def _by_distance(positions: FloatArray, rng: np.random.Generator) -> IntArray:
     """Rows of objects (N, 3) by their distance from one of them, which is drawn."""
     centre = positions[int(rng.integers(len(positions)))]
-    order: list[int] = np.argsort(np.hypot(*(positions[:, :2] - centre[:2]).T), kind="stable").tolist()
-    return order
+    return np.argsort(np.hypot(*(positions[:, :2] - centre[:2]).T), kind="stable")
 
 
-def _with_classes(positions: FloatArray, labels: Sequence[str], count: int) -> LabelledMap:
+def _with_classes(positions: FloatArray, labels: NDArray[np.str_], count: int) -> LabelledMap:
     names, numbers = np.unique(labels, return_inverse=True)
     by_frequency = np.argsort(-np.bincount(numbers), kind="stable")
     merged = np.empty(len(names), dtype=np.int64)
     merged[by_frequency] = np.minimum(np.arange(len(names)), count - 1)
-    return LabelledMap(positions, merged[numbers], tuple(str(number) for number in range(min(count, len(names)))))
+    return LabelledMap(positions, merged[numbers], tuple(map(str, range(min(count, len(names))))))

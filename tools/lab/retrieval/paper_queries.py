@@ -16,18 +16,13 @@ from tools.lab.retrieval.labelled_map import LabelledMap
 class Scenario:
     """Differences of a query from the map (Section IV-B): visual range and, where ``noisy``, the noise as written.
 
-    With noise every coordinate becomes ``p + |p| e`` with e ~ U(0, ``translation_noise``); a share ``dropout`` of the
-    objects is missed; an object is taken for another class with probability ``misclassification`` |p| / max |p|; the
-    whole is scaled by U(1 - ``scale``, 1 + ``scale``).
+    With noise a tenth of the objects is missed; an object is taken for another class with probability
+    0.2 |p| / max |p|; every coordinate becomes ``p + |p| e`` with e ~ U(0, 0.1); the whole is scaled by U(0.9, 1.1).
     """
 
     name: str
     radius_m: float = 30.0
     noisy: bool = False
-    translation_noise: float = 0.1
-    dropout: float = 0.1
-    misclassification: float = 0.2
-    scale: float = 0.1
 
 
 SCENARIOS = (Scenario("self"), Scenario("fewer objects", radius_m=20.0), Scenario("added noise", noisy=True))
@@ -77,22 +72,15 @@ def _observe(objects: LabelledMap, T_map_query: FloatArray, scenario: Scenario, 
     positions = apply(invert(T_map_query), objects.positions[seen])
     labels = objects.labels[seen]
     if scenario.noisy and len(seen):
-        kept = rng.random(len(seen)) >= scenario.dropout
+        kept = rng.random(len(seen)) >= 0.1
         seen, positions, labels = seen[kept], positions[kept], labels[kept]
-        labels = _misclassified(positions, labels, len(objects.vocabulary), scenario.misclassification, rng)
-        ranges = np.linalg.norm(positions, axis=1, keepdims=True)
-        positions = positions + ranges * rng.uniform(0.0, scenario.translation_noise, positions.shape)
-        positions = positions * rng.uniform(1.0 - scenario.scale, 1.0 + scenario.scale)
+        ranges = np.linalg.norm(positions, axis=1)
+        wrong = rng.random(len(labels)) < 0.2 * ranges / ranges.max(initial=1e-9)
+        classes = len(objects.vocabulary)
+        labels = np.where(wrong, (labels + rng.integers(1, max(classes, 2), len(labels))) % classes, labels)
+        positions = positions + ranges[:, None] * rng.uniform(0.0, 0.1, positions.shape)
+        positions = positions * rng.uniform(0.9, 1.1)
     return LocalQuery(positions, labels, seen, T_map_query)
-
-
-def _misclassified(
-    positions: FloatArray, labels: IntArray, classes: int, share: float, rng: np.random.Generator
-) -> IntArray:
-    ranges = np.linalg.norm(positions, axis=1)
-    wrong = rng.random(len(labels)) < share * ranges / ranges.max(initial=1e-9)
-    step = rng.integers(1, max(classes, 2), len(labels))
-    return np.where(wrong, (labels + step) % classes, labels)
 
 
 def visible(offsets: FloatArray) -> BoolArray:
