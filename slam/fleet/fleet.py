@@ -151,9 +151,7 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     maps = [part.saved for part in parts]
     joins = list[Join]()
     for number in range(max(len(known), 1), len(parts)):
-        # Of earlier versions, files of joins have other fields.
-        fields = Join.__dataclass_fields__
-        path = folder / "joins" / f"{content_key(*fields, *names[: number + 1])}.json"
+        path = folder / "joins" / f"{content_key(*names[: number + 1])}.json"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             write_joins(path, find_joins(maps[number], maps[:number], _config_of(maps[: number + 1])))

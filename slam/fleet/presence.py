@@ -14,7 +14,7 @@ by expectation maximisation, so that a fleet in which nothing changes reports no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -127,7 +127,7 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
     hazard = first_changes / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
     for _ in range(12):
-        states, shares = _average(_log_ratios(seen, probabilities), days, hazard, weights)
+        states, shares = _average(seen, probabilities, days, hazard, weights)
         presence = Presence(states, shares @ DETECTABILITIES, hazard)
         there_days = float((states[:, :-1, PRESENT] @ days).sum())
         hazard = (0.5 * float(presence.changed.sum()) + first_changes) / (there_days + span)
@@ -135,23 +135,16 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
     return presence
 
 
-def _log_ratios(seen: BoolArray, probabilities: FloatArray) -> Iterator[FloatArray]:
-    """Log-likelihood ratios (L, M) of there against not there, one array for each detectability.
-
-    A session has a landmark where none stands any more with a probability of one in a thousand.
-    """
-    for detectability in DETECTABILITIES.tolist():
-        detected = detectability * probabilities
-        yield np.log(np.where(seen, detected / 1e-3, 1.0 - detected))
-
-
 def _average(
-    log_ratios: Iterable[FloatArray], days: FloatArray, hazard: float, weights: FloatArray
+    seen: BoolArray, probabilities: FloatArray, days: FloatArray, hazard: float, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Posterior of the states (L, M, 3) and of the detectabilities (L, D).
 
+    A session has a landmark where none stands any more with a probability of one in a thousand.
+
     Args:
-        log_ratios: (L, M) for each of D detectabilities.
+        seen: (L, M) sightings.
+        probabilities: (L, M) that it would have been seen.
         days: (M - 1,) between sessions.
         hazard: of either change, a day.
         weights: (D,) prior of the detectabilities.
@@ -159,8 +152,10 @@ def _average(
     log_shares = list[FloatArray]()
     states, total = np.zeros(1), np.full(1, -np.inf)
     # A running average, as all posteriors at once would take much memory.
-    for each, weight in zip(log_ratios, weights.tolist(), strict=True):
-        given, log_evidence = _smooth(each, days, hazard)
+    for detectability, weight in zip(DETECTABILITIES.tolist(), weights.tolist(), strict=True):
+        detected = detectability * probabilities
+        log_ratios = np.log(np.where(seen, detected / 1e-3, 1.0 - detected))
+        given, log_evidence = _smooth(log_ratios, days, hazard)
         log_shares.append(log_evidence + np.log(weight))
         total = np.logaddexp(total, log_shares[-1])
         states = states + np.exp(log_shares[-1] - total)[:, None, None] * (given - states)
