@@ -28,17 +28,15 @@ from descriptors.training.views import draw_view
 class ContrastTraining:
     """What is trained; the learning rate falls as a cosine to ``last_rate``.
 
-    A step draws a map, noise of its objects up to ``map_noise_m``, ``views`` of it and ``objects_per_view`` of each,
-    and compares these with ``objects_per_map`` of the map that are of the same classes.
+    A step draws a map, noise of its objects, ``views`` of it and some objects of each, and compares these with
+    ``objects_per_map`` of the map that are of the same classes.
     """
 
     architecture: Architecture = field(default_factory=DescriptellationLRArchitecture)
     epochs: int = 40
     learning_rate: float = 1e-2
     last_rate: float = 3e-4
-    map_noise_m: float = 0.25
     views: int = 3
-    objects_per_view: int = 16
     objects_per_map: int = 160
     validation_maps: int = 24
     seed: int = 0
@@ -106,14 +104,14 @@ def _draw_constellations(
     """Views of a map; None if none shows an object as what it is."""
     drawn = with_classes_of(drawn, architecture.vocabulary_size, rng=rng)
     vocabulary, radius_m = tuple(map(str, range(drawn.classes))), architecture.radius_m
-    noise_m = rng.normal(0.0, rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
+    noise_m = rng.normal(0.0, rng.uniform(0.0, 0.25), drawn.positions.shape)
     queries, objects = [], []
     for _ in range(config.views):
         view = draw_view(drawn, rng=rng)
         seen = np.flatnonzero((view.objects >= 0) & (drawn.labels[view.objects] == view.labels))
         if len(view.labels) < 4 or not len(seen):  # loops are closed by as many
             continue
-        centres = rng.permutation(seen)[: config.objects_per_view]
+        centres = rng.permutation(seen)[:16]
         queries.append(
             gather_constellations(view.positions, view.labels, vocabulary, radius_m=radius_m, centres=centres)
         )

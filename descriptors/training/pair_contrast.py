@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor, nn
@@ -82,6 +83,7 @@ def draw_pair_sample(
     ends = find_ends(positions, drawn.labels, tree, architecture.partners)
     if not len(ends):
         return None
+    pairs_of_map = pd.MultiIndex.from_arrays(list(ends.T))
     queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
     for _ in range(views):
         sigma = float(np.exp(rng.uniform(*np.log((0.01, 0.15)))))  # in spacings
@@ -91,7 +93,8 @@ def draw_pair_sample(
             continue
         seen_tree = cKDTree(seen)
         asked = find_ends(seen, view.labels, seen_tree, QUERY_PARTNERS, both_ways=True)
-        found = _numbers_of(ends, view.objects[asked], len(drawn))
+        # In this direction; none of clutter is there.
+        found = pairs_of_map.get_indexer(pd.MultiIndex.from_arrays(list(view.objects[asked].T)))
         is_known = (found >= 0) & (drawn.labels[view.objects[asked]] == view.labels[asked]).all(axis=1)
         rows = rng.permutation(np.flatnonzero(is_known))[:60]  # of one training step
         if len(rows):
@@ -106,11 +109,3 @@ def draw_pair_sample(
     is_compared = np.abs(lengths[:, None] - known.lengths) <= length_tolerances(noise)[:, None]
     is_compared[np.arange(len(right)), right] = True
     return PairSample(known, tuple(queries), noise, right, is_compared)
-
-
-def _numbers_of(ends: IntArray, asked: IntArray, count: int) -> IntArray:
-    """Rows (Q,) of ``asked`` (Q, 2) among ``ends`` (P, 2) of ``count`` objects, in this direction; -1 if not there."""
-    keys, wanted = ends @ [count, 1], asked @ [count, 1]
-    order = np.argsort(keys)
-    found = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
-    return np.where((keys[found] == wanted) & (asked >= 0).all(axis=1), found, -1)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import json
-import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -60,9 +58,9 @@ class Recipe:
         """
         self.config, self.given = config, given
         self.is_trained_further = start is not None
-        self.identity = json.loads(json.dumps(asdict(config)))
-        """What is trained on what, as JSON holds it."""
-        self.identity["maps"] = [[len(each), each.classes, round(float(each.positions.sum()), 3)] for each in given]
+        maps = [[len(each), each.classes, round(float(each.positions.sum()), 3)] for each in given]
+        self.identity = {**asdict(config), "maps": maps}
+        """What is trained on what."""
         torch.manual_seed(config.seed)
         try:
             self.device = torch.device(device)
@@ -71,10 +69,9 @@ class Recipe:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
         if start is not None:
             self.identity["start"] = hashlib.sha256(start.read_bytes()).hexdigest()
-        last, steps = config.last_rate / config.learning_rate, config.epochs * STEPS_PER_EPOCH
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
-        self.schedule = torch.optim.lr_scheduler.LambdaLR(
-            self.optimizer, lambda step: last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+        self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
+            self.optimizer, config.epochs * STEPS_PER_EPOCH, config.last_rate
         )
         self.rng = np.random.default_rng(config.seed)
 
@@ -94,17 +91,16 @@ class Recipe:
         """Mean loss, and the mean share of objects among the first 1, 5 and 25."""
         self.network.eval()
         ranks = (1, 5, 25)
-        losses, shares = [], []
+        losses, places = [], []
         with torch.no_grad():
             for sample in self._validation:
                 scores = sample.scores(self.network, self.device).cpu()
                 objects = torch.as_tensor(sample.objects)
                 losses.append(float(sample.loss(scores)))
-                before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
-                shares.append([float((before < rank).float().mean()) for rank in ranks])
-        of_ranks = {
-            f"validation_top_{rank}": share for rank, share in zip(ranks, np.mean(shares, axis=0).tolist(), strict=True)
-        }
+                # NaN comes before all others.
+                places.append((~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1).numpy())
+        shares = {rank: np.mean([np.mean(before < rank) for before in places]) for rank in ranks}
+        of_ranks = {f"validation_top_{rank}": float(share) for rank, share in shares.items()}
         return {"validation_loss": float(np.mean(losses)), **of_ranks}
 
     @cached_property
