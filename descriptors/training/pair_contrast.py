@@ -34,13 +34,12 @@ from descriptors.training.views import draw_view
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairSample:
-    """Pairs ``known`` of a map, and pairs of views of it with their noise ``sigmas`` (Q,) in spacings; ``objects``
+    """Pairs ``known`` of a map, and ``queries``, pairs of views of it with the noise of each in spacings; ``objects``
     (Q,): which of the map each is; ``is_compared`` (Q, P): which ones it is told from, itself included.
     """
 
     known: Pairs
-    queries: tuple[Pairs, ...]
-    sigmas: FloatArray
+    queries: list[tuple[Pairs, FloatArray]]
     objects: IntArray
     is_compared: BoolArray
 
@@ -48,12 +47,10 @@ class PairSample:
         """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
         assert isinstance(network, DescriptellationLR)
         bits = network.bits(network(self.known, device))
-        scores, first = list[Tensor](), 0
-        for query in self.queries:
-            sigmas = self.sigmas[first : first + len(query)]
+        scores = list[Tensor]()
+        for query, sigmas in self.queries:
             hits, misses = network.worths(query_features(query, sigmas), device)
             scores.append(query_scores(bits, query, hits, misses, network.architecture))
-            first += len(query)
         compared = torch.as_tensor(self.is_compared, device=device)
         return torch.cat(scores).masked_fill(~compared, -1e4)
 
@@ -84,7 +81,7 @@ def draw_pair_sample(
     if not len(ends):
         return None
     pairs_of_map = pd.MultiIndex.from_arrays(list(ends.T))
-    queries, sigmas, objects = list[Pairs](), list[FloatArray](), list[IntArray]()
+    queries, objects = list[tuple[Pairs, FloatArray]](), list[IntArray]()
     for _ in range(views):
         sigma = float(np.exp(rng.uniform(*np.log((0.01, 0.15)))))  # in spacings
         view = draw_view(drawn, rng=rng, sigma_m=sigma * unit_m)
@@ -98,14 +95,14 @@ def draw_pair_sample(
         is_known = (found >= 0) & (drawn.labels[view.objects[asked]] == view.labels[asked]).all(axis=1)
         rows = rng.permutation(np.flatnonzero(is_known))[:60]  # of one training step
         if len(rows):
-            queries.append(gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture))
-            sigmas.append(np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma)))
+            query = gather_pairs(seen, view.labels, asked[rows], seen_tree, architecture)
+            queries.append((query, np.full(len(rows), np.hypot(view.sigma_m / unit_m, map_sigma))))
             objects.append(found[rows])
     if not queries:
         return None
     known = gather_pairs(positions, drawn.labels, ends, tree, architecture)
-    noise, right = np.concatenate(sigmas), np.concatenate(objects)
-    lengths = np.concatenate([each.lengths for each in queries])
-    is_compared = np.abs(lengths[:, None] - known.lengths) <= length_tolerances(noise)[:, None]
+    right, sigmas = np.concatenate(objects), np.concatenate([sigmas for _, sigmas in queries])
+    lengths = np.concatenate([query.lengths for query, _ in queries])
+    is_compared = np.abs(lengths[:, None] - known.lengths) <= length_tolerances(sigmas)[:, None]
     is_compared[np.arange(len(right)), right] = True
-    return PairSample(known, tuple(queries), noise, right, is_compared)
+    return PairSample(known, queries, right, is_compared)

@@ -7,8 +7,6 @@ from typing import Any
 from logs.encoders import definition_of, encode
 from logs.messages import Record
 
-NAME = "dslam"
-
 
 class FoxgloveFeed:
     """Publishes records on a WebSocket server, each topic as in an output log, until it is closed."""
@@ -23,7 +21,7 @@ class FoxgloveFeed:
 
         self._sdk = foxglove
         self._context = self._sdk.Context()
-        self._server = self._sdk.start_server(name=NAME, host=host, port=port, context=self._context)
+        self._server = self._sdk.start_server(name="dslam", host=host, port=port, context=self._context)
         self._channels: dict[str, Any] = {}
 
     @property

@@ -59,13 +59,9 @@ def _rows(values: object, wanted: object) -> IntArray:
 
 def _middles(cell: IntArray, positions: FloatArray) -> IntArray:
     """Row of the keyframe (S,) in the middle of those in each cell, by the positions (K, 3) of the keyframes."""
-    middles = []
-    for number in range(int(cell.max()) + 1):
-        rows = np.flatnonzero(cell == number)
-        at = positions[rows]
-        offsets = at - 0.5 * (at.min(axis=0) + at.max(axis=0))
-        middles.append(rows[np.linalg.norm(offsets, axis=1).argmin()])
-    return np.array(middles, dtype=np.int64)
+    by_cell = pd.DataFrame(positions).groupby(cell)
+    offsets = positions - 0.5 * (by_cell.transform("min") + by_cell.transform("max"))
+    return np.asarray(pd.Series(np.linalg.norm(offsets, axis=1)).groupby(cell).idxmin(), dtype=np.int64)
 
 
 def _edges(graph: FactorGraphRecord, cell: IntArray, T_map_place: FloatArray) -> list[Edge]:

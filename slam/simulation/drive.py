@@ -53,9 +53,7 @@ class DrivePlan:
         count = int((to_s - from_s) * 1e9 / self.period_ns + 1e-6) + 1
         offset_ns = np.arange(count, dtype=np.int64) * self.period_ns
         at_s = from_s + offset_ns * 1e-9
-        xyz = np.zeros((count, 3))
-        xyz[:, 0] = np.interp(at_s, self.time_s, self.xy[:, 0])
-        xyz[:, 1] = np.interp(at_s, self.time_s, self.xy[:, 1])
+        xyz = np.column_stack([*(np.interp(at_s, self.time_s, axis) for axis in self.xy.T), np.zeros(count)])
         T_world_body = transform_from_xyz_yaw(xyz, np.interp(at_s, self.time_s, self.yaw_rad))
         return Drive(start_ns + offset_ns, T_world_body)
 
@@ -72,10 +70,9 @@ def plan_drive(tour: FloatArray, config: DriveConfig) -> DrivePlan:
         SimulationError: the rounded tour has no length.
     """
     corner_m = travelled_m(tour)
-    keep = np.concatenate([[True], step_lengths(tour) > 0.0])
     count = max(2, int(np.ceil(corner_m[-1] / 0.25)) + 1)  # samples of a tour 0.25 m apart
     tour_m = np.linspace(0.0, corner_m[-1], count)
-    xy = np.stack([np.interp(tour_m, corner_m[keep], tour[keep, axis]) for axis in range(2)], axis=1)
+    xy = np.column_stack([np.interp(tour_m, corner_m, axis) for axis in tour.T])
     xy = _smooth(xy, config.corner_smoothing_m / (tour_m[1] - tour_m[0]))
     # A tour that doubles back meets itself; samples that fall together have no direction.
     apart = np.concatenate([[True], step_lengths(xy) > 1e-9])

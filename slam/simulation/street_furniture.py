@@ -5,9 +5,8 @@ Classes are named, and about as frequent, as in cities mapped by hand: mostly tr
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
+import pandas as pd
 
 from slam.common.arrays import FloatArray
 from slam.simulation.world import World
@@ -52,14 +51,10 @@ class Furniture:
 
     def world(self, name: str, tour: FloatArray) -> World:
         """The objects, named by class and number, at z = 0, with ``tour`` (M, 2), metres."""
-        counts: Counter[str] = Counter()
-        ids = []
-        for label in self._labels:
-            ids.append(f"{label}-{counts[label]}")
-            counts[label] += 1
-        positions = np.zeros((len(ids), 3))
-        positions[:, :2] = np.asarray(self._places).reshape(-1, 2)
-        return World(name, tuple(ids), positions, tuple(self._labels), tour)
+        numbers = pd.Series(self._labels).groupby(self._labels).cumcount()
+        ids = tuple(f"{label}-{number}" for label, number in zip(self._labels, numbers, strict=True))
+        positions = np.column_stack([self._places, np.zeros(len(ids))])
+        return World(name, ids, positions, tuple(self._labels), tour)
 
 
 def furnish_street(furniture: Furniture, start: FloatArray, end: FloatArray, *, rng: np.random.Generator) -> None:

@@ -89,17 +89,17 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
     crossings = list(streets.places)
     for _ in range(20_000):
         tour = [crossings[int(rng.integers(len(crossings)))]]
-        min_m, length_m = 1500.0, 0.0
+        min_m, driven_m = 1500.0, 0.0
         target_m = rng.uniform(min_m, 2000.0)
         while True:
             onward = [other for other in streets.neighbours[tour[-1]] if len(tour) < 2 or other != tour[-2]]
             following = onward[int(rng.integers(len(onward)))]
-            length_m += streets.length_m(tour[-1], following)
-            if length_m > target_m:
+            street_m = streets.length_m(tour[-1], following)
+            if driven_m + street_m > target_m:
                 break
+            driven_m += street_m
             tour.append(following)
         same, opposite = _revisits(tour)
-        driven_m = sum(streets.length_m(a, b) for a, b in pairwise(tour))
         if driven_m >= min_m and 2 <= same <= 5 and 2 <= opposite <= 5:
             return tour
     raise SimulationError("no tour with enough revisits; take another seed")

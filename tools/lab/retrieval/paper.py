@@ -52,7 +52,7 @@ def benchmark_descriptors(
 
     Raises:
         DescriptorError: a descriptor that the map's classes are too many for.
-        SimulationError: a tour without length, or without an object in sight.
+        SimulationError: a tour without an object in sight.
     """
     drawn = {
         scenario: [

@@ -48,15 +48,13 @@ def draw_queries(
     """Queries at uniformly drawn points of a ``tour`` (M, 2) with a uniformly drawn yaw.
 
     Raises:
-        SimulationError: a tour without length, or from which no object is in sight.
+        SimulationError: no object is in sight of the tour.
     """
     along = travelled_m(tour)
-    if not along[-1] > 0.0:
-        raise SimulationError("the trajectory has no length; queries are sampled along it")
     queries = []
     for _ in range(count):
         at = rng.uniform(0.0, along[-1])
-        place = np.array([np.interp(at, along, tour[:, 0]), np.interp(at, along, tour[:, 1]), 0.0])
+        place = np.array([*(np.interp(at, along, axis) for axis in tour.T), 0.0])
         queries.append(_observe(objects, transform_from_xyz_yaw(place, rng.uniform(-np.pi, np.pi)), scenario, rng))
     if not any(len(query.labels) for query in queries):
         raise SimulationError(f"no object lies within {scenario.radius_m:g} m of the trajectory")

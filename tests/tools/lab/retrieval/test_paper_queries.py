@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from slam.common.arrays import FloatArray
-from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
 from tests.helpers.long_street import start_of_street
 from tools.lab.retrieval.labelled_map import LabelledMap
@@ -85,12 +84,3 @@ def _scale_of(positions: FloatArray, truth: FloatArray) -> float:
     """The slope of the regression of the positions on the truth, whose mean error is the constant."""
     seen, true = positions[:, :2] - positions[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
     return float(np.sum(seen * true) / np.sum(true * true))
-
-
-# What cannot be.
-
-
-def test_a_tour_without_length_is_refused():
-    objects, _ = ring()
-    with pytest.raises(SimulationError, match="no length"):
-        draw_queries(objects, np.array([[1.0, 2.0], [1.0, 2.0]]), SELF, count=3, rng=np.random.default_rng(0))
