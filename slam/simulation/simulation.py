@@ -41,7 +41,7 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[D
         SimulationError: a kidnapping outside the tour, or a tour too short; raised at the call.
     """
     children = np.random.SeedSequence(seed).spawn(len(CAUSES))
-    rngs = {cause: np.random.default_rng(child) for cause, child in zip(CAUSES, children, strict=True)}
+    rngs = dict(zip(CAUSES, map(np.random.default_rng, children), strict=True))
     return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)
 
 

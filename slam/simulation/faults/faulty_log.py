@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import heapq
 import zlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +15,7 @@ from logs.messages import Record
 from logs.reader import LogReader
 from logs.records import frozen
 from logs.selection import Selection, select_topics
-from logs.topics import RawMessage, RecordKind
+from logs.topics import RecordKind
 from logs.writer import LogWriter
 from slam.common.errors import SimulationError, SlamError
 from slam.simulation.faults.recording import Message, Recording, make_recording
@@ -30,9 +29,6 @@ _READ = (
     RecordKind.GROUND_TRUTH,
     RecordKind.OBJECT_TRUTH,
 )
-
-_InOrder = Iterator[tuple[int, int, Message[Record] | RawMessage]]
-"""Messages with their log times and their numbers in the log."""
 
 
 @frozen
@@ -100,19 +96,21 @@ def write_faulty(
         before, detections_before = Counter(log.messages), _detection_count(log)
         apply_faults(log, faults, seed=seed)
         rewritten = _changed_topics(before, Counter(log.messages), selection)
-        others = {info.topic for info in reader.topics()} - rewritten
-        changed: _InOrder = ((m.log_time_ns, m.number, m) for m in log.messages if m.topic in rewritten)
-        copied: _InOrder = ((raw.log_time_ns, i, raw) for i, raw in enumerate(reader.messages()) if raw.topic in others)
+        changed = defaultdict[int, list[Message[Record]]](list)
+        for message in log.messages:
+            if message.topic in rewritten:
+                changed[message.number].append(message)
         written, total = Counter[str](), max(sum(info.message_count for info in reader.topics()), 1)
         with LogWriter(output, refusals=(LogError, SlamError)) as writer:
             _write_metadata(reader, writer, faults, seed)
-            for _, _, message in heapq.merge(changed, copied, key=lambda each: each[:2]):
-                if isinstance(message, RawMessage):
-                    writer.write_raw(message)
-                else:
+            for number, raw in enumerate(reader.messages()):
+                if raw.topic not in rewritten:
+                    writer.write_raw(raw)
+                    written[raw.topic] += 1
+                for message in changed[number]:
                     writer.write(message.topic, message.record, message.log_time_ns)
-                written[message.topic] += 1
-                progress(min(written.total() / total, 1.0))
+                    written[message.topic] += 1
+                progress(min((number + 1) / total, 1.0))
     return FaultSummary(detections_before, _detection_count(log), dict(sorted(written.items())), left_out)
 
 

@@ -38,8 +38,12 @@ def stamps_in_microseconds(log: Recording) -> None:
 
 def scan_rate(log: Recording, rate_hz: Hertz = 1.0) -> None:
     """Detections come at HZ at most."""
-    kept = _thinned([scan.stamp_ns for scan in log.scans], rate_hz)
-    log.scans = [scan for scan in log.scans if scan.stamp_ns in kept]
+    stamps_ns = np.array([scan.stamp_ns for scan in log.scans], dtype=np.int64)
+    ordered = np.unique(stamps_ns)
+    # Half a nanosecond more keeps stamps that stand exactly at the period's ends.
+    periods = np.floor((ordered - ordered[:1] + 0.5) * 1e-9 * rate_hz)
+    first_of_each = ordered[np.unique(periods, return_index=True)[1]]
+    log.scans = list(compress(log.scans, np.isin(stamps_ns, first_of_each)))
 
 
 def detections_stop(log: Recording, fraction: Part = 0.5) -> None:
@@ -69,11 +73,3 @@ def messages_twice(log: Recording) -> None:
 def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> None:
     """Stamps of the odometry fall instead of rising for S from half time on."""
     log.stamps_ns = np.where(log.are_after_half(seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
-
-
-def _thinned(stamps_ns: list[int], rate_hz: float) -> set[int]:
-    """Of the stamps, the first of each period of the rate."""
-    ordered = np.unique(np.array(stamps_ns, dtype=np.int64))
-    # Half a nanosecond more keeps stamps that stand exactly at the period's ends.
-    periods = np.floor((ordered - ordered[:1] + 0.5) * 1e-9 * rate_hz).astype(np.int64)
-    return set(ordered[np.unique(periods, return_index=True)[1]].tolist())
