@@ -66,20 +66,18 @@ def take_snapshot(
     segments = np.array([keyframe.odometry.segment for keyframe in keyframes])
     is_map_frame = np.array([keyframe.is_map_frame for keyframe in keyframes], dtype=np.bool_)
     closed = closed[~is_map_frame[closed].any(axis=1)]  # they would all lead to the origin of the map
-    first_of = {
-        int(segment): int(first) for segment, first in zip(*np.unique(segments, return_index=True), strict=True)
-    }
-    connected = [segment for segment, first in first_of.items() if is_localized(keyframes[first])]
+    firsts = [keyframes[row] for row in np.unique(segments, return_index=True)[1].tolist()]
+    connected = {first.odometry.segment: first for first in firsts if is_localized(first)}
     newest = keyframes[-1]
     placed = _placed(object_map, newest, graph.pose(newest.id))
     in_graph = graph.landmarks
     placed[in_graph] = graph.landmark_positions(in_graph)
     rows = object_map.in_state(LandmarkState.CONFIRMED)
-    rows = rows[np.isin(object_map.rows["segment"][rows], connected) & np.isfinite(placed[rows, 0])]
+    rows = rows[np.isin(object_map.rows["segment"][rows], list(connected)) & np.isfinite(placed[rows, 0])]
     stamp_ns, colors = newest.odometry.stamp_ns, class_colors(object_map.labels.classes(rows))
     is_submap = np.isin(rows, recent_submap(object_map, newest, calibration).rows)
-    path = tuple(places[segments == segment] for segment in connected if not keyframes[first_of[segment]].is_prior)
-    lines = places[closed[np.isin(segments[closed], connected).all(axis=1)]]
+    path = tuple(places[segments == segment] for segment, first in connected.items() if not first.is_prior)
+    lines = places[closed[np.isin(segments[closed], list(connected)).all(axis=1)]]
     return [
         (LANDMARK_POINTS, ScenePoints(stamp_ns, MAP_FRAME, placed[rows], colors)),
         (SUBMAP, ScenePoints(stamp_ns, MAP_FRAME, placed[rows[is_submap]], np.ones((int(is_submap.sum()), 4)))),

@@ -117,16 +117,16 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
     An object map on a topic under ``/slam/`` is the estimate, on any other it is the truth.
     """
     of_kind: defaultdict[type[Record], list[Any]] = defaultdict(list)
-    estimated_maps, true_maps, calibrations = list[ObjectMapRecord](), list[ObjectMapRecord](), 0
+    true_maps, calibrations = list[ObjectMapRecord](), 0
     for topic, record in records:
-        if isinstance(record, ObjectMapRecord):
-            (estimated_maps if topic.startswith(OUTPUT_PREFIX) else true_maps).append(record)
-        else:
-            if isinstance(record, StatusRecord) and record.counters.get(CALIBRATIONS, 0) > calibrations:
-                calibrations = record.counters[CALIBRATIONS]
-                for kind in OF_ONE_MAP:
-                    of_kind[kind].clear()
-            of_kind[type(record)].append(record)
+        if isinstance(record, ObjectMapRecord) and not topic.startswith(OUTPUT_PREFIX):
+            true_maps.append(record)
+            continue
+        if isinstance(record, StatusRecord) and record.counters.get(CALIBRATIONS, 0) > calibrations:
+            calibrations = record.counters[CALIBRATIONS]
+            for kind in OF_ONE_MAP:
+                of_kind[kind].clear()
+        of_kind[type(record)].append(record)
     final = _last(of_kind[TrajectoryRecord])
     return EvaluationRecords(
         final_path=NO_POSES if final is None else clean_poses(final.stamps_ns, final.T_map_body),
@@ -135,7 +135,7 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
         true_path=series_of((pose.stamp_ns, pose.T_world_body) for pose in of_kind[GroundTruthPose]),
         associations=tuple(of_kind[DetectionAssociations]),
         detection_truths=tuple(of_kind[DetectionTruth]),
-        object_map=_last(estimated_maps),
+        object_map=_last(of_kind[ObjectMapRecord]),
         true_objects=_last(true_maps),
         closures=tuple(of_kind[LoopClosureRecord]),
         graph=_last(of_kind[FactorGraphRecord]),

@@ -90,16 +90,18 @@ def _describe_loss(
 ) -> dict[str, Any]:
     """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
-    error = _error(placed, records.true_path)
-    return {
-        "lost_ns": lost_ns,
-        "fix_ns": fix_ns,
-        "seconds": None if fix_ns is None else (fix_ns - lost_ns) * 1e-9,
-        "distance_m": None if fix_ns is None else _travel_m(records, lost_ns, fix_ns),
-        "error_m": None if error is None else float(error[0]),
-        "error_deg": None if error is None else float(np.rad2deg(error[1])),
-        "is_right": None if error is None else bool(protocol.is_true(*error)),
-    }
+    loss: dict[str, Any] = {"lost_ns": lost_ns, "fix_ns": fix_ns, **dict.fromkeys((*MEASURES, "is_right"))}
+    if fix_ns is not None:
+        loss |= {"seconds": (fix_ns - lost_ns) * 1e-9, "distance_m": _travel_m(records, lost_ns, fix_ns)}
+    if placed is not None:
+        stamp_ns, T_world_body = placed
+        known, T_world_body_gt = records.true_path.poses_at(np.array([stamp_ns]))
+        T_error = invert(T_world_body_gt[0]) @ T_world_body
+        error_m, turn_rad = np.asarray(np.linalg.norm(T_error[:3, 3])), rotation_angle_rad(T_error)
+        if known[0]:
+            is_right = bool(protocol.is_true(error_m, turn_rad))
+            loss |= {"error_m": float(error_m), "error_deg": float(np.rad2deg(turn_rad)), "is_right": is_right}
+    return loss
 
 
 def _travel_m(records: EvaluationRecords, from_ns: int, to_ns: int) -> float | None:
@@ -108,16 +110,6 @@ def _travel_m(records: EvaluationRecords, from_ns: int, to_ns: int) -> float | N
         if len(path.stamps_ns) and path.stamps_ns[0] <= from_ns and to_ns <= path.stamps_ns[-1]:
             return float(np.diff(path.travelled_at_m(np.array([from_ns, to_ns], dtype=np.int64)))[0])
     return None
-
-
-def _error(placed: PlacedPose | None, truth: PoseSeries) -> FloatArray | None:
-    """Errors [m, rad] of a pose; None without it, or without a true pose at its time."""
-    if placed is None:
-        return None
-    stamp_ns, T_world_body = placed
-    known, T_world_body_gt = truth.poses_at(np.array([stamp_ns]))
-    T_error = invert(T_world_body_gt[0]) @ T_world_body
-    return np.array([np.linalg.norm(T_error[:3, 3]), rotation_angle_rad(T_error)]) if known[0] else None
 
 
 def _place_by_closure(records: EvaluationRecords, span: Span) -> PlacedPose | None:

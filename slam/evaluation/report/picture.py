@@ -33,12 +33,9 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, title: s
     estimate = records.final_path or records.online_path
     errors = evaluation.estimate or evaluation.online
     spans_ns = _discontinuities(records.graph)
-    path = _broken(estimate.stamps_ns, estimate.positions, spans_ns)
-    odometry = _broken(records.odometry_path.stamps_ns, _in_map(records.odometry_path, estimate), spans_ns)
-    truth = np.zeros((0, 3))
-    if errors is not None:
-        aligned = apply(invert(errors.T_world_map), records.true_path.positions)
-        truth = _broken(records.true_path.stamps_ns, aligned, spans_ns)
+    path = _broken(estimate, np.eye(4), spans_ns)
+    odometry = _broken(records.odometry_path, _start_in_map(records.odometry_path, estimate), spans_ns)
+    truth = np.zeros((0, 3)) if errors is None else _broken(records.true_path, invert(errors.T_world_map), spans_ns)
     objects, landmarks, labels = records.object_map, np.zeros((0, 3)), list[str]()
     if objects is not None:
         is_shown = objects.is_confirmed & np.isfinite(objects.positions).all(axis=1)
@@ -107,11 +104,12 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray,
     return ends[is_known & true], ends[is_known & decided & ~true], ends[is_known & ~decided]
 
 
-def _in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
+def _start_in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
+    """``T_map_odom`` (4, 4) by the first pose of the estimate."""
     if not len(odometry) or not len(estimate):
-        return odometry.positions
+        return np.eye(4)
     first = np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0]))
-    return apply(estimate.T_world_body[0] @ invert(odometry.T_world_body[first]), odometry.positions)
+    return np.asarray(estimate.T_world_body[0] @ invert(odometry.T_world_body[first]))
 
 
 def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
@@ -124,13 +122,12 @@ def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
     return np.array(sorted(ends), dtype=np.int64).reshape(-1, 2)
 
 
-def _broken(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> FloatArray:
-    """A path with a row of NaN in the longest step within each span (J, 2)."""
-    steps_m = step_lengths(positions)
-    jumps = list[int]()
+def _broken(path: PoseSeries, T_map_path: FloatArray, spans_ns: IntArray) -> FloatArray:
+    """A path in the map with a row of NaN in the longest step within each span (J, 2)."""
+    stamps_ns, steps_m, jumps = path.stamps_ns, step_lengths(path.positions), list[int]()
     for first_ns, last_ns in spans_ns:
         begin = max(np.searchsorted(stamps_ns, first_ns, side="right") - 1, 0)
         within = steps_m[begin : np.searchsorted(stamps_ns, last_ns)]
         if len(within) and first_ns < last_ns:
             jumps.append(begin + np.argmax(within))
-    return np.insert(positions, np.unique(np.array(jumps, dtype=np.int64)) + 1, np.nan, axis=0)
+    return np.insert(apply(T_map_path, path.positions), np.unique(np.array(jumps, dtype=np.int64)) + 1, np.nan, axis=0)

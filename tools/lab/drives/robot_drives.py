@@ -21,8 +21,9 @@ def find_drives(folder: Path, names: Sequence[str] = ()) -> dict[str, Path]:
         InputDataError: the folder holds no drive, or none of a given name.
     """
     found = {path.parent for path in folder.glob("**/odometry.*") if path.is_file()}
-    name_of = {each: each.relative_to(folder).as_posix() if each != folder else each.resolve().name for each in found}
-    drives = dict(sorted((name, each) for each, name in name_of.items()))
+    drives = dict(
+        sorted((each.relative_to(folder).as_posix() if each != folder else each.resolve().name, each) for each in found)
+    )
     if not drives:
         raise InputDataError(
             f"{folder} holds no drives; expected folders with odometry.tum(.gz), detections.csv(.gz) and, for the "

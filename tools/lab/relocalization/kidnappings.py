@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -47,23 +46,22 @@ _Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
 class KnownMap:
     """A map; ``positions`` (P, 3) m in the world are those of the robot that made it, else of its landmarks.
 
-    ``T_map_body`` and ``T_world_body_gt`` (K, 4, 4): poses of the mapping drive, whose trajectory error is ``ate_m``;
-    the identity for an imported map, which has the frame of the world.
+    ``T_world_map`` (P, 4, 4): where the map is in the world by the truth at each position, the identity for an imported
+    map; ``ate_m``: trajectory error of the mapping drive.
     """
 
     saved: PriorMap
     positions: FloatArray
-    T_map_body: FloatArray = field(default_factory=lambda: np.eye(4)[None])
-    T_world_body_gt: FloatArray = field(default_factory=lambda: np.eye(4)[None])
+    T_world_map: FloatArray
     ate_m: float = 0.0
 
     def to_world(self, T_map_body: FloatArray, T_world_near: FloatArray) -> FloatArray:
-        """A pose (4, 4) of the map in the world, by the pose of the mapping drive that is nearest to ``T_world_near``.
+        """A pose (4, 4) of the map in the world, by the position of the map that is nearest to ``T_world_near``.
 
         The distortion of the map between distant places has no effect on it.
         """
-        row = np.argmin(np.linalg.norm(self.T_world_body_gt[:, :2, 3] - T_world_near[:2, 3], axis=1))
-        return np.asarray(self.T_world_body_gt[row] @ invert(self.T_map_body[row]) @ T_map_body)
+        row = np.argmin(np.linalg.norm(self.positions[:, :2] - T_world_near[:2, 3], axis=1))
+        return np.asarray(self.T_world_map[row] @ T_map_body)
 
 
 def benchmark_relocalization(
@@ -105,7 +103,8 @@ def benchmark_relocalization(
     begin_ns = int(truth.stamps_ns[0])
     with threadpool_limits(1):
         if isinstance(given, ImportedMap):
-            known, reach_m = KnownMap(given, given.positions.astype(np.float64)), config.sensor_range_m
+            T_world_map = np.broadcast_to(np.eye(4), (len(given.positions), 4, 4))
+            known, reach_m = KnownMap(given, given.positions.astype(np.float64), T_world_map), config.sensor_range_m
         else:
             begin_ns += round(1e9 * given)
             known, reach_m = map_drive(_between(records, 0, begin_ns), config), Protocol().revisit_distance_m
@@ -147,8 +146,7 @@ def map_drive(records: Sequence[Record], config: Config) -> KnownMap:
     return KnownMap(
         saved=SavedMap(confirmed(final.object_map), final.graph),
         positions=gt.positions,
-        T_map_body=est.T_world_body,
-        T_world_body_gt=gt.T_world_body,
+        T_world_map=gt.T_world_body @ invert(est.T_world_body),
         ate_m=evaluate_trajectory(estimate, truth).ate_m,
     )
 

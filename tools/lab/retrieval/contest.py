@@ -126,10 +126,9 @@ def _measure(
     answers = pd.DataFrame([_answer(search, objects, tree, query, range_m) for query in queries])
     return {
         **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
-        "right": float(answers["right"].mean()),
-        "wrong": float(answers["wrong"].mean()),
+        **answers[["right", "wrong"]].mean(),
         "propose_ms": float(answers["propose_ms"].median()),
-        "propose_p95_ms": float(np.percentile(answers["propose_ms"], 95)),
+        "propose_p95_ms": float(answers["propose_ms"].quantile(0.95)),
         "verify_ms": float(answers["verify_ms"].median()),
     }
 
