@@ -38,7 +38,11 @@ class PoseSeries:
         return PoseSeries(self.stamps_ns, self.T_world_body @ make_transform(R, np.zeros(3)))
 
     def travelled_at_m(self, at_ns: IntArray) -> FloatArray:
-        """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends."""
+        """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends; 0 without
+        a pose.
+        """
+        if not len(self):
+            return np.zeros(len(at_ns))
         origin_ns = self.stamps_ns[0]  # Offsets are exact in float64, epoch nanoseconds are not.
         offsets = np.asarray(at_ns, dtype=np.int64) - origin_ns
         known = (self.stamps_ns - origin_ns).astype(np.float64)

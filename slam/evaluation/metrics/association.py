@@ -69,7 +69,7 @@ def label_detections(
         stamps.append(frame.stamp_ns)
     table = pd.DataFrame(rows, columns=["frame", "landmark", "object", "created"])
     table = table.astype({"frame": np.int64, "landmark": object, "object": object, "created": np.bool_})
-    travelled_m = path.travelled_at_m(np.array(stamps, dtype=np.int64)) if rows else np.zeros(0)
+    travelled_m = path.travelled_at_m(np.array(stamps, dtype=np.int64))
     return table.assign(travelled_m=travelled_m[table["frame"]])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import RigidTransform
 
-from logs.messages import FactorGraphRecord, ObjectMapRecord
+from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, least_eigenvalues
 from slam.common.geometry import apply, invert, squared_mahalanobis
 from slam.evaluation.inputs.records import EvaluationRecords
@@ -56,12 +56,16 @@ def evaluate_calibration(
     """
     errors: dict[str, _Errors] = {}
     graph, map_est, map_gt, truth = records.graph, records.object_map, records.true_objects, records.true_path
-    T_map_world = _tie_first(graph, truth)
-    if graph is not None and T_map_world is not None:
-        if len(graph.pose_covariances):
-            errors["pose"] = _pose_errors(graph, T_map_world, truth)
-        if map_est is not None and map_gt is not None and matches is not None:
-            errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
+    if graph is not None:
+        known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns)
+        if known[:1].any():
+            T_map_world = invert(T_world_body[0] @ invert(graph.T_map_body[0]))
+            known[0] = False
+            if len(graph.pose_covariances):
+                of_keyframes = pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known])
+                errors["pose"] = of_keyframes, graph.pose_covariances[known]
+            if map_est is not None and map_gt is not None and matches is not None:
+                errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
     if judged is not None:
         errors["closure"] = _closure_errors(judged, truth)
     nothing = (np.zeros((0, 1)), np.zeros((0, 1, 1)))
@@ -76,20 +80,6 @@ def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
     It is what the covariances of poses and closures are about.
     """
     return RigidTransform.from_matrix(invert(T_est) @ T_gt).as_exp_coords()
-
-
-def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries) -> FloatArray | None:
-    """``T_map_world`` (4, 4) that lays the truth of the first keyframe on its estimate; None where it has no truth."""
-    if graph is None or len(graph.keyframe_ids) == 0:
-        return None
-    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns[:1])
-    return invert(T_world_body[0] @ invert(graph.T_map_body[0])) if known[0] else None
-
-
-def _pose_errors(graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries) -> _Errors:
-    known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns)
-    known[0] = False
-    return pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known]), graph.pose_covariances[known]
 
 
 def _landmark_errors(

@@ -39,14 +39,13 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
         query keyframe, 0 where undecided: ``error_m``, ``rotation_rad``; ``travelled_m``: true path up to the query
         keyframe.
     """
-    count = len(candidates)
     query_ns = np.array([c.stamp_ns for c in candidates], dtype=np.int64)
     reference_ns = np.array([c.reference_stamp_ns for c in candidates], dtype=np.int64)
-    known, poses = truth.poses_at(np.concatenate([query_ns, reference_ns]))
-    T_world_query, T_world_reference = poses[:count], poses[count:]
+    is_query, T_world_query = truth.poses_at(query_ns)
+    is_reference, T_world_reference = truth.poses_at(reference_ns)
     registered = np.array([c.T_reference_query is not None for c in candidates], dtype=np.bool_)
     T_reference_query = [np.eye(4) if c.T_reference_query is None else c.T_reference_query for c in candidates]
-    decided = known[:count] & known[count:] & registered
+    decided = is_query & is_reference & registered
     T_world_claimed = T_world_reference @ np.array(T_reference_query).reshape(-1, 4, 4)
     error_m = np.linalg.norm(T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3], axis=1)
     rotation_rad = rotation_angle_rad(invert(T_world_query) @ T_world_claimed)
@@ -62,7 +61,7 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
             "true": decided & protocol.is_true(error_m, rotation_rad),
             "error_m": np.where(decided, error_m, 0.0),
             "rotation_rad": np.where(decided, rotation_rad, 0.0),
-            "travelled_m": truth.travelled_at_m(query_ns) if len(truth) else np.zeros(count),
+            "travelled_m": truth.travelled_at_m(query_ns),
         }
     )
 

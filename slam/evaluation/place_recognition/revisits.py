@@ -43,7 +43,7 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
     rows = np.flatnonzero(known)
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
     T_world_body = T_world_body[rows]
-    travelled_m = truth.travelled_at_m(stamps_ns[rows]) if len(rows) else np.zeros(0)
+    travelled_m = truth.travelled_at_m(stamps_ns[rows])
     queries = _thin(travelled_m, 0.95 * protocol.query_spacing_m)
     nearest = _find_nearest_earlier(T_world_body[:, :3, 3], travelled_m, queries, protocol)
     forward = T_world_body[:, :3, 0]

@@ -58,13 +58,12 @@ def descriptors(
             seeds=seeds,
             on_progress=move,
         )
-    count, classes = len(objects_of_map), len(objects_of_map.vocabulary)
-    conditions = f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds"
     rows = cells.to_dict("records")
-    about = {"map": world.name, "objects": count, "classes": classes, "queries": queries, "seeds": seeds}
+    numbers = {"objects": len(objects_of_map), "classes": len(objects_of_map.vocabulary)}
+    about = {"map": world.name, **numbers, "queries": queries, "seeds": seeds}
     report(
         [row_of(COLUMNS, cell) for cell in rows],
-        title=f"{world.name}: {conditions}",
+        title="{map}: {objects} objects, {classes} classes; {queries} queries x {seeds} seeds".format_map(about),
         texts=["scenario"],
         markdown=markdown,
         json={**about, "cells": rows} if json else None,
