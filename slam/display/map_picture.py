@@ -44,8 +44,15 @@ class MapPicture:
         axes.set_title(
             _cut(title, 60), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30, parse_math=False
         )
-        place: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (0.0, 6.0), "textcoords": "offset points"}
-        axes.annotate(subtitle, (0.0, 1.0), **place, fontsize=13, color=_MUTED)
+        axes.annotate(
+            subtitle,
+            (0.0, 1.0),
+            xytext=(0.0, 6.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontsize=13,
+            color=_MUTED,
+        )
         self._drawn = list[FloatArray]()
 
     def add_line(
@@ -74,8 +81,16 @@ class MapPicture:
         """Mark positions (N, 3) m; ``marker``: as matplotlib names it; ``size``: diameter."""
         if len(positions):
             x, y = self._next(positions)
-            edge: dict[str, Any] = {"linewidths": 0.07 * size, "edgecolors": "white"}
-            self._axes.scatter(x, y, s=size**2, c=color, marker=marker, **edge, **self._entry(name, count))
+            self._axes.scatter(
+                x,
+                y,
+                s=size**2,
+                c=color,
+                marker=marker,
+                linewidths=0.07 * size,
+                edgecolors="white",
+                **self._entry(name, count),
+            )
 
     def add_landmarks(self, positions: FloatArray, labels: Sequence[str]) -> None:
         """Mark landmarks (L, 3) m: the most frequent classes, ties by name, each by its colour, then all others."""

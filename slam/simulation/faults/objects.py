@@ -55,7 +55,6 @@ def lengths_scaled(log: Recording, factor: _LengthFactor = 0.05) -> None:
         fields = {name: getattr(message.record, name, None) for name in powers}
         return message.having(**{k: powers[k] * value for k, value in fields.items() if value is not None})
 
-    for kind in (log.odometry, log.transforms, log.true_poses, log.true_objects):
-        kind[:] = map(scaled, kind)
+    log.odometry, log.others = list(map(scaled, log.odometry)), list(map(scaled, log.others))
     for scan in log.scans:
         scan.message = scaled(scan.message)

@@ -94,20 +94,19 @@ class Scan:
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """What faults read and change of a log, each kind in its order; ``odometry`` has one message at least."""
+    """What faults read and change of a log, each kind in its order; ``odometry`` has one message at least; ``others``:
+    transforms, true poses and true objects.
+    """
 
     odometry: list[Message[Odometry]]
     scans: list[Scan]
-    transforms: list[Message[Transform]]
-    true_poses: list[Message[GroundTruthPose]]
-    true_objects: list[Message[ObjectMapRecord]]
+    others: list[Message[Record]]
 
     @property
     def messages(self) -> list[Message[Record]]:
         """All messages, in the order of the log."""
         scans = [message for scan in self.scans for message in (scan.message, scan.truth) if message is not None]
-        found = [*self.odometry, *scans, *self.transforms, *self.true_poses, *self.true_objects]
-        return sorted(found, key=lambda message: (message.log_time_ns, message.number))
+        return sorted([*self.odometry, *scans, *self.others], key=lambda message: (message.log_time_ns, message.number))
 
     def stamp_at(self, fraction: float) -> int:
         """The stamp at a part of the time of the drive, in [0, 1]."""
@@ -187,8 +186,9 @@ class Recording:
     def body_frames(self) -> Callable[[str], FloatArray]:
         """A function from a sensor's frame to T_body_sensor (4, 4); the identity without a transform."""
         frames, body = SensorFrames(), self.odometry[0].record.child_frame_id
-        for message in self.transforms:
-            frames.add(message.record)
+        for message in self.others:
+            if isinstance(message.record, Transform):
+                frames.add(message.record)
 
         def T_body_sensor(frame: str) -> FloatArray:
             found = None if frame in ("", body) else frames.find(body, frame)
@@ -217,7 +217,8 @@ def make_recording(messages: Iterable[Message[Record]]) -> Recording:
         truth = waiting.popleft() if waiting else None
         fits = truth is not None and len(truth.record.object_ids) == len(message.record.labels)
         scans.append(Scan(message, truth if fits else None))
-    return Recording(by_kind[Odometry], scans, by_kind[Transform], by_kind[GroundTruthPose], by_kind[ObjectMapRecord])
+    others = [*by_kind[Transform], *by_kind[GroundTruthPose], *by_kind[ObjectMapRecord]]
+    return Recording(by_kind[Odometry], scans, others)
 
 
 def seconds_ns(seconds: float) -> int:

@@ -32,7 +32,7 @@ def benchmark_descriptors(
     *,
     queries: int,
     seeds: int,
-    on_progress: Callable[[float], None] = lambda fraction: None,
+    on_progress: Callable[[float], None],
 ) -> pd.DataFrame:
     """Every descriptor on the same queries, on one thread.
 

@@ -42,7 +42,7 @@ def measure_revisits(
     config: Config,
     *,
     topics: Mapping[str, str] | None = None,
-    on_progress: Callable[[float], None] = lambda fraction: None,
+    on_progress: Callable[[float], None],
 ) -> list[dict[str, Any]]:
     """Map a drive with truth, and ask each descriptor at its revisits.
 

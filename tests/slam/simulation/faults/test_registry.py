@@ -5,12 +5,13 @@ import pickle
 import numpy as np
 import pytest
 
+from logs.messages import GroundTruthPose
 from slam.common.errors import ConfigurationError
 from slam.simulation.faults import detections, odometry
 from slam.simulation.faults.faulty_log import apply_faults
 from slam.simulation.faults.recording import Recording
 from slam.simulation.faults.registry import FAULTS, parse_faults
-from tests.slam.simulation.faults.streams import drive, faulty, positions
+from tests.slam.simulation.faults.streams import drive, faulty, positions, stamps
 
 QUICK = {"keep_label": "keep_label=tree"}
 
@@ -29,8 +30,7 @@ def test_fault_changes_only_what_it_is_about_and_repeats(name: str) -> None:
     assert [pickle.dumps(message) for message in before] == told
     for topic, module in {"/odom": detections, "/detections": odometry}.items():
         assert not hasattr(module, name) or contents(log, topic) == contents(drive(), topic)
-    others = [record.stamp_ns for record in (message.record for message in log.true_poses)]
-    assert others == [message.record.stamp_ns for message in drive().true_poses]
+    assert np.array_equal(stamps(log, GroundTruthPose), stamps(drive(), GroundTruthPose))
     assert FAULTS[name].meaning
 
 
