@@ -104,7 +104,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         "calibration": calibration,
         "counters": records.statuses[-1].counters if records.statuses else {},
         "unavailable": unavailable,
-        "protocol": protocol,
+        "protocol": plain(protocol),
     }
     if judged is not None and queries is not None:
         results["closures"] |= describe_revisits(queries, judged)

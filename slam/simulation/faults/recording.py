@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -150,10 +151,7 @@ class Recording:
 
     @steps.setter
     def steps(self, steps: FloatArray) -> None:
-        poses = [self.poses[0]]
-        for step in steps:
-            poses.append(poses[-1] @ step)
-        self.poses = np.array(poses)
+        self.poses = np.array(list(accumulate(steps, np.matmul, initial=self.poses[0])))
 
     def row_at(self, fraction: float) -> int:
         """The first pose after a part of the time of the drive, the last one where there is none."""

@@ -21,7 +21,7 @@ from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
 from slam.system import Slam
-from tools.lab.relocalization.kidnappings import truth_of
+from tools.lab.drives.true_drive import truth_of
 
 LENGTH_M = 60.0
 FAR_M = 30_000.0

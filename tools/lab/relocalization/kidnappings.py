@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,8 @@ import pandas as pd
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from logs.container.limits import RESULT_LIMITS
-from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
-from logs.reader import LogReader
+from logs.messages import ObjectDetections, Record, SlamPose, Transform
 from logs.records import frozen
-from logs.selection import select_topics
-from logs.topics import RecordKind
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
@@ -31,15 +27,13 @@ from slam.evaluation.metrics.trajectory import evaluate_trajectory
 from slam.localization.prior_map import PriorMap
 from slam.object_map.map_io import SavedMap, confirmed
 from slam.place_recognition.imported_map import ImportedMap
-from slam.prepared_log import calibrate_logs
 from slam.system import Slam
+from tools.lab.drives.true_drive import DriveRecord, read_true_drive, truth_of
 
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
 MAX_TRAVEL_M = 1.5 * RECOVERED_WITHIN_M
 """Length of each search: a right fix may come late."""
-_KINDS = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
-_Kept = Odometry | ObjectDetections | GroundTruthPose | Transform
 
 
 @frozen
@@ -92,14 +86,7 @@ def benchmark_relocalization(
         LogError: the log cannot be read.
         SlamError: it holds no truth, or no place of it is in the map.
     """
-    with LogReader(path, RESULT_LIMITS) as reader:
-        selection = select_topics(reader.topics(), topics, needed=_KINDS)
-        records = [entry.record for entry in reader.records(selection) if isinstance(entry.record, _Kept)]
-    truth = truth_of(records)
-    if not len(truth):
-        raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
-    if config.calibrate:
-        config = calibrate_logs([path], config, topics=topics).config
+    records, truth, config = read_true_drive(path, config, topics)
     begin_ns = int(truth.stamps_ns[0])
     with threadpool_limits(1):
         if isinstance(given, ImportedMap):
@@ -230,7 +217,7 @@ def figures(outcomes: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _between(records: list[_Kept], first_ns: int, last_ns: int) -> list[_Kept]:
+def _between(records: list[DriveRecord], first_ns: int, last_ns: int) -> list[DriveRecord]:
     """The records of a time, and all transforms."""
     return [each for each in records if isinstance(each, Transform) or first_ns <= each.stamp_ns <= last_ns]
 
@@ -239,8 +226,3 @@ def _spread(rows: IntArray, count: int) -> IntArray:
     """At most ``count`` of the rows (R,), evenly."""
     chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)
     return np.unique(rows[chosen])
-
-
-def truth_of(records: Iterable[Record]) -> PoseSeries:
-    """The true poses among records."""
-    return series_of((each.stamp_ns, each.T_world_body) for each in records if isinstance(each, GroundTruthPose))

@@ -16,23 +16,18 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from logs.messages import GroundTruthPose
-from logs.reader import LogReader
-from logs.selection import select_topics
-from logs.topics import RecordKind
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.common.geometry import gravity_frame, invert
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.records import read_records
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.loop_closure.loop_closer import Outcome
 from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.prepared_log import calibrate_logs
 from slam.system import Slam
+from tools.lab.drives.true_drive import read_true_drive
 from tools.lab.retrieval.labelled_map import RECALL_AT, rank_of
 
 
@@ -62,20 +57,12 @@ def measure_revisits(
         DescriptorError: a descriptor that does not fit the drive.
         SlamError: it cannot be mapped, holds no truth, or never comes back.
     """
-    truth = read_records(path, topics=topics).true_path
-    if not len(truth.stamps_ns):
-        raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
-    if config.calibrate:
-        config = calibrate_logs([path], config, topics=topics).config
-    with LogReader(path) as reader, threadpool_limits(1):
+    records, truth, config = read_true_drive(path, config, topics)
+    with threadpool_limits(1):
         asking = _AskingSlam(config, truth, descriptors)
-        selection = select_topics(reader.topics(), topics, needed=(RecordKind.ODOMETRY, RecordKind.DETECTIONS))
-        first_ns, last_ns = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
-        for entry in reader.records(selection):
-            if isinstance(entry.record, GroundTruthPose):
-                on_progress(min(max((entry.record.stamp_ns - first_ns) / max(last_ns - first_ns, 1), 0.0), 1.0))
-            else:
-                asking.process(entry.record)
+        for done, record in enumerate(records, start=1):
+            asking.process(record)
+            on_progress(done / len(records))
     if not asking.answers:
         raise EvaluationError(f"{path}: the drive never revisits a place, so there is nothing to recognise")
     return [
