@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import foxglove
+
 from logs.encoders import definition_of, encode
 from logs.messages import Record
 
@@ -12,16 +14,9 @@ class FoxgloveFeed:
     """Publishes records on a WebSocket server, each topic as in an output log, until it is closed."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Start the server; ``port`` 0 takes a free one.
-
-        Raises:
-            ModuleNotFoundError: foxglove-sdk is not installed.
-        """
-        import foxglove
-
-        self._sdk = foxglove
-        self._context = self._sdk.Context()
-        self._server = self._sdk.start_server(name="dslam", host=host, port=port, context=self._context)
+        """Start the server; ``port`` 0 takes a free one."""
+        self._context = foxglove.Context()
+        self._server = foxglove.start_server(name="dslam", host=host, port=port, context=self._context)
         self._channels: dict[str, Any] = {}
 
     @property
@@ -38,8 +33,8 @@ class FoxgloveFeed:
         message = encode(record)
         if topic not in self._channels:
             name, encoding, data = definition_of(message.DESCRIPTOR)
-            schema = self._sdk.Schema(name=name, encoding=encoding, data=data)
-            self._channels[topic] = self._sdk.Channel(
+            schema = foxglove.Schema(name=name, encoding=encoding, data=data)
+            self._channels[topic] = foxglove.Channel(
                 topic, schema=schema, message_encoding="protobuf", context=self._context
             )
         self._channels[topic].log(message.SerializeToString(deterministic=True), log_time=log_time_ns)

@@ -41,14 +41,13 @@ class _Group:
         return np.flatnonzero(self.numbers == number)
 
     def places(self, number: int) -> dict[int, int]:
-        """The number of each place of a part, by its id there."""
-        ids = self.parts[number].saved.graph.keyframe_ids
-        return dict(zip(ids.tolist(), self.rows(number).tolist(), strict=True))
+        """The number of each place of a part, by its id there, which is its row."""
+        return dict(enumerate(self.rows(number).tolist()))
 
     def edges(self) -> list[Edge]:
         """Edges within the parts."""
-        graphs = {number: part.saved.graph for number, part in self.parts.items()}
-        return [edge for number, graph in graphs.items() for edge in edges_of(graph, self.places(number))]
+        parts = self.parts.items()
+        return [edge for number, part in parts for edge in edges_of(part.saved.graph, self.places(number))]
 
     def closure(self, join: Join) -> Edge:
         """From the nearest place of the reference map to the recognised place."""

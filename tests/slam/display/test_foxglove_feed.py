@@ -11,10 +11,9 @@ import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from logs.messages import SlamPose
-from slam.display.foxglove_feed import FoxgloveFeed
 
 connect = pytest.importorskip("websockets.sync.client").connect
-pytest.importorskip("foxglove")
+FoxgloveFeed = pytest.importorskip("slam.display.foxglove_feed").FoxgloveFeed
 SUBPROTOCOL, MESSAGE_DATA = "foxglove.sdk.v1", 1
 
 
