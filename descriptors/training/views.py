@@ -43,7 +43,7 @@ def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float
     missed = rng.uniform(0.0, 0.5) + rng.uniform(0.0, 0.3) * (nearest_m / range_m) ** 2
     seen = np.flatnonzero(in_view.any(axis=1) & (rng.random(len(seen_map)) >= missed))
     eye = path[nearest[seen]]
-    positions = seen_map.positions[seen].copy()
+    positions = seen_map.positions[seen]
     labels = seen_map.labels[seen]
     if sigma_m is None:
         sigma_m = float(np.exp(rng.uniform(np.log(0.03), np.log(0.7))))

@@ -40,10 +40,7 @@ NO_ESTIMATE = {
     "odometry": "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic",
     "online": "no /slam/pose in the log",
 }
-NO_STATUS = "no status in the log (/slam/status)"
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
-NO_DETECTION_TRUTH = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
-NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
 
 _Measured = TypeVar("_Measured")
 
@@ -138,7 +135,9 @@ def _label_detections(records: EvaluationRecords) -> pd.DataFrame:
     _require(
         {
             "no associations in the log (/slam/associations)": bool(records.associations),
-            NO_DETECTION_TRUTH: bool(records.detection_truths),
+            "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections": bool(
+                records.detection_truths
+            ),
             "neither odometry nor ground truth, so travel between measurements is unknown": len(path) > 0,
         }
     )
@@ -166,8 +165,10 @@ def _landmarks(
     T_world_map: FloatArray | None,
 ) -> dict[str, Any]:
     map_est, map_gt = records.object_map, records.true_objects
-    if map_est is None or map_gt is None:
-        raise EvaluationError("no object map in the log (/slam/map)" if map_est is None else NO_TRUE_OBJECTS)
+    if map_est is None:
+        raise EvaluationError("no object map in the log (/slam/map)")
+    if map_gt is None:
+        raise EvaluationError("no true objects: pass --reference LOG.mcap or record /ground_truth/objects")
     if labelled is None or matches is None:
         raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
     return evaluate_landmarks(
@@ -204,7 +205,7 @@ def _relocalization(
     map_alignment: FloatArray | None,
     T_world_map: FloatArray | None,
 ) -> dict[str, Any]:
-    _require({NO_STATUS: bool(records.statuses)})
+    _require({"no status in the log (/slam/status)": bool(records.statuses)})
     is_located = records.has_prior_map and map_alignment is not None
     return evaluate_relocalization(
         records,

@@ -62,7 +62,7 @@ def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
         "map": city_map.file,
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
-        "notes": list(session.notes),
+        "notes": session.notes,
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from itertools import accumulate, compress
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -66,11 +66,11 @@ class Scan:
         """The true id of each detection; () where they are not known."""
         return () if self.truth is None else self.truth.record.object_ids
 
-    def put(self, seen: ObjectDetections, ids: Sequence[str] | None = None) -> None:
+    def put(self, seen: ObjectDetections, ids: tuple[str, ...] | None = None) -> None:
         """Put other detections in the place of these, with true ids where their number changes."""
         self.message = replace(self.message, record=seen)
         if self.truth is not None:
-            object_ids = self.ids if ids is None else tuple(ids)
+            object_ids = self.ids if ids is None else ids
             self.truth = self.truth.having(stamp_ns=seen.stamp_ns, object_ids=object_ids)
 
     def change(self, **fields: Any) -> None:
@@ -85,8 +85,7 @@ class Scan:
 
     def keep(self, is_kept: BoolArray) -> None:
         """Keep the detections of a mask (N,), with their true ids."""
-        ids = [name for name, kept in zip(self.ids, is_kept.tolist(), strict=False) if kept]
-        self.put(take_rows(self.seen, N=np.flatnonzero(is_kept)), ids)
+        self.put(take_rows(self.seen, N=np.flatnonzero(is_kept)), tuple(compress(self.ids, is_kept)))
 
     def add(self, false: ObjectDetections) -> None:
         """Add detections of nothing that is in the truth."""
