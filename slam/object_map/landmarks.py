@@ -113,15 +113,22 @@ class ObjectMap:
         self._size += len(positions_local)
         self.rows = self._rows[: self._size]
         self.rows.flags.writeable = False
-        landmarks = self._rows
-        landmarks["state"][new] = LandmarkState.TENTATIVE
-        landmarks["observations"][new] = 1
-        for when, value in (("scan", scan), ("seen_ns", stamp_ns), ("seen_travel_m", travel_m)):
-            landmarks[f"first_{when}"][new] = landmarks[f"last_{when}"][new] = value
-        landmarks["segment"][new] = segment
-        landmarks["position_local"][new] = positions_local
-        landmarks["first_position_local"][new] = positions_local
-        landmarks["covariance_local"][new] = landmarks["sum_c"][new] = covariances_local
+        self.assign(
+            new,
+            state=LandmarkState.TENTATIVE,
+            observations=1,
+            first_scan=scan,
+            last_scan=scan,
+            first_seen_ns=stamp_ns,
+            last_seen_ns=stamp_ns,
+            first_seen_travel_m=travel_m,
+            last_seen_travel_m=travel_m,
+            segment=segment,
+            position_local=positions_local,
+            first_position_local=positions_local,
+            covariance_local=covariances_local,
+            sum_c=covariances_local,
+        )
         self.labels.count(new, labels)
         return new
 
@@ -149,13 +156,15 @@ class ObjectMap:
             travel_m=travel_m,
             segment=segment,
         )
-        landmarks = self._rows
-        landmarks["state"][rows] = LandmarkState.CONFIRMED
-        landmarks["observations"][rows] = saved.observation_counts
-        landmarks["first_seen_ns"][rows] = saved.first_seen_ns
-        landmarks["last_seen_ns"][rows] = saved.last_seen_ns
-        landmarks["position_map"][rows] = saved.positions
-        landmarks["covariance_map"][rows] = saved.covariances
+        self.assign(
+            rows,
+            state=LandmarkState.CONFIRMED,
+            observations=saved.observation_counts,
+            first_seen_ns=saved.first_seen_ns,
+            last_seen_ns=saved.last_seen_ns,
+            position_map=saved.positions,
+            covariance_map=saved.covariances,
+        )
         self.labels.restore(rows, labels, saved.class_probabilities * saved.observation_counts[:, None])
         return rows
 
@@ -176,10 +185,8 @@ class ObjectMap:
         landmarks = self._rows
         seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
         offset = measured_local - landmarks["first_position_local"][rows]
+        self.assign(rows, last_scan=scan, last_seen_ns=stamp_ns, last_seen_travel_m=travel_m)
         landmarks["observations"][rows] += 1
-        landmarks["last_scan"][rows] = scan
-        landmarks["last_seen_ns"][rows] = stamp_ns
-        landmarks["last_seen_travel_m"][rows] = travel_m
         landmarks["sum_t"][rows] += seconds
         landmarks["sum_tt"][rows] += seconds**2
         landmarks["sum_p"][rows] += offset
@@ -295,8 +302,6 @@ class ObjectMap:
         if size <= len(self._rows):
             return
         capacity = max(size, 2 * len(self._rows))
-        rows = np.zeros(capacity, dtype=LANDMARK)
-        rows[: self._size] = self._rows[: self._size]
-        self._rows = rows
+        self._rows = np.append(self._rows, np.zeros(capacity - len(self._rows), dtype=LANDMARK))
         self._canonical = np.append(self._canonical, np.arange(len(self._canonical), capacity))
         self.labels.reserve(rows=capacity)
