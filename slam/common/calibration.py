@@ -7,6 +7,7 @@ those of a car with a sensor range of 30 m.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import attrgetter
 
 import numpy as np
 from pydantic import Field
@@ -164,12 +165,15 @@ class Calibration(Branch):
     @property
     def is_complete(self) -> bool:
         """Whether nothing is left to be estimated: all values were given that must have one."""
-        branches = (self.odometry, self.detection, self.objects)
         return all(
-            name in branch.model_fields_set or getattr(branch, name) is None
-            for branch in branches
-            for name in type(branch).model_fields
+            name in branch.model_fields_set or value is None
+            for branch in (self.odometry, self.detection, self.objects)
+            for name, value in branch
         )
+
+    def value_of(self, key: str) -> float:
+        """The value of a dotted key, like "odometry.yaw_sigma"."""
+        return float(attrgetter(key)(self))
 
     def is_given(self, key: str) -> bool:
         """Whether the value of a dotted key was given, rather than being the default."""

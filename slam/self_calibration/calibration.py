@@ -271,8 +271,6 @@ def _components(survey: Survey) -> NoiseComponents:
     estimate = survey.components
     if estimate is not None:
         found, errors = estimate.variances, estimate.standard_errors
-        names = NoiseComponents.__dataclass_fields__
-        values = {name: getattr(found, name) + getattr(errors, name) for name in names}
         # An odometry tells nothing that errs by the range after as much travel, or by half a turn after that, after
         # turning by 1 rad, or within 1 s. Where the body stands, travel explains anything.
         half_turn = np.pi**2
@@ -282,7 +280,12 @@ def _components(survey: Survey) -> NoiseComponents:
             "heading_by_turn": half_turn,
             "heading_by_time": half_turn,
         }
-        return NoiseComponents(**values | {name: min(values[name], limit) for name, limit in most.items()})
+        return NoiseComponents(
+            **{
+                name: min(getattr(found, name) + getattr(errors, name), most.get(name, np.inf))
+                for name in NoiseComponents.__dataclass_fields__
+            }
+        )
     return NoiseComponents(*np.multiply(astuple(PRIOR_NOISE), survey.range_m**LENGTH_POWERS).tolist())
 
 
@@ -308,8 +311,7 @@ def _sigmas(survey: Survey, estimated: Mapping[str, float]) -> dict[str, float]:
 def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
     """Notes for the user on the faults of the log, corrected or not."""
     for key, meaning in _MEANINGS.items():
-        branch, _, name = key.partition(".")
-        if corrections.get(key, usual := getattr(getattr(Calibration(), branch), name)) != usual:
+        if corrections.get(key, usual := Calibration().value_of(key)) != usual:
             yield f"{meaning.format(corrections[key])}: corrected ({key})"
         elif key in survey.suspected:
             yield f"{meaning.format(survey.suspected[key])}: suspected, not corrected ({key})"

@@ -179,7 +179,7 @@ def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     # Turns before the first scan of a pair would multiply the errors of its offsets: they turn all that comes after.
     at = motion.positions[tracks.scan, :2] + tracks.offsets
     X[:, :2, TERMS.index("turn_share")] -= motion.headings[tracks.scan[first], None] * ((at[first] - at[second]) @ J.T)
-    y = np.column_stack([tracks.points[second] - tracks.points[first], tracks.heights[second] - tracks.heights[first]])
+    y = tracks.places[second] - tracks.places[first]
     block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
     scans = np.sort(tracks.scan[second])[np.searchsorted(np.sort(block), np.arange(BLOCKS))]

@@ -90,6 +90,11 @@ class ObjectTracks:
         """Unit vectors (N, 2) from the body to the detections."""
         return unit_vectors(self.offsets)
 
+    @property
+    def places(self) -> FloatArray:
+        """Where the objects were detected (S, 3) m, in the odometry frame."""
+        return np.column_stack([self.points, self.heights])
+
     def of(self, chosen: BoolArray | IntArray) -> ObjectTracks:
         """Some of the detections, by mask or rows."""
         return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))

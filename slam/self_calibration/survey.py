@@ -200,19 +200,14 @@ def _first_change(
         if each.term in SCALES and is_wanted and not given.is_given(key):
             scale = _value(each, now)
             # Objects that seem to move with the body are in another frame than is believed.
-            return {key: scale} if abs(scale / _known(key, known) - 1.0) < MAX_SHARE else {}
+            return {key: scale} if abs(scale / known.value_of(key) - 1.0) < MAX_SHARE else {}
     return {}
 
 
 def _value(each: Correction, now: Calibration) -> float:
     """What the correction changes its setting to."""
-    value = _known(SETTINGS[each.term], now)
+    value = now.value_of(SETTINGS[each.term])
     return value * (1.0 + each.value) if each.term in SCALES else value + each.value
-
-
-def _known(key: str, calibration: Calibration) -> float:
-    branch, name = key.split(".")
-    return float(getattr(getattr(calibration, branch), name))
 
 
 def _is_turned_by_hand(given: Calibration) -> bool:
@@ -271,7 +266,7 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     median_range_m = float(np.median(ranges))
     components = _components(without_bias(tracks, biases), motion, is_planar=_is_planar(scans))
     # A detection errs by its own noise and by what changes with the view.
-    variance = components.white(median_range_m**2)[0] + components.variances.view if components is not None else 0.0
+    variance = components.white(median_range_m**2) + components.variances.view if components is not None else 0.0
     return Survey(
         scans=len(scans),
         detections=len(ranges),
@@ -331,7 +326,7 @@ def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> 
     if estimate is None or len(claimed) == 0:
         return float("nan")
     square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
-    return estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))
+    return estimate.white(float(np.mean(square))) / float(np.mean(claimed))
 
 
 def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -> float:

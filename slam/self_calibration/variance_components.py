@@ -115,13 +115,10 @@ class ComponentEstimate:
     standard_errors: NoiseComponents
     pairs: int
 
-    def white(self, square_range: float) -> tuple[float, float]:
-        """Variance [m^2] of what a detection does not share with others, at a squared range, and its standard error."""
-        variance, error = (
-            0.5 * (each.radial + each.tangential + (each.radial_by_range + each.tangential_by_range) * square_range)
-            for each in (self.variances, self.standard_errors)
-        )
-        return variance, error
+    def white(self, square_range: float) -> float:
+        """Variance [m^2] of what a detection does not share with others, at a squared range."""
+        own = self.variances
+        return 0.5 * (own.radial + own.tangential + (own.radial_by_range + own.tangential_by_range) * square_range)
 
 
 def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
@@ -189,14 +186,12 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     first, second = first[order], second[order]
     _, start, group = np.unique(key[order], return_index=True, return_inverse=True)
     before, after = tracks.scan[first], tracks.scan[second]
-    heights = tracks.heights
-    d = np.column_stack([tracks.points[second] - tracks.points[first], heights[second] - heights[first]])
-    x = np.column_stack([tracks.offsets[second], heights[second] - motion.height_m[after]])
-    x_before = np.column_stack([tracks.offsets[first], heights[first] - motion.height_m[before]])
+    places = tracks.places
+    offsets = np.column_stack([tracks.offsets, tracks.heights - motion.height_m[tracks.scan]])
     moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
     block = np.minimum(before[start] * BLOCKS // scans, BLOCKS - 1)
-    d, x, x_before = (each / unit_m for each in (d, x, x_before))
+    d, x, x_before = (each / unit_m for each in (places[second] - places[first], offsets[second], offsets[first]))
     return _Displacements(d, x, x_before, group, moved, block, unit_m)
 
 
