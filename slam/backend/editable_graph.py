@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 
 import gtsam
 import numpy as np
@@ -105,7 +106,7 @@ class EditableGraph:
         self._sensor_range_m = sensor_range_m
         self._solver = Solver(sensor_range_m=sensor_range_m)
         self._factors: dict[int, Factor] = {}
-        self._next_factor = 0
+        self._numbers = count()
         self._keyframes: dict[int, None] = {}  # in the order in which they were added
         self._attached = AttachedKeyframes()
         self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
@@ -268,9 +269,9 @@ class EditableGraph:
         return self._aliases.get(landmark, landmark)
 
     def _number(self, record: Factor) -> int:
-        self._next_factor += 1
-        self._factors[self._next_factor - 1] = record
-        return self._next_factor - 1
+        number = next(self._numbers)
+        self._factors[number] = record
+        return number
 
     def _insert(self, observations: Mapping[int, Observation]) -> None:
         """Hand observations, by their numbers, to the solver; each is of the variable of its landmark."""

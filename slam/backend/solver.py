@@ -58,8 +58,6 @@ class Solver:
         """Put some factors in the place of those of their numbers; the next update solves all from ``values``."""
         factors, self._factors = {**self._factors, **changed}, {}
         self._uses: Counter[int] = Counter()
-        self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
-        self._removed: list[int] = []  # of those that were there at the last update
         self._begin(None, values)
         for number, factor in factors.items():
             self.add(number, factor)
@@ -152,7 +150,6 @@ class Solver:
             values = _values_of(graph, self.values_with_new())
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
             self._begin(None, optimizer.optimize())
-        self._added, self._removed = {}, []
         iterations = optimizer.iterations()
         return Optimization(iterations < parameters.getMaxIterations(), iterations, optimizer.error())
 
@@ -169,6 +166,8 @@ class Solver:
         """Begin with an estimate of all variables: ``values``, or those of iSAM2."""
         self._isam, self._values = isam, values
         self._new_values = gtsam.Values()
+        self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
+        self._removed: list[int] = []  # of those that were there at the last update
 
     def _solve_afresh(self, values: gtsam.Values, factorization: str) -> None:
         """Put all factors into a new iSAM2.
@@ -190,7 +189,6 @@ class Solver:
     def _take(self, isam: gtsam.ISAM2, numbers: list[int], result: gtsam.ISAM2Result) -> None:
         """Go on from the result of an update, which put factors with these numbers into iSAM2."""
         self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
-        self._added, self._removed = {}, []
         self._begin(isam, None)
 
 

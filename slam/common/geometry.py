@@ -10,6 +10,7 @@ import math
 import warnings
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
@@ -29,12 +30,11 @@ def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> Floa
     """Transforms (..., 4, 4) that turn about z by ``yaw_rad`` (...) and move by ``xyz`` (..., 3)."""
     yaw, translation = np.asarray(yaw_rad, dtype=np.float64), np.asarray(xyz, dtype=np.float64)
     c, s = np.cos(yaw), np.sin(yaw)
-    T = np.zeros((*np.broadcast_shapes(yaw.shape, translation.shape[:-1]), 4, 4))
-    T[..., 0, 0] = T[..., 1, 1] = c
-    T[..., 0, 1], T[..., 1, 0] = -s, s
-    T[..., :3, 3] = translation
-    T[..., 2, 2] = T[..., 3, 3] = 1.0
-    return T
+    R = np.zeros((*yaw.shape, 3, 3))
+    R[..., 0, 0] = R[..., 1, 1] = c
+    R[..., 0, 1], R[..., 1, 0] = -s, s
+    R[..., 2, 2] = 1.0
+    return make_transform(R, translation)
 
 
 def invert(T_a_b: FloatArray) -> FloatArray:
@@ -83,16 +83,12 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 def adjoint(T_a_b: FloatArray) -> FloatArray:
     """Matrix (6, 6) that turns a small motion (rotation, translation) along the axes of frame b into one of frame a."""
     R = T_a_b[:3, :3]
-    Ad = np.zeros((6, 6))
-    Ad[:3, :3] = Ad[3:, 3:] = R
-    Ad[3:, :3] = skew(T_a_b[:3, 3]) @ R
-    return Ad
+    return np.block([[R, np.zeros((3, 3))], [skew(T_a_b[:3, 3]) @ R, R]])
 
 
 def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArray:
     """Covariance (6, 6) of a rotation and a translation, each in the axes of frame a, in those of frame b."""
-    R = np.zeros((6, 6))
-    R[:3, :3] = R[3:, 3:] = R_a_b
+    R = block_diag(R_a_b, R_a_b)
     return R.T @ covariance_a @ R
 
 

@@ -85,12 +85,11 @@ class PlaceSearch:
         self._positions = positions
         plane = np.asarray(positions[:, :2], dtype=np.float64)
         self._plane = plane[:, 0] + 1j * plane[:, 1]
-        numbers = np.asarray(labels, dtype=np.int64)
         self._spacing_m = max(spacing_m(plane), float(np.finfo(np.float32).eps))
         # On a third axis objects of different classes are farther apart than any map is wide.
         self._pitch_m = 1e6 * self._spacing_m
-        self._tree = cKDTree(np.column_stack([plane, self._pitch_m * numbers]))
-        shares = np.maximum(np.bincount(numbers, minlength=class_count), 1) / max(len(numbers), 1)
+        self._tree = cKDTree(np.column_stack([plane, self._pitch_m * labels]))
+        shares = np.maximum(np.bincount(labels, minlength=class_count), 1) / max(len(labels), 1)
         self._densities = DENSITY / self._spacing_m**2 * shares
 
     def near(self, place: FloatArray, radius_m: float) -> IntArray:

@@ -38,7 +38,6 @@ class PlaceRetriever:
         self._sensor_range_m = config.sensor_range_m
         self._extent_m = config.traversal_extent_m
         self._map = object_map
-        self._likelihood = shipped_likelihood()
         self._pairs = make_landmark_pairs(config)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._search: PlaceSearch | None = None
@@ -71,10 +70,9 @@ class PlaceRetriever:
             & (landmarks["segment"] == segment)
             & (landmarks["last_seen_travel_m"] > earliest_m)
         )
-        first = len(self._rows)
         self._rows = np.concatenate([self._rows, new])
         entry_of = np.full(len(landmarks), -1)
-        entry_of[self._rows] = np.arange(first + len(new))
+        entry_of[self._rows] = np.arange(len(self._rows))
         batch = Batch(
             landmarks["position_local"][around],
             self._map.labels.classes(around),
@@ -155,7 +153,7 @@ class PlaceRetriever:
 
         Besides it there are as many as candidates of a query in the map.
         """
-        pairs = PairIndex(self._likelihood)
+        pairs = PairIndex(shipped_likelihood())
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.labels.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
