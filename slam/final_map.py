@@ -21,8 +21,7 @@ from slam.backend.solver import Optimization
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import apply_each, invert
-from slam.display.map_topics import Message
-from slam.localization.pose_output import MAP_FRAME
+from slam.display.map_topics import MAP_FRAME, Message
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe

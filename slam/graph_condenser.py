@@ -128,7 +128,7 @@ def find_anchors(
 
     Args:
         observations: keyframe and landmark of each, by the variables of landmarks.
-        keyframes: (K,) ids, in the order of the drive.
+        keyframes: (K,) ids, ascending: in the order of the drive.
         travel_m: (K,), of each.
         is_settled: (K,), which of them may be attached.
         may_anchor: (K,), which may be anchors.
@@ -163,8 +163,7 @@ def find_anchors(
 def _incidence(observations: Iterable[tuple[int, int]], keyframes: IntArray) -> sparse.csr_array:
     """Which keyframe observed which landmark, as ones in an array (K, L)."""
     pairs = np.unique(np.array(list(observations), dtype=np.int64).reshape(-1, 2), axis=0)
-    rows_of = {keyframe: row for row, keyframe in enumerate(keyframes.tolist())}
-    rows = np.array([rows_of[keyframe] for keyframe in pairs[:, 0].tolist()], dtype=np.int64)
+    rows = np.searchsorted(keyframes, pairs[:, 0])
     landmarks, columns = np.unique(pairs[:, 1], return_inverse=True)
     ones = np.ones(len(pairs), dtype=np.int64)
     return sparse.csr_array((ones, (rows, columns)), shape=(len(keyframes), len(landmarks)))

@@ -63,4 +63,4 @@ class LogMapper:
                 self.fixes.append(record)
             self.log.write_updates(self.slam.process(record), log_time_ns)
             if (snapshot := self.slam.snapshot()) is not None:
-                self.log.write_snapshot(snapshot, log_time_ns)
+                self.log.write_messages(snapshot, log_time_ns)

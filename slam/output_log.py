@@ -59,26 +59,27 @@ class OutputLog:
         for update in updates:
             if type(update) in _TOPICS:
                 self._write(_TOPICS[type(update)], update, log_time_ns)
-            for topic, message in self._shown(update):
-                self._write(topic, message, log_time_ns)
+            self.write_messages(self._shown(update), log_time_ns)
             if isinstance(update, SlamPose):
                 self.tracked += 1
                 if self._georeference is not None:
                     self._write(LOCATION, _location(update, self._georeference), log_time_ns)
 
-    def write_snapshot(self, snapshot: Iterable[Message], log_time_ns: int) -> None:
-        """Write a snapshot of the map for viewers."""
-        for topic, message in snapshot:
+    def write_messages(self, messages: Iterable[Message], log_time_ns: int) -> None:
+        """Write records, each to its topic."""
+        for topic, message in messages:
             self._write(topic, message, log_time_ns)
 
     def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
         """Write the results of the drive; ``georeference``: as it is known now."""
         if georeference is not None and self._writer is not None:
             self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
-        for topic, record in _final_records(final):
-            self._write(topic, record, log_time_ns)
-        for topic, message in (*self._shown(final.status), *final.snapshot):
-            self._write(topic, message, log_time_ns)
+        self._write("/slam/trajectory_stamped", final.trajectory, log_time_ns)
+        self._write("/slam/map", final.object_map, log_time_ns)
+        self._write(LANDMARKS, make_markers(final.object_map), log_time_ns)
+        self._write("/slam/graph", final.graph, log_time_ns)
+        self.write_updates([final.status], log_time_ns)
+        self.write_messages(final.snapshot, log_time_ns)
 
     def _shown(self, update: Record) -> Iterator[Message]:
         """Messages for viewers about an update: texts, and all frames that are known, so that they need no other."""
@@ -109,11 +110,3 @@ def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
     """The geodetic position of a pose in the map."""
     latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
     return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
-
-
-def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
-    yield "/slam/trajectory_stamped", final.trajectory
-    yield "/slam/map", final.object_map
-    yield LANDMARKS, make_markers(final.object_map)
-    yield "/slam/graph", final.graph
-    yield "/slam/status", final.status

@@ -165,9 +165,8 @@ def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[s
 def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:
     """First and last log time [ns] of the selected topics."""
     infos = [info for info in reader.topics() if info.topic in selection.topics]
-    first = [info.first_log_time_ns for info in infos if info.first_log_time_ns is not None]
-    last = [info.last_log_time_ns for info in infos if info.last_log_time_ns is not None]
-    return min(first, default=0), max(last, default=0)
+    ends = [ns for info in infos for ns in (info.first_log_time_ns, info.last_log_time_ns) if ns is not None]
+    return min(ends, default=0), max(ends, default=0)
 
 
 def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[SurveyedLog, LoggingDelays, ClockDrift]:
