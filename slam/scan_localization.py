@@ -11,12 +11,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
+from logs.messages import ObjectDetections, ObjectMapRecord
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.localization.prior_map import map_frame
 from slam.loop_closure.acceptance import Acceptance, Decision
-from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.candidate import Query, Verified
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
@@ -25,9 +25,6 @@ from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import TRAVEL_M
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import MIN_OBJECTS, Registration
-
-Verified = Candidate | LoopClosureRecord
-"""A candidate, or the record with the reason why there is none at a place."""
 
 
 class ScanLocalization(Registration):

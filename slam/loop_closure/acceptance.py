@@ -30,7 +30,7 @@ from logs.messages import LoopClosureRecord
 from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.loop_closure.candidate import Candidate, Query, suppress_non_maxima
+from slam.loop_closure.candidate import Candidate, Query, Verified, suppress_non_maxima
 from slam.loop_closure.verification import Verifier
 
 
@@ -56,7 +56,7 @@ class Acceptance:
         """Whether a candidate would be accepted if there was no other."""
         return candidate.score >= self._least_log_odds
 
-    def decide(self, query: Query, verified: Sequence[Candidate | LoopClosureRecord]) -> Decision:
+    def decide(self, query: Query, verified: Sequence[Verified]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
 
         Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern

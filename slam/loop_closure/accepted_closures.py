@@ -175,4 +175,4 @@ class AcceptedClosures:
             return False
         in_traversal = np.abs(travel_m - travel_m[query]) < self._min_travel_m
         # Two landmarks of one traversal are two objects; one that stands for two traversals is not merged into a third.
-        return bool(in_traversal[canonical == query].all() and not in_traversal[canonical == kept].any())
+        return in_traversal[canonical == query].all() and not in_traversal[canonical == kept].any()

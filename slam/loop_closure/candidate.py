@@ -84,6 +84,10 @@ class Candidate:
         )
 
 
+Verified = Candidate | LoopClosureRecord
+"""A candidate, or the record with the reason why there is none at a place."""
+
+
 @frozen
 class Query:
     """A keyframe and the landmarks around it that its traversal found, in its gravity frame.

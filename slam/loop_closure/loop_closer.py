@@ -24,7 +24,7 @@ from slam.localization.continuity_monitor import ContinuityMonitor
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
-from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.candidate import Candidate, Query, Verified
 from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
@@ -54,7 +54,7 @@ class Predicted:
     """The place of a query that an accepted closure predicts, and the candidate there, or why there is none."""
 
     place: Place
-    verified: Candidate | LoopClosureRecord
+    verified: Verified
 
 
 class LoopCloser:
@@ -204,7 +204,7 @@ class LoopCloser:
         since_m = query.keyframe.odometry.travel_m - last.keyframe.odometry.travel_m
         return last if is_alike and since_m < self._config.propagation_distance_m else None
 
-    def _look_up(self, query: Query) -> tuple[Query, list[Candidate | LoopClosureRecord]]:
+    def _look_up(self, query: Query) -> tuple[Query, list[Verified]]:
         """The query that was asked last, and the candidates at the proposed places, or the reasons why there is none.
 
         If the robot is lost and no candidate is acceptable, landmarks that are not confirmed yet are used, too.
@@ -222,7 +222,7 @@ class LoopCloser:
             verified = [query.refusal(Stage.RETRIEVAL, reason)]
         return query, verified
 
-    def _retrieve(self, query: Query) -> list[Candidate | LoopClosureRecord]:
+    def _retrieve(self, query: Query) -> list[Verified]:
         """The candidates at the places that retrieval proposes."""
         if len(query.submap) < MIN_INLIERS:
             return []

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from logs.closures import Stage
-from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, fit_yaw_translation, gravity_frame, invert, yaw_rad
 from slam.localization.pose_prior import PosePrior, failure_probability
-from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.candidate import Candidate, Query, Verified
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratios
 from slam.object_map.submap import Submap
 from slam.odometry.drift import KeyframeTrack
@@ -76,7 +75,7 @@ class Verifier:
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
-    def verify(self, query: Query, place: Place) -> Candidate | LoopClosureRecord:
+    def verify(self, query: Query, place: Place) -> Verified:
         """The candidate at a place, or the record with the reason for its rejection."""
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
         registration = register(query.submap, submap, place.T_local_query, self._registration)
