@@ -61,7 +61,7 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     # Two landmarks fix the position and the heading of a keyframe in the plane.
     observed = np.bincount(keyframes, minlength=len(travel_m)) >= 2
     ways_m = np.diff(np.concatenate([[0.0], travel_m[observed], travel_m[-1:]]))
-    share = float(ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9))
+    share = ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9)
     if share < 0.1:
         return []
     return [

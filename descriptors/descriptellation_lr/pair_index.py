@@ -170,7 +170,8 @@ class PairIndex:
             sigmas_m: (N,) of a coordinate of each object, of query and map together.
             allowed: which objects of the map, by their number, may be matched; all by default.
         """
-        found = [_nothing()]
+        none = np.zeros((0, 2), dtype=np.int64)
+        found = [PairMatches(none, none, np.zeros(0))]
         if len(positions) >= 2 and self.unit_m is not None:
             pairs = self._asked(positions / self.unit_m, labels)
             asked = self._ask(pairs, labels, sigmas_m / self.unit_m)
@@ -356,7 +357,3 @@ def _largest(counters: list[Words], eligible: Words, count: int) -> tuple[IntArr
 def _ones(words: Words) -> IntArray:
     """How many bits of each row (B, W) are set."""
     return np.asarray(np.bitwise_count(words).sum(axis=1, dtype=np.int64))
-
-
-def _nothing() -> PairMatches:
-    return PairMatches(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros(0))

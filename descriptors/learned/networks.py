@@ -100,7 +100,7 @@ def vectors_of(network: nn.Module, constellations: Constellations, device: torch
         raise DescriptorError(
             f"{architecture.name}: returns shape {shape} for {len(constellations)} constellations; give {expected}"
         )
-    if not bool(torch.isfinite(vectors).all()):
+    if not torch.isfinite(vectors).all():
         raise DescriptorError(f"{architecture.name}: returns numbers that are not finite")
     return vectors
 

@@ -157,7 +157,7 @@ class Solver:
         """Of the information of all variables together."""
         with gtsam_errors("the elimination of all variables"):
             linear = self._graph().linearize(self.values())
-            return 2.0 * float(linear.eliminateMultifrontal().logDeterminant())
+            return 2.0 * linear.eliminateMultifrontal().logDeterminant()
 
     def _graph(self) -> gtsam.NonlinearFactorGraph:
         return graph_of(self._factors[number] for number in sorted(self._factors))

@@ -72,7 +72,7 @@ def view_change(before: FloatArray, after: FloatArray) -> FloatArray:
 
 def left_jacobian(vector: FloatArray) -> FloatArray:
     """Left Jacobian (3, 3) of the rotation by a vector (3,) rad (Barfoot, State Estimation for Robotics, eq. 7.37)."""
-    angle = math.sqrt(float(vector @ vector))
+    angle = math.sqrt(vector @ vector)
     K = skew(vector)
     if angle < 1e-6:
         return np.eye(3) + 0.5 * K
@@ -110,7 +110,7 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
     doubled_sine = np.hypot(
         np.hypot(T[..., 2, 1] - T[..., 1, 2], T[..., 0, 2] - T[..., 2, 0]), T[..., 1, 0] - T[..., 0, 1]
     )
-    return np.asarray(np.arctan2(doubled_sine, T[..., 0, 0] + T[..., 1, 1] + T[..., 2, 2] - 1.0))
+    return np.arctan2(doubled_sine, T[..., 0, 0] + T[..., 1, 1] + T[..., 2, 2] - 1.0)
 
 
 def rotation_of(vector: FloatArray) -> FloatArray:
@@ -120,7 +120,7 @@ def rotation_of(vector: FloatArray) -> FloatArray:
 
 def yaw_rad(T: FloatArray) -> FloatArray:
     """Heading (...) of the x axis about z, in (-pi, pi], of transforms (..., 4, 4)."""
-    return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
+    return np.arctan2(T[..., 1, 0], T[..., 0, 0])
 
 
 def gravity_frame(T: FloatArray) -> FloatArray:

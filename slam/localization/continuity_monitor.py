@@ -48,16 +48,6 @@ class _Step:
     seen: IntArray
 
 
-@frozen
-class _Sides:
-    """After and before each of S times, (2, S, N): the probability that a landmark, which is known from the other side,
-    was in view, 0 if it is not; and whether it was seen.
-    """
-
-    in_view: FloatArray
-    seen: FloatArray
-
-
 class ContinuityMonitor:
     """The test at each keyframe, for every earlier time within two sensor ranges of travel on its segment."""
 
@@ -82,10 +72,10 @@ class ContinuityMonitor:
         landmarks = object_map.rows[rows]
         if self._steps and self._steps[-1].pose.segment != pose.segment:
             self._steps.clear()
-        self.kidnapping_probability = float(np.exp(self._log_prior))
+        self.kidnapping_probability = np.exp(self._log_prior)
         since_m = self._steps[-1].pose.travel_m if self._steps else -np.inf
-        seen = rows[landmarks["last_seen_travel_m"] > since_m]
-        self._steps.append(_Step(pose, invert(gravity_frame(keyframe.T_local_body)), seen))
+        seen_since = rows[landmarks["last_seen_travel_m"] > since_m]
+        self._steps.append(_Step(pose, invert(gravity_frame(keyframe.T_local_body)), seen_since))
         while self._steps[-1].pose.travel_m - self._steps[0].pose.travel_m > self._memory_m:
             self._steps.popleft()
         if len(self._steps) < 2 or not len(rows):
@@ -95,17 +85,17 @@ class ContinuityMonitor:
         times_m = times_m[(times_m >= self._steps[0].pose.travel_m) & (times_m < self._steps[-1].pose.travel_m)]
         if not len(times_m):
             return None
-        sides = self._sides(landmarks, times_m)
-        llrs = self._log_likelihood_ratios(sides)
-        self.kidnapping_probability = float(expit(llrs.max() + self._log_prior))
-        missed = ((sides.in_view[0] > 0.5) & (sides.seen[0] == 0.0)).sum(axis=1)
+        in_view, seen = self._sides(landmarks, times_m)
+        llrs = self._log_likelihood_ratios(in_view, seen)
+        self.kidnapping_probability = expit(llrs.max() + self._log_prior)
+        missed = ((in_view[0] > 0.5) & (seen[0] == 0.0)).sum(axis=1)
         new = (landmarks["first_seen_travel_m"] > times_m[:, None]).sum(axis=1)
         # A sensor that goes blind misses landmarks, but sees nothing new.
         noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= 2))
         if len(noticed):
             return float(times_m[noticed[np.argmax(llrs[noticed])]])
         if llrs.max() <= 0.0:  # else it might learn from the kidnapping that landmarks are missed
-            self._learn(landmarks, rows, sides)
+            self._learn(landmarks, rows, in_view, seen)
         return None
 
     def _recent(self, pose: OdometryPose, object_map: ObjectMap) -> IntArray:
@@ -117,7 +107,10 @@ class ContinuityMonitor:
             & (landmarks["last_seen_travel_m"] > pose.travel_m - self._memory_m)
         )
 
-    def _sides(self, landmarks: NDArray[np.void], times_m: FloatArray) -> _Sides:
+    def _sides(self, landmarks: NDArray[np.void], times_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """After and before each of S times, (2, S, N): the probability that a landmark, which is known from the other
+        side, was in view, 0 if it is not; and whether it was seen.
+        """
         T_gravity_local = np.array([step.T_gravity_local for step in self._steps])
         in_body = apply(T_gravity_local, landmarks["position_local"])  # (S, N, 3)
         shares = self._visibility.probability(in_body.reshape(-1, 3)).reshape(in_body.shape[:2])
@@ -131,16 +124,16 @@ class ContinuityMonitor:
         seen_after = landmarks["last_seen_travel_m"] > times_m[:, None]
         known = np.stack([known_before, seen_after])
         seen = np.stack([seen_after, known_before])
-        return _Sides(np.where(known, -np.expm1(np.stack([after, before])), 0.0), seen.astype(np.float64))
+        return np.where(known, -np.expm1(np.stack([after, before])), 0.0), seen.astype(np.float64)
 
-    def _log_likelihood_ratios(self, sides: _Sides) -> FloatArray:
+    def _log_likelihood_ratios(self, in_view: FloatArray, seen: FloatArray) -> FloatArray:
         """LLR (S,) of a kidnapping at each time; a sensor that misses as much as chance tells nothing."""
         detected = np.maximum(self._counts[:, 0] / self._counts.sum(axis=1), FALSE_MATCH_PROBABILITY)[:, None, None]
-        of_seen = np.where(sides.in_view > 0.0, np.log(FALSE_MATCH_PROBABILITY / detected), 0.0)
-        of_missed = np.log1p(-FALSE_MATCH_PROBABILITY * sides.in_view) - np.log1p(-detected * sides.in_view)
-        return np.asarray(np.where(sides.seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
+        of_seen = np.where(in_view > 0.0, np.log(FALSE_MATCH_PROBABILITY / detected), 0.0)
+        of_missed = np.log1p(-FALSE_MATCH_PROBABILITY * in_view) - np.log1p(-detected * in_view)
+        return np.asarray(np.where(seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
 
-    def _learn(self, landmarks: NDArray[np.void], rows: IntArray, sides: _Sides) -> None:
+    def _learn(self, landmarks: NDArray[np.void], rows: IntArray, in_view: FloatArray, seen: FloatArray) -> None:
         """Region in which existing landmarks are observed, and the share of those in view that are observed."""
         middle = len(self._steps) // 2
         step = self._steps[middle]
@@ -150,8 +143,8 @@ class ContinuityMonitor:
             apply(step.T_gravity_local, landmarks["position_local"][there]),
             np.isin(rows[there], step.seen, assume_unique=True),
         )
-        index = sides.seen.shape[1] // 2
-        in_view, seen = sides.in_view[:, index], sides.seen[:, index]
+        index = seen.shape[1] // 2
+        in_view, seen = in_view[:, index], seen[:, index]
         # Each landmark is in the middle of the window for as many keyframes as the window has on one side of it.
         self._counts += np.stack([(in_view * seen).sum(axis=1), (in_view * (1.0 - seen)).sum(axis=1)], axis=1) / (
             middle + 1.0

@@ -72,7 +72,7 @@ def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) ->
     turn, shift, error_m = _fit(xy, east_north, sigmas)
     if np.std(xy) < 3.0 * error_m:
         return None
-    height_m = float(np.median(places[:, 2] - path[:, 2]))
+    height_m = np.median(places[:, 2] - path[:, 2])
     origin = start.to_geodetic(np.array([[shift.real, shift.imag, height_m]]))[0]
     return replace(Georeference(*origin.tolist()), yaw_rad=float(np.angle(turn)))
 
@@ -97,5 +97,5 @@ def _fit(xy: np.ndarray, places: np.ndarray, sigmas: FloatArray) -> tuple[comple
         off = places - np.exp(1j * yaw_rad) * xy
         fits.append(least_squares(residuals, [yaw_rad, np.median(off.real), np.median(off.imag)], loss="cauchy"))
     yaw_rad, x, y = min(fits, key=lambda fit: fit.cost).x
-    turn, shift = complex(np.exp(1j * yaw_rad)), complex(x, y)
-    return turn, shift, float(np.median(np.abs(places - turn * xy - shift)))
+    turn, shift = np.exp(1j * yaw_rad), complex(x, y)
+    return turn, shift, np.median(np.abs(places - turn * xy - shift))

@@ -48,7 +48,7 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
 
 
 def _check_origin(source: str, positions: FloatArray, origin: Georeference) -> None:
-    nearest_m = float(np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf))
+    nearest_m = np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf)
     # Coordinates that are farther away count from elsewhere, as those of national grids do.
     if 200_000.0 < nearest_m < np.inf:
         raise SavedMapError(

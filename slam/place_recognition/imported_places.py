@@ -57,7 +57,7 @@ class ImportedPlaces:
     @property
     def positions(self) -> FloatArray:
         """Positions (N, 2) m of all objects of the map."""
-        return np.asarray(self._imported.positions[:, :2])
+        return self._imported.positions[:, :2]
 
     def propose(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` likeliest places of a query, given in its gravity frame."""

@@ -41,6 +41,6 @@ class InitialPose:
             return False
         if self.yaw_rad is None:
             return True
-        off_rad = float(yaw_rad(T_map_query)) - self.yaw_rad - float(yaw_rad(T_first_query))
+        off_rad = yaw_rad(T_map_query) - self.yaw_rad - yaw_rad(T_first_query)
         # The standard deviation of a heading that a person gives is that of RViz's pose estimate.
         return bool(abs(np.angle(np.exp(1j * off_rad))) <= GATE_SIGMAS * np.pi / 12.0)

@@ -83,7 +83,7 @@ def register(query: Submap, reference: Submap, T_initial: FloatArray, config: Re
     place = apply(T_initial, query_middle[None])[0] - reference_middle
     turn = np.exp(1j * yaw_rad(T_initial))
     plane, reference_plane = (points[:, 0] + 1j * points[:, 1] for points in (query_xyz, reference_xyz))
-    pose = LevelPose(complex(turn), complex(*place[:2]), float(place[2]))
+    pose = LevelPose(turn, complex(*place[:2]), place[2])
     sigma_m = np.hypot(query.sigmas.max(), reference.sigmas.max())
     # Objects farther apart are not matched while the pose is refined.
     reach_m = 2.0 * max(config.search_radius_m, GATE_SIGMA * sigma_m)
@@ -161,7 +161,7 @@ class Pairs:
         is_turn = abs(cross) > 1e-9 * (planar @ (1.0 + np.abs(self.query) ** 2))
         turn = cross / abs(cross) if is_turn else pose.turn
         rise = vertical @ (self.reference_z - self.query_z) / vertical.sum()
-        return LevelPose(complex(turn), complex(mean_reference - turn * mean_query), float(rise))
+        return LevelPose(turn, mean_reference - turn * mean_query, rise)
 
 
 def _refine_pose(pose: LevelPose, pairs: Pairs, search_radius_m: float) -> LevelPose:

@@ -61,7 +61,7 @@ odometry is moved; beyond that, detections were old when they were stamped.
 CLAIMED_FACTOR = 4.0
 """Variances that messages claim are right within that factor."""
 NO_DELAYS = LoggingDelays()
-DEFAULT_RANGE_M = float(DetectionCalibration().sensor_range_m)
+DEFAULT_RANGE_M = DetectionCalibration().sensor_range_m
 MAX_SCALE = 1e30
 """Lengths so many times the usual ones, or a part of them as small, are beyond float64 in their powers."""
 _MEANINGS = {
@@ -150,7 +150,7 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
     else:
         values["odometry.time_offset_s"] = -survey.delay_s
     if not 1.0 / CLAIMED_FACTOR < survey.claimed_ratio < CLAIMED_FACTOR and np.isfinite(survey.claimed_ratio):
-        values["detection.claimed_sigma_factor"] = float(np.sqrt(survey.claimed_ratio))
+        values["detection.claimed_sigma_factor"] = np.sqrt(survey.claimed_ratio)
     if survey.labels.is_useless:
         values["objects.max_classes"] = 1
     return values

@@ -61,7 +61,7 @@ def _regress(x: FloatArray, y: FloatArray) -> float:
     slope = 0.0
     for _ in range(ROUNDS):
         weighted = weights * x
-        slope = float(np.sum(weighted * y) / max(float(np.sum(weighted * x)), 1e-300))
+        slope = np.sum(weighted * y) / max(np.sum(weighted * x), 1e-300)
         residuals = y - slope * x
         scale = CAUCHY * 1.4826 * np.median(np.abs(residuals)) + 1e-12
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)

@@ -125,7 +125,7 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
         gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
         values = alone[:, number] / regression.scale[number]
         gain, is_sure = min(gain, gain_of_part), is_sure and is_sure_of_part
-        found.append(Correction(term, float(values.mean()), gain, is_sure))
+        found.append(Correction(term, values.mean(), gain, is_sure))
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
@@ -162,7 +162,7 @@ def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
         parts, after = _held_out(both, right[:, columns] * later, squared, everything)
         gain, is_sure = _gain(before, after)
         if is_sure and gain >= most:
-            value = float(parts[:, -1].mean() / regression.scale[number])
+            value = parts[:, -1].mean() / regression.scale[number]
             best, most = Change(TERMS[number], value, int(regression.scans[start])), gain
     return best
 
@@ -201,7 +201,7 @@ def is_beyond_chance(gains: FloatArray) -> bool:
 def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:
     """The share by which squared residuals (B,) of blocks are less, and whether that is more than chance."""
     gains = before - after
-    return float(gains.sum() / max(float(before.sum()), 1e-300)), is_beyond_chance(gains)
+    return gains.sum() / max(before.sum(), 1e-300), is_beyond_chance(gains)
 
 
 def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:

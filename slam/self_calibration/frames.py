@@ -78,15 +78,14 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
     found = [_evidence(scans, spacing_m, factor) for factor in factors.tolist()]
     best = np.argmax([np.sum(each) for each in found])
     is_sure = is_positive(found[best]) and np.mean(found[best]) > np.log(FACTOR)
-    return float(factors[best]) if is_sure and _is_nearer(scans, spacing_m, float(factors[best])) else 1.0
+    return factors[best] if is_sure and _is_nearer(scans, spacing_m, factors[best]) else 1.0
 
 
 def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
     """The scans (K) of a body that heads in the direction of its path."""
     positions = poses_of(scans)[:, :3, 3]
     ahead = np.gradient(positions[:, :2], axis=0)
-    poses = transform_from_xyz_yaw(positions, np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
+    return _with_poses(scans, transform_from_xyz_yaw(positions, np.arctan2(ahead[:, 1], ahead[:, 0])))
 
 
 def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float = 1.0) -> FloatArray:
@@ -108,6 +107,11 @@ def _is_nearer(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> 
 
 
 def _pairs_of_unit(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> ScanPairs:
-    poses = [make_transform(scan.T_odom_body[:3, :3], factor * scan.T_odom_body[:3, 3]) for scan in scans]
-    scaled = [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
-    return ScanPairs.by_travel(scaled, spacing_m)
+    poses = poses_of(scans)
+    poses[:, :3, 3] *= factor
+    return ScanPairs.by_travel(_with_poses(scans, poses), spacing_m)
+
+
+def _with_poses(scans: Sequence[SurveyScan], T_odom_body: FloatArray) -> list[SurveyScan]:
+    """The scans (K) of a body at other poses (K, 4, 4)."""
+    return [replace(scan, T_odom_body=T) for scan, T in zip(scans, T_odom_body, strict=True)]

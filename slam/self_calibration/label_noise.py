@@ -63,7 +63,7 @@ def estimate_label_noise(scans: Sequence[SurveyScan], headings_rad: FloatArray) 
     is_renamed = _log_likelihood_ratio(followed, changes) > np.log(len(scans) / RENAMING)
     renamed = np.flatnonzero(is_renamed & (followed > FOLLOWED * in_view))
     # Where none of n pairs differs, one of n + 2 is expected to (Laplace): no label is right for certain.
-    accuracy = min(float(np.sqrt(max(kappa, 0.0))), 1.0 - 1.0 / (len(changed) + 2.0))
+    accuracy = min(np.sqrt(max(kappa, 0.0)), 1.0 - 1.0 / (len(changed) + 2.0))
     return LabelNoise(accuracy, scans[renamed[0]].stamp_ns if len(renamed) else None)
 
 

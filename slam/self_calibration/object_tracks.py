@@ -131,7 +131,7 @@ def _noise_ratio(tracks: ObjectTracks) -> float:
     along = np.median(np.abs(np.einsum("ni,ni->n", steps, offsets)))
     across = np.median(np.abs(steps[:, 1] * offsets[:, 0] - steps[:, 0] * offsets[:, 1]))
     is_exact = max(along, across) < ROUNDING * np.mean(offsets**2)
-    return 1.0 if is_exact else float(np.clip(along / max(across, along / MAX_RATIO), 1.0 / MAX_RATIO, MAX_RATIO))
+    return 1.0 if is_exact else np.clip(along / max(across, along / MAX_RATIO), 1.0 / MAX_RATIO, MAX_RATIO)
 
 
 @frozen
@@ -182,7 +182,7 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
         return Detectability()
     counts = np.bincount(gaps)
     period = int(np.argmax(counts))
-    return Detectability(period, float(counts[period] / len(gaps)))
+    return Detectability(period, counts[period] / len(gaps))
 
 
 def _missed_scans(found: Detectability) -> int:

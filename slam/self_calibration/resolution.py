@@ -53,7 +53,7 @@ def _cluster_size(distances: FloatArray, limit_m: float) -> float:
     sizes = distances[distances < limit_m]
     within_twice = np.searchsorted(distances, 2.0 * sizes, side="right")
     excess = CLUSTERED * np.arange(1, len(sizes) + 1) - within_twice
-    return float(sizes[np.argmax(excess)]) if excess.max(initial=0.0) > 0.0 else 0.0
+    return sizes[np.argmax(excess)] if excess.max(initial=0.0) > 0.0 else 0.0
 
 
 def _offsets_that_stay(scans: Sequence[SurveyScan], size_m: float) -> BoolArray:

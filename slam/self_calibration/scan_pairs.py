@@ -105,7 +105,7 @@ def spacing_of(scans: Sequence[SurveyScan]) -> float:
     """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most its range."""
     some = scans[:: max(len(scans) // SAMPLED_SCANS, 1)]
     nearest = [nearest_of_class_m(scan.positions, scan.labels) for scan in some]
-    return min(float(np.median(np.concatenate(nearest))), median_range(scans))
+    return min(np.median(np.concatenate(nearest)), median_range(scans))
 
 
 def median_range(scans: Sequence[SurveyScan]) -> float:
@@ -143,4 +143,4 @@ def _reached(way: FloatArray, least: float) -> IntArray:
 
 def _evenly(pairs: IntArray, count: int) -> IntArray:
     chosen = np.linspace(0, len(pairs) - 1, min(count, len(pairs))).astype(np.int64)
-    return np.asarray(pairs[np.unique(chosen)])
+    return pairs[np.unique(chosen)]

@@ -263,24 +263,24 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     motion = Motion(travelled_m(poses[:, :2, 3]), headings, stamps_s, poses[:, 2, 3])
     ranges = ranges_m(scans)
     biases = centroid_biases(tracks)
-    median_range_m = float(np.median(ranges))
+    median_range_m = np.median(ranges)
     components = _components(without_bias(tracks, biases), motion, is_planar=_is_planar(scans))
     # A detection errs by its own noise and by what changes with the view.
     variance = components.white(median_range_m**2) + components.variances.view if components is not None else 0.0
     return Survey(
         scans=len(scans),
         detections=len(ranges),
-        range_m=float(np.quantile(ranges, RANGE_QUANTILE)),
+        range_m=np.quantile(ranges, RANGE_QUANTILE),
         median_range_m=median_range_m,
-        max_range_m=float(ranges.max()),
+        max_range_m=ranges.max(),
         spacing_m=_spacing(scans),
         objects=len(ranges) / len(scans),
-        interval_s=float(np.median(np.diff(stamps_s))) if len(scans) > 1 else 0.0,
-        travel_m=float(motion.travel_m[-1]),
-        turn_rad=float(motion.turn_rad[-1]),
-        duration_s=float(stamps_s[-1]),
+        interval_s=np.median(np.diff(stamps_s)) if len(scans) > 1 else 0.0,
+        travel_m=motion.travel_m[-1],
+        turn_rad=motion.turn_rad[-1],
+        duration_s=stamps_s[-1],
         claimed_ratio=_claimed_ratio(tracks, components),
-        shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
+        shared_bias_m=np.sqrt(np.mean(biases[tracks.labels] ** 2)) if len(tracks.labels) else 0.0,
         components=components,
         detectability=detectability_of(tracks),
         clutter_density=clutter_density(scans, len(tracks.track), np.sqrt(variance)),
@@ -310,14 +310,14 @@ def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> Com
     _, row = np.unique(tracks.track, return_inverse=True)
     means = np.bincount(row, tracks.heights) / np.bincount(row)
     # The median of chi-squared with one degree of freedom is 0.455.
-    rise = float(np.median((tracks.heights - means[row]) ** 2)) / 0.455
+    rise = np.median((tracks.heights - means[row]) ** 2) / 0.455
     return replace(estimate, variances=replace(estimate.variances, rise=rise))
 
 
 def _spacing(scans: Sequence[SurveyScan]) -> float:
     distances = np.concatenate([nearest_of_class_m(scan.positions[:, :2], scan.labels) for scan in scans])
     distances = distances[np.isfinite(distances)]
-    return float(np.median(distances)) if len(distances) else float("nan")
+    return np.median(distances) if len(distances) else float("nan")
 
 
 def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:

@@ -157,7 +157,7 @@ def _path_length(poses: FloatArray) -> float:
     """Length [m] of the path through poses (K, 4, 4); single messages that are far off add little."""
     steps_m = step_lengths(poses[:, :3, 3])
     moved = steps_m > 0.0
-    return float(np.minimum(steps_m, CLIP * np.median(steps_m[moved])).sum()) if moved.any() else 0.0
+    return np.minimum(steps_m, CLIP * np.median(steps_m[moved])).sum() if moved.any() else 0.0
 
 
 def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:

@@ -147,8 +147,8 @@ def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
         return tracks
     _, start, row = np.unique(tracks.track, return_index=True, return_inverse=True)
     room = np.minimum.reduceat(tracks.rooms, start)[row]
-    sigma = float(np.median(steps)) / 1.1774
-    kept = room >= min(ROOM_SIGMAS * sigma, float(np.quantile(room, 1.0 - LEAST_SHARE, method="lower")))
+    sigma = np.median(steps) / 1.1774
+    kept = room >= min(ROOM_SIGMAS * sigma, np.quantile(room, 1.0 - LEAST_SHARE, method="lower"))
     return tracks.of(kept)
 
 
@@ -176,7 +176,7 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     if not lags:
         return None
     first, second = (np.concatenate(each) for each in zip(*lags, strict=True))
-    unit_m = float(np.median(np.hypot(*tracks.offsets.T)))
+    unit_m = np.median(np.hypot(*tracks.offsets.T))
     if not 1.0 / MAX_UNIT_M < unit_m < MAX_UNIT_M:
         return None
     lag = np.repeat(np.arange(len(lags)), [len(each) for each, _ in lags])
@@ -224,7 +224,7 @@ class _Fit:
         self._y = np.where(limit > 0.0, np.clip(y, -limit, limit), y)
         own, shared = _own_parts(pairs)[:, :, : axes.shape[1]], _shared_parts(pairs)
         self._parts = own, shared
-        square = max(float(np.mean(self._y**2)), ROUNDING)
+        square = max(np.mean(self._y**2), ROUNDING)
         sums = np.concatenate([own.mean(axis=(1, 2)), (shared * self._levers()).sum(axis=2).mean(axis=1)])
         share = 1.0 / (OWN + SHARED)
         self.variances = np.where(sums > 0.0, share * square / np.maximum(sums, 1e-300), 0.0)
@@ -250,7 +250,7 @@ class _Fit:
     def _levers(self) -> FloatArray:
         """(G, 7) mean squares of the displacement by one unit of each entry of xi."""
         counts = np.diff(np.append(self._start, len(self._y)))[:, None]
-        return np.asarray(np.add.reduceat((self._A**2).mean(axis=1), self._start, axis=0) / counts)
+        return np.add.reduceat((self._A**2).mean(axis=1), self._start, axis=0) / counts
 
     def _sums(self) -> tuple[FloatArray, FloatArray]:
         """For each component and block (18, BLOCKS) d' S^-1 V S^-1 d and tr(S^-1 V); updates the weights."""
@@ -293,8 +293,8 @@ class _Fit:
 def _weights(squares: FloatArray, size: int) -> FloatArray:
     """Weights of Student's t-distribution for squared distances of vectors, 1 in the mean where these are Gaussian."""
     halves, shares = roots_genlaguerre(QUADRATURE, 0.5 * size - 1.0)  # of the chi-squared distribution
-    mean = float(np.average(2.0 * halves * (FREEDOM + size) / (FREEDOM + 2.0 * halves), weights=shares))
-    return np.asarray(size / mean * (FREEDOM + size) / (FREEDOM + squares))
+    mean = np.average(2.0 * halves * (FREEDOM + size) / (FREEDOM + 2.0 * halves), weights=shares)
+    return size / mean * (FREEDOM + size) / (FREEDOM + squares)
 
 
 def _by_block(values: FloatArray, block: IntArray) -> FloatArray:
@@ -307,8 +307,8 @@ def _axes(pairs: _Displacements) -> FloatArray:
     r = np.maximum(np.hypot(pairs.x[:, 0], pairs.x[:, 1]), 1e-12)
     x, y, zero = pairs.x[:, 0] / r, pairs.x[:, 1] / r, np.zeros(len(r))
     axes = np.array([[x, y, zero], [-y, x, zero], [zero, zero, zero + 1.0]])
-    has_heights = bool(np.abs(pairs.d[:, 2]).max() > 1e-9)
-    return np.asarray(axes.transpose(2, 0, 1)[:, : 3 if has_heights else 2])
+    has_heights = np.abs(pairs.d[:, 2]).max() > 1e-9
+    return axes.transpose(2, 0, 1)[:, : 3 if has_heights else 2]
 
 
 def _jacobians(pairs: _Displacements) -> FloatArray:

@@ -76,7 +76,7 @@ def _is_better(differences: FloatArray, counts: IntArray, blocks: IntArray) -> b
     """
     of_block = np.bincount(blocks, counts)
     informative = of_block > 0
-    advantage = float(differences.sum() / counts.sum())
+    advantage = differences.sum() / counts.sum()
     residuals = (np.bincount(blocks, differences) - advantage * of_block)[informative]
     degrees = len(residuals) - 1
     sigma = np.sqrt((residuals**2).sum() * (degrees + 1) / degrees) / counts.sum()

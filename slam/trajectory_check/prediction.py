@@ -36,16 +36,16 @@ class SampledScan:
 
 
 class VisitPredictor:
-    """Predicts scans by trajectories; ``sigma_m``: deviation of an object's position between two visits."""
+    """Predicts scans, one at least, by trajectories; ``sigma_m``: deviation of an object's position between visits."""
 
     def __init__(self, scans: tuple[SampledScan, ...], *, sensor_range_m: float, sigma_m: float) -> None:
         self._range_m = sensor_range_m
         self._sigma_m = sigma_m
         self._travel_m = np.array([scan.travel_m for scan in scans])
-        positions = np.concatenate([np.zeros((0, 3)), *(scan.positions for scan in scans)])
+        positions = np.concatenate([scan.positions for scan in scans])
         in_range = np.linalg.norm(positions, axis=1) < sensor_range_m
         self._positions = positions[in_range]
-        self._labels = np.concatenate([np.zeros(0, dtype=np.int64), *(scan.labels for scan in scans)])[in_range]
+        self._labels = np.concatenate([scan.labels for scan in scans])[in_range]
         self._scan_of = np.repeat(np.arange(len(scans)), [len(scan.positions) for scan in scans])[in_range]
         self._starts = np.searchsorted(self._scan_of, np.arange(len(scans) + 1))
         self._shares = np.bincount(self._labels) / max(len(self._labels), 1)
@@ -90,7 +90,7 @@ class VisitPredictor:
         kernels = np.where(self._labels[chosen][:, None] == labels, kernels, 0.0)
         chance = self._view.density(positions) * self._shares[self._labels[chosen]]
         ratios = kernels @ expected / (expected.sum() * np.maximum(chance, np.finfo(np.float64).tiny))
-        return float(np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum()), len(chosen)
+        return np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum(), len(chosen)
 
 
 class _FieldOfView:

@@ -61,7 +61,7 @@ def _linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -
     Rows are in the order of the factors, columns in that of the keys of the variables.
     """
     linear = without_kernels(factors, values).linearize(values)
-    row, column, entry = np.asarray(linear.sparseJacobian_())
+    row, column, entry = linear.sparseJacobian_()
     # Both are counted from one; the last column is the right side.
     places = row.astype(np.int32) - 1, column.astype(np.int32) - 1
     system = sparse.csc_array((entry, places), shape=(places[0].max() + 1, values.dim() + 1))

@@ -15,7 +15,6 @@ from slam.localization.continuity_monitor import (
     PRIOR_EXPECTED,
     ContinuityMonitor,
     Visibility,
-    _Sides,
 )
 from slam.object_map.landmarks import LANDMARK, LandmarkState
 from slam.odometry.keyframe import Keyframe
@@ -165,7 +164,7 @@ def test_sightings_speak_against_a_kidnapping_and_misses_for_it():
     monitor._counts[:] = [[9.0, 1.0], [7.0, 3.0]]
     in_view, seen = np.array([[[0.5, 1.0]], [[0.0, 0.8]]]), np.array([[[0.0, 1.0]], [[1.0, 0.0]]])
     missed = (1.0 - 0.5 * by_chance) / (1.0 - 0.5 * 0.9) * (1.0 - 0.8 * by_chance) / (1.0 - 0.8 * 0.7)
-    found = monitor._log_likelihood_ratios(_Sides(in_view, seen))
+    found = monitor._log_likelihood_ratios(in_view, seen)
     np.testing.assert_allclose(found, [np.log(missed * by_chance / 0.9)])
 
 
