@@ -44,9 +44,9 @@ class LabelNoise:
         return self.renamed_ns is not None or self.accuracy**2 < SLIGHT
 
 
-def estimate_label_noise(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> LabelNoise:
-    """The noise of the labels in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame."""
-    tracks = objects_among(follow_objects(scans, headings_rad, by_class=False))
+def estimate_label_noise(scans: Sequence[SurveyScan]) -> LabelNoise:
+    """The noise of the labels in ``scans`` (K)."""
+    tracks = objects_among(follow_objects(scans, by_class=False))
     same = tracks.track[1:] == tracks.track[:-1]
     if int(same.sum()) < LEAST_PAIRS:
         return LabelNoise()

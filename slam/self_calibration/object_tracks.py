@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.common.geometry import unit_vectors
+from slam.common.geometry import unit_vectors, yaw_rad
 from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
@@ -57,6 +57,11 @@ class SurveyScan:
 def poses_of(scans: Sequence[SurveyScan]) -> FloatArray:
     """``T_odom_body`` (K, 4, 4) of scans, one at least."""
     return np.stack([scan.T_odom_body for scan in scans])
+
+
+def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
+    """Unwrapped headings (K,) rad of the body at scans."""
+    return np.unwrap(yaw_rad(poses_of(scans))) if scans else np.zeros(0)
 
 
 def ranges_m(scans: Sequence[SurveyScan]) -> FloatArray:
@@ -106,8 +111,8 @@ class ObjectTracks:
         return np.concatenate(firsts), np.concatenate(seconds)
 
 
-def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool = True) -> ObjectTracks:
-    """Tracks of the objects in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame.
+def follow_objects(scans: Sequence[SurveyScan], *, by_class: bool = True) -> ObjectTracks:
+    """Tracks of the objects in ``scans`` (K).
 
     ``by_class``: a track has one class; else objects are followed by their positions alone.
     """
@@ -116,10 +121,10 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_
         return ObjectTracks(none, none, nowhere, nowhere, none, *np.zeros((4, 0)))
     ratio = 1.0
     for _ in range(RATIO_ROUNDS):
-        tracks = objects_among(_follow(scans[:SAMPLED_SCANS], headings_rad, MOST_MISSED, ratio, by_class=by_class))
+        tracks = objects_among(_follow(scans[:SAMPLED_SCANS], MOST_MISSED, ratio, by_class=by_class))
         ratio = _noise_ratio(tracks)
     missed = _missed_scans(detectability_of(tracks))
-    return _follow(scans, headings_rad, missed, ratio, by_class=by_class)
+    return _follow(scans, missed, ratio, by_class=by_class)
 
 
 def _noise_ratio(tracks: ObjectTracks) -> float:
@@ -194,11 +199,9 @@ def _missed_scans(found: Detectability) -> int:
     return int(np.clip(found.period * periods, MISSED_SCANS, MOST_MISSED))
 
 
-def _follow(
-    scans: Sequence[SurveyScan], headings_rad: FloatArray, missed_scans: int, ratio: float, *, by_class: bool
-) -> ObjectTracks:
+def _follow(scans: Sequence[SurveyScan], missed_scans: int, ratio: float, *, by_class: bool) -> ObjectTracks:
     found, points, ends = [], [], _OpenTracks(missed_scans, ratio)
-    for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=False)):
+    for number, (scan, heading) in enumerate(zip(scans, headings_of(scans), strict=True)):
         c, s = np.cos(heading), np.sin(heading)
         offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
         points.append(offsets + scan.T_odom_body[:2, 3])

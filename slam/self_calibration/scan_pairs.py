@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply_each, gravity_frame, invert, travelled_m
 from slam.self_calibration.corrections import BLOCKS, is_beyond_chance
-from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m, poses_of
-from slam.self_calibration.surveyed_log import headings_of
+from slam.self_calibration.object_tracks import SurveyScan, headings_of, nearest_of_class_m, poses_of
 
 MOVED_SPACINGS = 0.25
 """Between the scans of a pair, the body moves past its objects, by travel or turn, by that share of their spacing."""

@@ -25,13 +25,14 @@ from slam.self_calibration.object_tracks import (
     SurveyScan,
     detectability_of,
     follow_objects,
+    headings_of,
     nearest_of_class_m,
     objects_among,
     poses_of,
     ranges_m,
 )
 from slam.self_calibration.resolution import find_resolution
-from slam.self_calibration.surveyed_log import SurveyedLog, headings_of, scans_of
+from slam.self_calibration.surveyed_log import SurveyedLog, scans_of
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 RANGE_QUANTILE = 0.95
@@ -111,8 +112,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     corrected = {"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {}
     corrected |= _frame(logs, given.with_values(corrected), given)
     known = given.with_values(corrected)
-    scans, motion = scans_of(logs, known)
-    labels = estimate_label_noise(scans, motion.headings)
+    labels = estimate_label_noise(scans_of(logs, known)[0])
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
     aligned, unaligned = find_alignment(logs, known, _unknown(given))
@@ -122,14 +122,14 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
             {term: value for term, value in aligned.items() if term != "climb_share"}, known
         )
         scans, motion = scans_of(logs, known.with_values(level))
-        tracks = objects_among(follow_objects(scans, motion.headings))
+        tracks = objects_among(follow_objects(scans))
         if is_chance(tracks, motion, "climb_share", aligned["climb_share"]):  # by how followed objects seem to move
             unaligned = unaligned | {"climb_share": aligned.pop("climb_share")}
     corrected |= _of_sensor(aligned, known)
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
-        tracks = objects_among(follow_objects(scans, motion.headings))
+        tracks = objects_among(follow_objects(scans))
         found = estimate_corrections(tracks, motion)
         change = _first_change(found, corrected, known, given, scans)
         if not change:
@@ -147,7 +147,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         corrected=corrected,
         suspected=suspected | {key: value for key, value in _of_sensor(unaligned, now).items() if value},
         delay_s=delay_s,
-        lacks_heading=_lacks_heading(scans, motion.headings),
+        lacks_heading=_lacks_heading(scans),
         detour=detour,
         change=later,
         change_s=(scans[later.scan].stamp_ns - scans[0].stamp_ns) * 1e-9 if later is not None else 0.0,
@@ -250,17 +250,16 @@ def _orientation(scans: Sequence[SurveyScan], known: Calibration, given: Calibra
     return {} if np.array_equal(R, np.eye(3)) else _angles(R)
 
 
-def _lacks_heading(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> bool:
-    is_constant = len(scans) > 1 and float(np.ptp(headings_rad)) < SAME_HEADING_RAD
+def _lacks_heading(scans: Sequence[SurveyScan]) -> bool:
+    is_constant = len(scans) > 1 and float(np.ptp(headings_of(scans))) < SAME_HEADING_RAD
     return is_constant and better_frame(scans, {"ahead": facing_ahead(scans)}) is not None
 
 
 def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     """The survey of scans (at least one), in the order of their stamps, by the ``tracks`` of their objects."""
     poses = poses_of(scans)
-    headings = headings_of(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
-    motion = Motion(travelled_m(poses[:, :2, 3]), headings, stamps_s, poses[:, 2, 3])
+    motion = Motion(travelled_m(poses[:, :2, 3]), headings_of(scans), stamps_s, poses[:, 2, 3])
     ranges = ranges_m(scans)
     biases = centroid_biases(tracks)
     median_range_m = np.median(ranges)

@@ -15,7 +15,7 @@ from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
-from slam.self_calibration.object_tracks import SurveyScan, poses_of, ranges_m
+from slam.self_calibration.object_tracks import SurveyScan, headings_of, poses_of, ranges_m
 from slam.self_calibration.variance_components import CLIP
 
 MAX_DETECTIONS = 150_000
@@ -127,11 +127,6 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
         np.concatenate([each.velocities for each in motions]),
         np.concatenate([each.turn_rates for each in motions]),
     )
-
-
-def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
-    """Unwrapped headings (K,) rad of the body at scans."""
-    return np.unwrap(yaw_rad(poses_of(scans))) if scans else np.zeros(0)
 
 
 def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_ns: int) -> BodyMotion:

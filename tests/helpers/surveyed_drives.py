@@ -13,7 +13,6 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects, objects_among
 from slam.self_calibration.survey import Survey, summarize
-from slam.self_calibration.surveyed_log import headings_of
 from slam.self_calibration.variance_components import Motion, NoiseComponents
 
 INTERVAL_S = 0.2
@@ -26,7 +25,7 @@ NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
 
 def summary_of(scans: list[SurveyScan]) -> Survey:
     """The survey of scans."""
-    return summarize(scans, objects_among(follow_objects(scans, headings_of(scans))))
+    return summarize(scans, objects_among(follow_objects(scans)))
 
 
 class SurveyedDrive:

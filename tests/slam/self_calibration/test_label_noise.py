@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import ObjectCalibration
-from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
+from slam.self_calibration.label_noise import estimate_label_noise
 from slam.self_calibration.object_tracks import SurveyScan, follow_objects
 from tests.helpers.poses import pose_at
 
@@ -27,10 +27,6 @@ def drive(scans: int = 100, range_m: float = RANGE_M) -> list[SurveyScan]:
     return made
 
 
-def estimate(scans: list[SurveyScan]) -> LabelNoise:
-    return estimate_label_noise(scans, np.zeros(len(scans)))
-
-
 def confused(scans: list[SurveyScan], accuracy: float, seed: int) -> list[SurveyScan]:
     rng = np.random.default_rng(seed)
     return [
@@ -48,8 +44,8 @@ def renamed(scans: list[SurveyScan], first: int) -> list[SurveyScan]:
 
 def test_right_labels_are_trusted() -> None:
     """Where none of n pairs of sightings differs, one of n + 2 may (Laplace)."""
-    tracks = follow_objects(drive(), np.zeros(100), by_class=False)
-    found, pairs = estimate(drive()), np.count_nonzero(np.diff(tracks.track) == 0)
+    tracks = follow_objects(drive(), by_class=False)
+    found, pairs = estimate_label_noise(drive()), np.count_nonzero(np.diff(tracks.track) == 0)
     assert found.accuracy == pytest.approx(1.0 - 1.0 / (pairs + 2.0), abs=1e-9)
     ObjectCalibration(label_accuracy=found.accuracy)  # it may be given
     assert found.renamed_ns is None
@@ -59,29 +55,29 @@ def test_right_labels_are_trusted() -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("accuracy", [0.6, 0.8, 0.95])
 def test_the_accuracy_is_estimated(accuracy: float, seed: int) -> None:
-    found = estimate(confused(drive(), accuracy, seed))
+    found = estimate_label_noise(confused(drive(), accuracy, seed))
     assert found.accuracy == pytest.approx(accuracy, abs=0.05)
     assert not found.is_useless
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_random_labels_are_useless(seed: int) -> None:
-    assert estimate(confused(drive(), 0.0, seed)).is_useless
+    assert estimate_label_noise(confused(drive(), 0.0, seed)).is_useless
 
 
 def test_one_class_tells_nothing_of_its_noise() -> None:
-    found = estimate([replace(scan, labels=np.zeros_like(scan.labels)) for scan in drive()])
+    found = estimate_label_noise([replace(scan, labels=np.zeros_like(scan.labels)) for scan in drive()])
     assert np.isnan(found.accuracy)
     assert not found.is_useless
 
 
 def test_too_few_sightings_tell_nothing() -> None:
-    assert np.isnan(estimate(drive(3)).accuracy)
+    assert np.isnan(estimate_label_noise(drive(3)).accuracy)
 
 
 @pytest.mark.parametrize("accuracy", [1.0, 0.9])
 def test_new_names_of_all_classes_are_found(accuracy: float) -> None:
-    found = estimate(confused(renamed(drive(), 40), accuracy, 0))
+    found = estimate_label_noise(confused(renamed(drive(), 40), accuracy, 0))
     assert found.renamed_ns == 40 * 10**8
     assert found.is_useless
 
@@ -90,7 +86,7 @@ def test_some_labels_that_change_at_once_are_no_new_names() -> None:
     scans = drive()
     half = np.arange(len(scans[40].labels)) % 2 == 0
     scans[40] = replace(scans[40], labels=np.where(half, (scans[40].labels + 1) % CLASSES, scans[40].labels))
-    assert estimate(scans).renamed_ns is None
+    assert estimate_label_noise(scans).renamed_ns is None
 
 
 @pytest.mark.parametrize(("x_m", "yaw_rad"), [(11.0, 3.5), (0.0, 5.5)])
@@ -100,5 +96,4 @@ def test_a_jump_of_the_odometry_is_no_new_names(x_m: float, yaw_rad: float) -> N
     scans = drive(60, range_m=40.0)
     for number in range(40, len(scans)):
         scans[number] = replace(scans[number], T_odom_body=jump @ scans[number].T_odom_body)
-    headings = np.where(np.arange(len(scans)) < 40, 0.0, yaw_rad)
-    assert estimate_label_noise(scans, headings).renamed_ns is None
+    assert estimate_label_noise(scans).renamed_ns is None

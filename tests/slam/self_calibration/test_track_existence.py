@@ -37,7 +37,7 @@ def test_tracks_of_objects_are_told_from_those_by_chance():
 
 def test_without_false_detections_hardly_a_pair_of_sightings_is_lost():
     drive = SurveyedDrive(1, {"radial": 0.1, "tangential": 0.1}, scans=200, objects=60)
-    tracks = follow_objects(drive.scans, drive.headings)
+    tracks = follow_objects(drive.scans)
     pairs = [int(np.sum(np.diff(each.track) == 0)) for each in (objects_among(tracks), tracks)]
     assert pairs[0] > 0.97 * pairs[1]
 
@@ -46,7 +46,7 @@ def test_two_false_detections_to_each_right_one_hardly_change_the_noise():
     drive = SurveyedDrive(3, {"radial": 0.05, "tangential": 0.05}, scans=200, objects=120)
     per_scan = np.mean([len(scan.positions) for scan in drive.scans])
     scans = among_false(drive.scans, drive.range_m, 2.0 * per_scan)
-    tracks = follow_objects(scans, drive.headings[: len(scans)])
+    tracks = follow_objects(scans)
     sigmas = []
     for each in (tracks, objects_among(tracks)):
         estimate = estimate_components(each, drive.motion)

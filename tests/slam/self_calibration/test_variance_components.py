@@ -151,7 +151,7 @@ def test_a_log_without_any_noise_has_none() -> None:
 
 def test_noise_of_half_the_spacing_is_no_bias_of_the_view() -> None:
     drive = SurveyedDrive(0, {"radial": 0.5, "tangential": 0.5}, objects=60)
-    found = estimate_components(follow_objects(drive.scans, drive.headings), drive.motion)
+    found = estimate_components(follow_objects(drive.scans), drive.motion)
     assert found is not None
     assert 0.5 / 1.5 < np.sqrt(0.5 * (found.variances.radial + found.variances.tangential)) < 0.5 * 1.5
     assert np.sqrt(found.variances.view) < 0.25
