@@ -75,7 +75,7 @@ def _travel_m(graph: FactorGraphRecord) -> FloatArray:
     ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_driven])
     positions = graph.T_map_body[:, :3, 3]
     steps_m = np.zeros(len(positions))
-    steps_m[ends.max(axis=1)] = np.linalg.norm(positions[ends[:, 1]] - positions[ends[:, 0]], axis=1)
+    steps_m[ends.max(axis=1)] = np.linalg.norm(np.diff(positions[ends], axis=1), axis=2)[:, 0]
     return np.cumsum(steps_m)
 
 

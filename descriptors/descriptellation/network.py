@@ -32,10 +32,9 @@ class DescriptellationArchitecture:
 class Descriptellation(nn.Module):
     """Label embedding, ResGCN backbone, fusion block, prediction block and global attention pooling."""
 
-    def __init__(self, architecture: DescriptellationArchitecture | None = None) -> None:
+    def __init__(self, architecture: DescriptellationArchitecture) -> None:
         super().__init__()
-        self.architecture = architecture or DescriptellationArchitecture()
-        sizes = self.architecture
+        self.architecture = sizes = architecture
         self.node_input = NodeInput(sizes.vocabulary_size, sizes.embedding_length)
         self.head = MaxRelativeConvolution(3 + sizes.embedding_length, sizes.channels)
         self.backbone = nn.ModuleList(

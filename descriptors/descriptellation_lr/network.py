@@ -29,9 +29,9 @@ class DescriptellationLR(nn.Module):
     length of the pair, the noise, and the number of neighbours.
     """
 
-    def __init__(self, architecture: DescriptellationLRArchitecture | None = None) -> None:
+    def __init__(self, architecture: DescriptellationLRArchitecture) -> None:
         super().__init__()
-        self.architecture = sizes = architecture or DescriptellationLRArchitecture()
+        self.architecture = sizes = architecture
         # Widths of a kernel in spacings: along, across, and of the heading times the length of a pair.
         self.log_widths = nn.Parameter(torch.log(torch.tensor([0.05, 0.06, 0.07])))
         self.gate = _perceptron(FEATURES, sizes.hidden, 1)

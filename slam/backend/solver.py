@@ -21,9 +21,6 @@ logger = logging.getLogger(__name__)
 RELINEARIZE_RAD = 0.05
 """Rotation that relinearises a pose."""
 
-Value = gtsam.Pose3 | FloatArray
-"""The pose of a keyframe, or the position (3,) m of a landmark."""
-
 
 @frozen
 class Optimization:
@@ -66,8 +63,9 @@ class Solver:
         """Whether a factor is on a variable."""
         return self._uses[key] > 0
 
-    def insert(self, key: int, value: Value, prior: gtsam.NonlinearFactor | None = None) -> None:
-        """Add a variable with its initial value; one that left since the last update stays where it was.
+    def insert(self, key: int, value: gtsam.Pose3 | FloatArray, prior: gtsam.NonlinearFactor | None = None) -> None:
+        """Add a variable, the pose of a keyframe or the position (3,) m of a landmark, with its initial value; one that
+        left since the last update stays where it was.
 
         ``prior``: a factor on it; that of a landmark leaves with it.
         """

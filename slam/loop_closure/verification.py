@@ -58,9 +58,10 @@ class Verifier:
         self.track = KeyframeTrack(config.calibration)
         for keyframe in keyframes:
             self.track.add(keyframe)
-        cells = [positions // config.sensor_range_m for positions in mapped]
         # One number a cell is sooner than two, and no map has so many columns.
-        self._mapped_cells = sum(len(np.unique(each @ [1.0, 2.0**32])) for each in cells)
+        self._mapped_cells = sum(
+            len(np.unique(positions // config.sensor_range_m @ [1.0, 2.0**32])) for positions in mapped
+        )
         self.reach_m = 2.0 * self._registration.search_radius_m
         """How far registration can move a pose: its search radius, which halves from step to step."""
 

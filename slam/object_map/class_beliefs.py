@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import softmax
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
@@ -81,6 +82,4 @@ class ClassBeliefs:
             return np.ones((len(label_counts), classes))
         accuracy = self._config.label_accuracy
         odds = np.log(accuracy * (classes - 1) / (1.0 - accuracy))
-        logits = label_counts[:, :classes] * odds
-        weights = np.exp(logits - logits.max(axis=1, keepdims=True))
-        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        return np.asarray(softmax(label_counts[:, :classes] * odds, axis=1))

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
@@ -32,16 +34,13 @@ def find_graph_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
 
 
 def parts(graph: FactorGraphRecord, counts: BoolArray) -> IntArray:
-    """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
+    """Number (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,); parts are
+    in the order of their first keyframes.
+    """
     order = np.argsort(graph.keyframe_ids)
     ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
-    part = np.arange(len(order))
-    while (part[ends[0]] != part[ends[1]]).any():
-        least = part[ends].min(axis=0)
-        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
-            np.minimum.at(part, part[end], least)
-        part = part[part]
-    return part
+    edges = sparse.coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(len(order), len(order)))
+    return connected_components(edges, directed=False)[1].astype(np.int64)
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:

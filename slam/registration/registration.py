@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from logs.records import frozen
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import adjoint, apply, make_transform, yaw_rad
+from slam.common.geometry import adjoint, apply, make_transform, skew, yaw_rad
 from slam.object_map.submap import Submap
 
 MIN_OBJECTS, MIN_INLIERS = 2, 3
@@ -240,12 +240,9 @@ def _assign(ratio: FloatArray, rows: IntArray) -> IntArray:
 
 def _information(pairs: Pairs, chosen: IntArray, weights: FloatArray) -> FloatArray:
     """(6, 6) of rotation and translation about the middle of the query, in its axes."""
-    x, y, z = pairs.query.real[chosen], pairs.query.imag[chosen], pairs.query_z[chosen]
+    points = np.column_stack([pairs.query.real, pairs.query.imag, pairs.query_z])[chosen]
     J = np.zeros((len(chosen), 3, 6))
-    J[:, 0, 1], J[:, 0, 2] = z, -y
-    J[:, 1, 0], J[:, 1, 2] = -z, x
-    J[:, 2, 0], J[:, 2, 1] = y, -x
-    J[:, 0, 3] = J[:, 1, 4] = J[:, 2, 5] = 1.0
+    J[:, :, :3], J[:, :, 3:] = -skew(points), np.eye(3)
     sigmas = np.column_stack([pairs.sigmas, pairs.sigmas, pairs.sigmas_z])[chosen]
     rows = (J * (np.sqrt(weights)[:, None] / sigmas)[:, :, None]).reshape(-1, 6)
     return rows.T @ rows

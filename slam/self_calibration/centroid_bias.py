@@ -43,7 +43,7 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
         ]
         if len(parts) < BLOCKS // 2:
             continue
-        error = np.sqrt((len(parts) - 1) / len(parts) * np.sum((np.array(parts) - np.mean(parts)) ** 2))
+        error = np.sqrt(len(parts) - 1) * np.std(parts)
         biases[label] = found if found > 4.0 * error else 0.0
     return biases
 

@@ -34,7 +34,7 @@ from scipy.special import roots_genlaguerre
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import view_change
+from slam.common.geometry import skew, travelled_m, view_change
 from slam.self_calibration.object_tracks import ROUNDING, ObjectTracks
 
 BLOCKS = 8
@@ -104,7 +104,7 @@ class Motion:
     @property
     def turn_rad(self) -> FloatArray:
         """Turn (K,) up to each scan, in either direction."""
-        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.heading_rad)))])
+        return travelled_m(self.heading_rad[:, None])
 
 
 @frozen
@@ -315,7 +315,7 @@ def _jacobians(pairs: _Displacements) -> FloatArray:
     """(P, 3, 7) of the displacements by xi."""
     middle = 0.5 * (pairs.x + pairs.x_before)
     A = np.zeros((len(middle), 3, 7))
-    A[:, :, :3] = np.cross(np.eye(3)[None], middle[:, None]).transpose(0, 2, 1)
+    A[:, :, :3] = -skew(middle)
     A[:, :, 3:6] = np.eye(3)
     A[:, :, LATERAL] = np.cross([0.0, 0.0, 1.0], pairs.x - pairs.x_before)
     return A

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from descriptors.descriptellation.network import (
     AttentionPooling,
     Descriptellation,
+    DescriptellationArchitecture,
     MaxRelativeConvolution,
     maximum_of_each,
 )
@@ -17,7 +18,7 @@ from tests.descriptors.batches import batch
 def describe() -> nn.Module:
     """A network whose running statistics are not those it started with, ready to describe."""
     torch.manual_seed(0)
-    made = Descriptellation()
+    made = Descriptellation(DescriptellationArchitecture())
     for seed in range(5):
         made(*batch((12, 9, 20, 3), 20, seed=seed))
     return made.eval()

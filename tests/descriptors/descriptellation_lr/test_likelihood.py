@@ -36,7 +36,7 @@ def street(seed: int) -> Pairs:
 def test_numpy_and_torch_compute_the_same_bits_and_nats(tmp_path) -> None:
     pairs, sigmas = street(1), np.full(100, 0.07)
     torch.manual_seed(0)
-    network = DescriptellationLR()
+    network = DescriptellationLR(DescriptellationLRArchitecture())
     for name, parameter in network.named_parameters():
         if name.startswith(("gate", "worth")):
             torch.nn.init.normal_(parameter, 0.1, 0.2)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.network import DescriptellationLR
+from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import WeightsError
 from descriptors.learned.networks import load_network, make_network
 from descriptors.learned.weights import Weights, read_weights, save_weights
@@ -148,7 +149,9 @@ def test_weights_that_do_not_fit_their_architecture_are_refused_by_name(
     values: dict[str, Any],
     message: str,
 ) -> None:
-    weights = weights_of(DescriptellationLR() if load is LearnedLikelihood else trained())
+    weights = weights_of(
+        DescriptellationLR(DescriptellationLRArchitecture()) if load is LearnedLikelihood else trained()
+    )
     save_weights(path, weights)
     load(path)
     if change:
