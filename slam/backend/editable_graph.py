@@ -199,7 +199,7 @@ class EditableGraph:
 
     def remove_factors(self, numbers: Iterable[int]) -> None:
         """Remove factors, and landmarks without any other observation."""
-        for number in list(numbers):
+        for number in numbers:
             self._solver.remove(number)
             factor = self._factors.pop(number)
             if isinstance(factor, Observation):

@@ -208,7 +208,7 @@ class FactorGraph(EditableGraph):
     ) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
         factors = [*self._factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
-        covariances = np.zeros((0, 6, 6)) if pose_covariances is None else pose_covariances
-        return make_graph_record(
-            stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of, covariances
+        record = make_graph_record(
+            stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of
         )
+        return record if pose_covariances is None else replace(record, pose_covariances=pose_covariances)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,11 +16,10 @@ def make_graph_record(
     keyframes: IntArray,
     keyframe_stamps_ns: IntArray,
     T_map_body: FloatArray,
-    factors: Iterable[Factor],
+    factors: Sequence[Factor],
     name_of: Callable[[int], int | str],
-    pose_covariances: FloatArray,
 ) -> FactorGraphRecord:
-    """The record of a graph, without its priors.
+    """The record of a graph, without its priors and the covariances of its poses.
 
     Args:
         stamp_ns: of the record.
@@ -29,9 +28,7 @@ def make_graph_record(
         T_map_body: (K, 4, 4), their estimates.
         factors: all that are in force.
         name_of: the id of a landmark in the record: that of the landmark that it was merged into.
-        pose_covariances: (K, 6, 6), or (0, 6, 6) where they are not known.
     """
-    factors = tuple(factors)
     edges = [factor for factor in factors if isinstance(factor, Edge)]
     observations = [factor for factor in factors if isinstance(factor, Observation)]
     inflations = np.array([o.covariance_inflation for o in observations], dtype=np.float64)
@@ -50,7 +47,6 @@ def make_graph_record(
         observation_covariances=np.array([o.covariance_inflation * o.covariance for o in observations]).reshape(
             -1, 3, 3
         ),
-        pose_covariances=pose_covariances,
         observation_redundancies=inflations if (inflations != 1.0).any() else np.zeros(0),
     )
 

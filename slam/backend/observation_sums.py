@@ -46,12 +46,10 @@ def sum_observations(
 
 def summed(observations: Sequence[Observation]) -> list[Observation]:
     """These observations, those of one landmark from one keyframe as one."""
-    inflations = np.array([each.covariance_inflation for each in observations])
-    covariances = np.array([each.covariance for each in observations]).reshape(-1, 3, 3)
     return sum_observations(
         np.array([each.keyframe for each in observations]),
         np.array([each.landmark for each in observations]),
         np.array([each.position for each in observations]),
-        inflations[:, None, None] * covariances,
-        inflations,
+        np.array([each.covariance_inflation * each.covariance for each in observations]),
+        np.array([each.covariance_inflation for each in observations]),
     )

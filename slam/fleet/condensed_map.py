@@ -47,7 +47,6 @@ def condense_map(saved: SavedMap, *, cell_m: float) -> SavedMap:
         T_map_place,
         [*_edges(graph, cell, T_map_place), *_observations(saved, cell, T_map_place, cell_m)],
         saved.objects.ids.__getitem__,
-        np.zeros((0, 6, 6)),
     )
     return replace(saved, graph=condensed)
 

@@ -77,7 +77,7 @@ def why_doubtful(known: PriorMap, objects: ObjectMapRecord, trajectory: Trajecto
     if not isinstance(known, ImportedMap):
         return ""
     seen = _nearest_landmarks(known, objects, trajectory, sigma_m)
-    return MIRRORED if len(seen) >= MIN_MET and _fit(known, seen)[1] else ""
+    return MIRRORED if _fit(known, seen)[1] else ""
 
 
 def _fit(known: ImportedMap, seen: Submap) -> tuple[int, bool]:

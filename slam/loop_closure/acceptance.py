@@ -80,7 +80,7 @@ class Acceptance:
             log_odds = self._posterior_log_odds([best, *rivals])[0]
             # It may be surer, where it can be true together with two that cannot.
             doubt = "ambiguous: another pose is likelier, " if rivals and rivals[0].score > best.score else ""
-        best = replace(best, posterior_log_odds=float(log_odds))
+        best = replace(best, posterior_log_odds=log_odds)
         if log_odds >= self._least_log_odds and not doubt:
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds

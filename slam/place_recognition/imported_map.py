@@ -208,7 +208,7 @@ def _check_positions(positions: FloatArray) -> None:
     if not np.isfinite(positions).all():
         raise SavedMapError(f"object {int((~np.isfinite(positions)).any(axis=1).argmax())} has no finite position")
     plane = positions[:, :2]
-    extent_m = float(np.ptp(plane, axis=0).max())
+    extent_m = np.ptp(plane, axis=0).max()
     spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
     if extent_m > 1e6:
         raise SavedMapError(f"the objects extend over {extent_m / 1000.0:.0f} km, too much for a plane; crop the map")

@@ -214,7 +214,7 @@ def _likeliest(scores: FloatArray) -> IntArray:
 
 def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Query:
     plane = positions[:, 0] + 1j * positions[:, 1]
-    middle = complex(plane.mean())
+    middle = plane.mean()
     from_middle = np.abs(plane - middle)
     radius_m = max(np.sqrt(np.mean(from_middle**2)), np.finfo(np.float64).tiny)
     # The place of a voted pose is the mean of two objects, that of a fitted one of several; the heading of a voted pose

@@ -129,16 +129,16 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
-def is_chance(tracks: ObjectTracks, motion: BodyMotion, term: str, value: float) -> bool:
-    """Whether a value of a term that was found otherwise explains the motion of blocks no better than chance does; not
-    where they do not tell.
+def is_climb_chance(tracks: ObjectTracks, motion: BodyMotion, climb_share: float) -> bool:
+    """Whether a climb that was found otherwise explains the motion of blocks no better than chance does; not where they
+    do not tell.
     """
     regression = _regression(tracks, motion)
     if regression is None:
         return False
-    number = TERMS.index(term)
+    number = TERMS.index("climb_share")
     parts = np.zeros((BLOCKS, len(TERMS)))
-    parts[:, number] = value * regression.scale[number]
+    parts[:, number] = climb_share * regression.scale[number]
     gain, is_sure = _gain(regression.sums[2], _left_of(*regression.sums, parts))
     return gain != 0.0 and not is_sure
 

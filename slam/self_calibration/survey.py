@@ -15,7 +15,7 @@ from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_de
 from slam.frontend.input.sensor_frames import corrected_mount
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
-from slam.self_calibration.corrections import Change, Correction, estimate_corrections, find_change, is_chance
+from slam.self_calibration.corrections import Change, Correction, estimate_corrections, find_change, is_climb_chance
 from slam.self_calibration.frames import better_frame, facing_ahead, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import (
@@ -123,7 +123,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         )
         scans, motion = scans_of(logs, known.with_values(level))
         tracks = objects_among(follow_objects(scans))
-        if is_chance(tracks, motion, "climb_share", aligned["climb_share"]):  # by how followed objects seem to move
+        if is_climb_chance(tracks, motion, aligned["climb_share"]):  # by how followed objects seem to move
             unaligned = unaligned | {"climb_share": aligned.pop("climb_share")}
     corrected |= _of_sensor(aligned, known)
     for _ in range(ROUNDS):

@@ -34,7 +34,7 @@ def existence_probabilities(links: FloatArray, closeness: FloatArray) -> FloatAr
         by_chance = np.log1p(-share) + links * np.log(q) + np.log1p(-q) - closeness
         likelihood = np.logaddexp(of_object, by_chance)
         objects = np.exp(of_object - likelihood)
-        mean = float(likelihood.mean())
+        mean = likelihood.mean()
         if abs(mean - before) < CONVERGED:
             break
         before = mean
