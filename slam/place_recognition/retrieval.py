@@ -149,16 +149,14 @@ class PlaceRetriever:
         return float(np.median(travels_m[start : ends[start]]))
 
     def self_similar_poses(self, query: Submap) -> FloatArray:
-        """Poses (H, 4, 4) of a query in itself at which its objects repeat; the first is the identity.
-
-        Besides it there are as many as candidates of a query in the map.
+        """Poses (H, 4, 4) of a query in itself at which its objects repeat: the identity, and as many as a query in the
+        map has candidates.
         """
         pairs = PairIndex(shipped_likelihood())
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.labels.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
-        poses = search.find_poses(query, map_sigma_m=sigma_m, count=self._count + 1)  # the identity is among them
-        return np.concatenate([np.eye(4)[None], poses])
+        return search.find_poses(query, map_sigma_m=sigma_m, count=self._count + 1)
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         """The inactive landmarks around a place from its traversal, in the odometry frame.
