@@ -21,7 +21,7 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import FactorGraphError
 from slam.loop_closure.accepted_closures import AcceptedClosures
-from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
+from slam.loop_closure.landmark_fusion import fuse_landmarks
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
 
@@ -45,7 +45,7 @@ class GraphCondenser:
     ) -> None:
         """``counters``: of attached keyframes and fused landmarks."""
         self._min_travel_m = config.closure_travel_m
-        self._radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
+        self._objects = config.calibration.objects
         self._map = object_map
         self._graph = graph
         self._keyframes = keyframes
@@ -75,9 +75,7 @@ class GraphCondenser:
     def fuse_landmarks(self) -> None:
         """Fuse duplicate landmarks at the optimum."""
         self._graph.optimize(roughly=True)
-        localized = self._closures.localized_keyframes()
-        fused = fuse_duplicate_landmarks(self._map, self._graph, localized, radius_m=self._radius_m)
-        self._counters["landmarks_fused"] += fused
+        self._counters["landmarks_fused"] += fuse_landmarks(self._map, self._graph, self._objects)
 
     def _condense(self, anchors: dict[int, int]) -> None:
         try:

@@ -11,7 +11,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
-from slam.backend.covariance.marginals import compute_marginals
+from slam.backend.covariance.marginals import compute_marginals, offset_covariances
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.factors import PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
@@ -202,6 +202,17 @@ class FactorGraph(EditableGraph):
         poses = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
         landmarks = [marginals[L(landmark)] for landmark in self.landmarks.tolist()]
         return np.array(poses).reshape(-1, 6, 6), np.array(landmarks).reshape(-1, 3, 3)
+
+    def relative_covariances(self, pairs: IntArray) -> FloatArray:
+        """Covariances (P, 3, 3) m^2 of the offset between the landmarks of each pair (P, 2), in the map frame.
+
+        Raises:
+            FactorGraphError: the graph does not determine all variables.
+        """
+        self.update()
+        keys = [(L(a), L(b)) for a, b in pairs.tolist()]
+        with gtsam_errors("the covariances of landmarks"):
+            return offset_covariances(self._solver.factors.values(), self._solver.values(), keys)
 
     def to_record(
         self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None

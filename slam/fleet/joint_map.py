@@ -21,7 +21,7 @@ from slam.common.config import Config
 from slam.common.geometry import apply_each, invert, squared_mahalanobis
 from slam.fleet.joins import Join
 from slam.fleet.part import Part, Visit, common_metadata
-from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
+from slam.loop_closure.landmark_fusion import fuse_across_drives
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
 
@@ -187,10 +187,9 @@ def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mappin
 
 def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radius_m: float) -> None:
     """Optimise a graph and fuse its duplicate landmarks, until there are none; the object map takes the estimates."""
-    places = range(len(group.numbers))
     graph.optimize()
     # Better positions show more duplicates.
-    while fuse_duplicate_landmarks(object_map, graph, places, radius_m=radius_m, drives=group.numbers):
+    while fuse_across_drives(object_map, graph, group.numbers, radius_m=radius_m):
         graph.optimize()
     landmarks = graph.landmarks
     object_map.assign(

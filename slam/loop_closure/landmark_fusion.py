@@ -1,57 +1,126 @@
-"""Fusion of duplicate landmarks: one object that several traversals observed as different landmarks.
+"""Fusion of duplicate landmarks: one object that has several of them.
 
 A closure associates the newest traversal with one earlier one. Where three traversals overlap, or two overlap for less
-travel than lies between two closures, an object may have a landmark for each of them. After the final optimisation
-these landmarks have nearly the same position.
+travel than lies between two closures, an object may have a landmark for each of them. So it may where the robot comes
+back with a larger error than the odometry is expected to have.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import logging
+from collections import defaultdict
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import ObjectCalibration
+from slam.common.errors import FactorGraphError
+from slam.common.geometry import squared_mahalanobis
+from slam.frontend.data_association import DECIDED
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 
+logger = logging.getLogger(__name__)
 
-def fuse_duplicate_landmarks(
-    object_map: ObjectMap,
-    graph: FactorGraph,
-    keyframes: Collection[int],
-    *,
-    radius_m: float,
-    drives: IntArray | None = None,
-) -> int:
-    """Merge duplicate landmarks until there are none; returns how many were merged into another.
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t-distribution of offsets: the errors of an odometry have heavy tails."""
+
+
+def fuse_landmarks(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibration) -> int:
+    """Merge landmarks that are one object until there are none, and optimise the graph; returns how many were merged.
+
+    That two confirmed landmarks of a class are one object has the log-likelihood ratio
+
+        log t(d; 0, S + R) - log rho - (1 - m) log(1 - P_D),
+
+    with their offset d, its covariance S in the graph, and R of landmarks of one object in two traversals; the density
+    rho of objects on the ground, by their spacing; and the number m of keyframes that observed both. All that observed
+    one of them count as one look: what hides one of two objects does so for a while. Landmarks are merged if the
+    probability is ``DECIDED``, also against another landmark that one of them may be, seen beside the other.
+    """
+    merged = 0
+    while pairs := _one_object(object_map, graph, config):
+        for kept, dropped in pairs:
+            object_map.merge(kept, dropped)
+        merged += len(pairs)
+        graph.alias_landmarks(object_map.aliases)
+        graph.optimize(roughly=True)
+    return merged
+
+
+def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibration) -> list[tuple[int, int]]:
+    """Pairs of landmarks that are one object, the older one first; none is in two of them."""
+    # Half of the objects have another one within the spacing.
+    log_density = np.log(np.log(2.0) / (np.pi * config.spacing_m**2))
+    missed = -np.log(1.0 - min(config.detection_probability, DECIDED))
+    least = np.log(DECIDED / (1.0 - DECIDED))
+    # No covariance makes the likelihood of an offset that is longer large enough.
+    reach_m = float(np.exp(0.5 * (missed - least - log_density - 1.0 - np.log(np.pi))))
+    pairs = _pairs_alike(object_map, graph, reach_m)
+    try:
+        covariances = graph.relative_covariances(pairs)
+    except FactorGraphError as error:
+        logger.info("duplicate landmarks are not merged: %s", error)
+        return []
+    height_m = np.hypot(config.landmark_sigma_m, config.landmark_height_sigma_m)
+    S = covariances + np.diag([config.landmark_sigma_m, config.landmark_sigma_m, height_m]) ** 2
+    d = graph.landmark_positions(pairs[:, 0]) - graph.landmark_positions(pairs[:, 1])
+    observers = graph.observers()
+    together = np.array([len(observers[a] & observers[b]) for a, b in pairs.tolist()], dtype=np.int64)
+    flat = S[:, :2, :2]
+    tail = (FREEDOM + 3.0) * np.log1p(squared_mahalanobis(d, S) / FREEDOM)
+    ratios = -0.5 * (tail + np.log((2.0 * np.pi) ** 2 * np.linalg.det(flat))) - log_density + missed * (1 - together)
+    likely = ratios > least
+    partners = defaultdict[int, dict[int, float]](dict)
+    for (a, b), ratio in zip(pairs[likely].tolist(), ratios[likely].tolist(), strict=True):
+        partners[a][b] = partners[b][a] = ratio
+    chosen = dict[int, int]()
+    for a, b in pairs[likely][np.argsort(-ratios[likely], kind="stable")].tolist():
+        rivals = [
+            rival
+            for one, other in ((a, b), (b, a))
+            for third, rival in partners[one].items()
+            if third != other and not observers[third].isdisjoint(observers[other])
+        ]
+        if max(rivals, default=-np.inf) < partners[a][b] - least and not {a, b} & {*chosen.keys(), *chosen.values()}:
+            chosen[a] = b
+    return sorted(chosen.items())
+
+
+def _pairs_alike(object_map: ObjectMap, graph: FactorGraph, reach_m: float) -> IntArray:
+    """(P, 2) confirmed landmarks of one class that are within reach of one another, the older one first."""
+    rows = np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks)
+    positions, classes = graph.landmark_positions(rows), object_map.labels.classes(rows)
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for each in np.unique(classes).tolist():
+        alike = np.flatnonzero(classes == each)
+        near = cKDTree(positions[alike, :2]).query_pairs(reach_m, output_type="ndarray")
+        found.append(rows[alike[np.sort(near, axis=1)]])
+    return np.concatenate(found)
+
+
+def fuse_across_drives(object_map: ObjectMap, graph: FactorGraph, drives: IntArray, *, radius_m: float) -> int:
+    """Merge duplicate landmarks of many drives until there are none; returns how many were merged into another.
 
     Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
-    ``radius_m`` in the plane, and no keyframe observed both: two objects that near to each other are seen together. The
+    ``radius_m`` in the plane, and no keyframe, or only those of the fewer drives that passed, observed both. The
     older one stays where it is and is compared again, with the keyframes of both.
 
     Args:
         object_map: the landmarks.
         graph: their positions, at its current estimate.
-        keyframes: only landmarks that one of these observed are compared.
+        drives: (K,) number of the drive of each keyframe, by date.
         radius_m: largest horizontal distance of duplicates [m].
-        drives: (K,) number of the drive of each keyframe, by date. If given, two landmarks that a keyframe observed
-            are duplicates nevertheless where most drives that passed have one of them only.
     """
     merged = 0
     while True:
         observers = graph.observers()
-        usable = [
-            row
-            for row in np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks).tolist()
-            if not observers[row].isdisjoint(keyframes)
-        ]
-        rows = np.array(usable, dtype=np.int64)
+        rows = np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks)
         nearest = _nearest_alike(graph.landmark_positions(rows), object_map.labels.classes(rows), radius_m)
         before = merged
         for index, other in enumerate(nearest.tolist()):
-            kept, dropped = usable[index], usable[other]
+            kept, dropped = rows[[index, other]].tolist()
             is_mutual = index < other and nearest[other] == index
             if is_mutual and _may_be_one(observers[kept], observers[dropped], drives):
                 object_map.merge(kept, dropped)
@@ -61,14 +130,14 @@ def fuse_duplicate_landmarks(
         graph.alias_landmarks(object_map.aliases)
 
 
-def _may_be_one(a: set[int], b: set[int], drives: IntArray | None) -> bool:
+def _may_be_one(a: set[int], b: set[int], drives: IntArray) -> bool:
     """Whether no keyframe observed both landmarks, or most drives that passed have one of them rather than both.
 
     Only drives from the one before the first that has the rarer landmark to the one after the last count: an object
     that came later than the one beside it was not there for the others to see.
     """
-    if a.isdisjoint(b) or drives is None:
-        return a.isdisjoint(b)
+    if a.isdisjoint(b):
+        return True
     rare, common = sorted(({int(drives[keyframe]) for keyframe in each} for each in (a, b)), key=len)
     first = max((drive for drive in common if drive < min(rare)), default=min(rare))
     last = min((drive for drive in common if drive > max(rare)), default=max(rare))

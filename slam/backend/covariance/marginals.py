@@ -47,6 +47,34 @@ def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Va
     return covariances
 
 
+def offset_covariances(
+    factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values, pairs: Iterable[tuple[int, int]]
+) -> FloatArray:
+    """Covariances (P, 3, 3) of the differences between the points of pairs of keys, of an optimised graph.
+
+    With ``R^T R`` the information of all variables, the covariance of ``g^T x`` is that of ``R^-T g`` with itself.
+
+    Raises:
+        RuntimeError: the graph does not determine all variables.
+    """
+    net = without_kernels(factors, values).linearize(values).eliminateSequential()
+    zeros = gtsam.VectorValues()
+    for row in range(net.size()):
+        zeros.insert(net.at(row).firstFrontalKey(), np.zeros(len(net.at(row).R())))
+    found = []
+    for pair in pairs:
+        solved = []
+        for axis in np.eye(3):
+            g = gtsam.VectorValues(zeros)
+            for key, sign in zip(pair, (1.0, -1.0), strict=True):
+                of_one = gtsam.VectorValues()
+                of_one.insert(key, sign * axis)
+                g.update(of_one)
+            solved.append(net.backSubstituteTranspose(g).vector())
+        found.append(np.array(solved) @ np.array(solved).T)
+    return np.array(found).reshape(-1, 3, 3)
+
+
 def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
     """A graph of factors at their optimum ``values``, with kernels at outliers only.
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
-from slam.backend.covariance.marginals import compute_marginals
+from slam.backend.covariance.marginals import compute_marginals, offset_covariances
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import (
     OBSERVATION_KERNEL_WIDTH,
@@ -69,6 +71,11 @@ def test_covariances_are_the_blocks_of_the_inverse() -> None:
     assert sorted(found) == sorted(values.keys())
     for key, covariance in found.items():
         np.testing.assert_allclose(covariance, known.marginalCovariance(key), rtol=1e-6, atol=1e-12)
+    points = [key for key in values.keys() if gtsam.symbolChr(key) == ord("l")]  # noqa: SIM118
+    for pair in pairwise(points):
+        joint = known.jointMarginalCovariance(pair).fullMatrix().reshape(2, 3, 2, 3)
+        offset = joint[0, :, 0] + joint[1, :, 1] - joint[0, :, 1] - joint[1, :, 0]
+        np.testing.assert_allclose(offset_covariances(factors, values, [pair])[0], offset, rtol=1e-6, atol=1e-12)
 
 
 def test_a_variable_that_nothing_determines_is_refused() -> None:
