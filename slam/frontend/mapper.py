@@ -113,7 +113,7 @@ class Mapper:
         scan, labels = tracked.scan, tracked.labels
         self._count_scan(scan.sensor)
         in_local = tracked.seen
-        in_keyframe = scan.seen_from(relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body))
+        in_keyframe = scan.seen_from(relative(self.keyframes[-1].T_local_body, self._active.T_local_body))
         rows = tracked.landmark_rows
         # Keyframes since then may have made landmarks inactive.
         rows = np.where(np.isin(rows, self._active.rows) | (rows == NEW), rows, AMBIGUOUS)
@@ -173,9 +173,7 @@ class Mapper:
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
-        keyframe = self.keyframes[-1]
-        T_local_body = self._active.T_local_odom @ keyframe.odometry.T_odom_body
-        self._graph.add_observations(self._pending.close(keyframe, T_local_body, ends_group=ends_group))
+        self._graph.add_observations(self._pending.close(self.keyframes[-1], ends_group=ends_group))
 
     def _count_scan(self, sensor: str) -> None:
         """Several sensors share the view: a scan is counted when each has given one."""

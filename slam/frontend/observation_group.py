@@ -29,20 +29,16 @@ class ObservationGroup:
     def __init__(self, config: OdometryCalibration) -> None:
         self._config = config
         self._keyframes: list[Keyframe] = []
-        self._T_local_body: list[FloatArray] = []
         self._observations: list[Observation] = []
         self._frames: list[int] = []  # of each observation, its place in ``_keyframes``
         self._variances = np.zeros(2)  # of the motion since the first keyframe: m^2 along an axis, rad^2 of the heading
 
-    def add(self, keyframe: Keyframe, T_local_body: FloatArray, observations: Sequence[Observation]) -> None:
-        """Add the observations from the next keyframe; ``T_local_body`` (4, 4): its pose by the landmarks after the
-        observations, see :mod:`slam.frontend.local_map`.
-        """
+    def add(self, keyframe: Keyframe, observations: Sequence[Observation]) -> None:
+        """Add the observations from the next keyframe."""
         if self._keyframes:
             self._variances += self._step(keyframe)
         self._frames += [len(self._keyframes)] * len(observations)
         self._keyframes.append(keyframe)
-        self._T_local_body.append(T_local_body)
         self._observations += observations
 
     def ends_before(self, keyframe: Keyframe) -> bool:
@@ -62,13 +58,12 @@ class ObservationGroup:
     def take(self) -> list[Observation]:
         """The observations of the group, one a landmark, in the frame of the last keyframe; the next group begins."""
         keyframes, observations, frames = self._keyframes, self._observations, self._frames
-        T_local_body = self._T_local_body
-        self._keyframes, self._T_local_body, self._observations, self._frames = [], [], [], []
+        self._keyframes, self._observations, self._frames = [], [], []
         self._variances = np.zeros(2)
         if len(keyframes) < 2 or not observations:
             return observations
         last = keyframes[-1]
-        T = np.array([relative(T_local_body[-1], each) for each in T_local_body])[frames]
+        T = np.array([relative(last.T_local_body, each.T_local_body) for each in keyframes])[frames]
         R = T[:, :3, :3]
         return sum_observations(
             np.full(len(observations), last.id),

@@ -10,7 +10,7 @@ import numpy as np
 from slam.backend.factors import Observation
 from slam.backend.observation_sums import sum_observations
 from slam.backend.solver_options import GROUP_KEYFRAMES
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.frontend.input.scan import Scan
 from slam.frontend.observation_group import ObservationGroup
@@ -42,12 +42,9 @@ class PendingObservations:
         """Forget what is held back of a landmark."""
         self._held_back.pop(row, None)
 
-    def close(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
-        """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait.
-
-        ``T_local_body`` (4, 4): where the landmarks have the keyframe by then.
-        """
-        for observation in self._grouped(keyframe, T_local_body, ends_group=ends_group):
+    def close(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
+        """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait."""
+        for observation in self._grouped(keyframe, ends_group=ends_group):
             self._held_back[observation.landmark].append(observation)
         ready = list[Observation]()
         rows = sorted(self._held_back)
@@ -58,11 +55,11 @@ class PendingObservations:
                 del self._held_back[row]
         return ready
 
-    def _grouped(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
+    def _grouped(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
         """The observations of the groups of keyframes that end with a keyframe or before it."""
         observations = self._of_keyframe(keyframe.id)
         ended = self._group.take() if self._group.ends_before(keyframe) else []
-        self._group.add(keyframe, T_local_body, observations)
+        self._group.add(keyframe, observations)
         if ends_group or keyframe.id % GROUP_KEYFRAMES == 0:
             ended += self._group.take()
         return ended

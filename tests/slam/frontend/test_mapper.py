@@ -237,15 +237,19 @@ def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
     bench = Bench(odometry={"translation_sigma": 0.01}, detection={"common_sigma_m": 0.1})
     for number in range(60):
         x = 0.52 * number
-        bench.move(0.1 * number, x)
-        bench.see(0.1 * number, OBJECTS + np.array([0.025 * x, 0.0, 0.0]), sigma_m=0.25)
+        (pose,) = bench.track.add(Odometry(round(1e8 * number), pose_at(x))) or bench.track.finish()
+        if number == 0:
+            bench.mapper.add_odometry(pose)
+        located = bench.locate(0.1 * number, OBJECTS + np.array([0.025 * x, 0.0, 0.0]), sigma_m=0.25)
+        bench.mapper.add_odometry(pose)  # after the scan has corrected it, as in the frontend
+        bench.mapper.add_scan(*located)
     bench.mapper.close_keyframe()
     last = [each for each in bench.observations() if each.keyframe == 12]
     assert len(last) == len(OBJECTS)
     assert all(each.covariance_inflation < 0.3 for each in last)
     x = 0.975 * bench.mapper.keyframes[12].odometry.T_odom_body[0, 3]
     off = [each.position[0] + x - OBJECTS[each.landmark, 0] for each in last]
-    np.testing.assert_allclose(off, 0.0, atol=0.04)
+    np.testing.assert_allclose(off, 0.0, atol=0.045)  # .052 by the odometry
 
 
 def test_a_break_at_a_keyframe_begins_a_segment_without_landmarks(young):

@@ -1,5 +1,7 @@
 """ObservationGroup: the sum of a group is the information-weighted mean in the frame of its last keyframe."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,8 @@ PRECISE = OdometryCalibration(
 
 def keyframe(number: int, *, segment: int = 0) -> Keyframe:
     T = pose_at(2.0 * number, 0.5 * number, yaw=0.3 * number)
-    return keyframe_at(T, number, travel_m=2.1 * number, segment=segment)
+    made = keyframe_at(T, number, travel_m=2.1 * number, segment=segment)
+    return replace(made, T_local_body=local_pose(number))
 
 
 def observation(number: int, landmark: int, rng: np.random.Generator, inflation: float = 1.0) -> Observation:
@@ -34,7 +37,7 @@ def local_pose(number: int) -> FloatArray:
 def group_of(observations: list[list[Observation]], config: OdometryCalibration = PRECISE) -> ObservationGroup:
     group = ObservationGroup(config)
     for number, seen in enumerate(observations):
-        group.add(keyframe(number), local_pose(number), seen)
+        group.add(keyframe(number), seen)
     return group
 
 
@@ -89,7 +92,7 @@ def test_the_next_group_begins_empty():
     group = group_of(random_observations(rng))
     group.take()
     later = observation(4, 9, rng)
-    group.add(keyframe(4), local_pose(4), [later])
+    group.add(keyframe(4), [later])
     assert group.take() == [later]
 
 

@@ -30,7 +30,7 @@ class Drive:
         """Landmark and keyframe of each observation that goes into the graph."""
         self.pending.add(self.rows, scan_of(5.0 * np.eye(2, 3)))
         last = keyframe_at(pose_at(2.0 * number), number, travel_m=2.0 * number)
-        ready = self.pending.close(last, last.odometry.T_odom_body, ends_group=ends_group)
+        ready = self.pending.close(last, ends_group=ends_group)
         return [(each.landmark, each.keyframe) for each in ready]
 
 
@@ -85,7 +85,7 @@ def summed(scans, *, own: bool = True):
     pending = PendingObservations(Config.model_validate({"calibration": {"detection": detection}}), object_map)
     for rows, positions, covariances in scans:
         pending.add(rows, replace(scan_of(positions, has_own=own), covariances=covariances))
-    return {each.landmark: each for each in pending.close(keyframe_at(np.eye(4), 7), np.eye(4), ends_group=True)}
+    return {each.landmark: each for each in pending.close(keyframe_at(np.eye(4), 7), ends_group=True)}
 
 
 @pytest.mark.parametrize("own", [True, False])

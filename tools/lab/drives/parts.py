@@ -65,7 +65,7 @@ PARTS: dict[str, Part] = {
     "association after a loop": Part(
         replaced={
             "slam.loop_closure.accepted_closures.AcceptedClosures._may_merge": lambda *each: False,
-            "slam.graph_condenser.fuse_duplicate_landmarks": lambda *each, radius_m: 0,
+            "slam.graph_condenser.fuse_landmarks": lambda *each: 0,
         }
     ),
     "clutter around each object": Part(
