@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
+from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -25,6 +27,8 @@ logger = logging.getLogger(__name__)
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's t-distribution of offsets: the errors of an odometry have heavy tails."""
+SIGNIFICANT = 0.05
+"""Labels are taken for identities where random ones were so unlikely."""
 
 
 def fuse_landmarks(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibration) -> int:
@@ -35,7 +39,7 @@ def fuse_landmarks(object_map: ObjectMap, graph: FactorGraph, config: ObjectCali
         log t(d; 0, S + R) - log rho - (1 - m) log(1 - P_D),
 
     with their offset d, its covariance S in the graph, and R of landmarks of one object in two traversals; the density
-    rho of objects on the ground, by their spacing; and the number m of keyframes that observed both. All that observed
+    rho of objects of a class on the ground; and the number m of keyframes that observed both. All that observed
     one of them count as one look: what hides one of two objects does so for a while. Landmarks are merged if the
     probability is ``DECIDED``, also against another landmark that one of them may be, seen beside the other.
     """
@@ -51,22 +55,25 @@ def fuse_landmarks(object_map: ObjectMap, graph: FactorGraph, config: ObjectCali
 
 def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibration) -> list[tuple[int, int]]:
     """Pairs of landmarks that are one object, the older one first; none is in two of them."""
-    # Half of the objects have another one within the spacing.
-    log_density = np.log(np.log(2.0) / (np.pi * config.spacing_m**2))
+    rows = np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks)
+    if len(rows) < 2:
+        return []
+    positions, classes, observers = graph.landmark_positions(rows), object_map.labels.classes(rows), graph.observers()
+    log_density = _log_density(positions, classes, [observers[row] for row in rows.tolist()], config.spacing_m)
     missed = -np.log(1.0 - min(config.detection_probability, DECIDED))
     least = np.log(DECIDED / (1.0 - DECIDED))
     # No covariance makes the likelihood of an offset that is longer large enough.
     reach_m = float(np.exp(0.5 * (missed - least - log_density - 1.0 - np.log(np.pi))))
-    pairs = _pairs_alike(object_map, graph, reach_m)
+    pairs = _pairs_alike(positions, classes, reach_m)
     try:
-        covariances = graph.relative_covariances(pairs)
+        covariances = graph.relative_covariances(rows[pairs])
     except FactorGraphError as error:
         logger.info("duplicate landmarks are not merged: %s", error)
         return []
     height_m = np.hypot(config.landmark_sigma_m, config.landmark_height_sigma_m)
     S = covariances + np.diag([config.landmark_sigma_m, config.landmark_sigma_m, height_m]) ** 2
-    d = graph.landmark_positions(pairs[:, 0]) - graph.landmark_positions(pairs[:, 1])
-    observers = graph.observers()
+    d = positions[pairs[:, 0]] - positions[pairs[:, 1]]
+    pairs = rows[pairs]
     together = np.array([len(observers[a] & observers[b]) for a, b in pairs.tolist()], dtype=np.int64)
     flat = S[:, :2, :2]
     tail = (FREEDOM + 3.0) * np.log1p(squared_mahalanobis(d, S) / FREEDOM)
@@ -88,15 +95,33 @@ def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibra
     return sorted(chosen.items())
 
 
-def _pairs_alike(object_map: ObjectMap, graph: FactorGraph, reach_m: float) -> IntArray:
-    """(P, 2) confirmed landmarks of one class that are within reach of one another, the older one first."""
-    rows = np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks)
-    positions, classes = graph.landmark_positions(rows), object_map.labels.classes(rows)
+def _log_density(positions: FloatArray, classes: IntArray, observers: Sequence[set[int]], spacing_m: float) -> float:
+    """Log of the density [1/m^2] of objects of a class: half of them have another one within the spacing.
+
+    Where no scan has two objects of a class, labels may be identities, or the sensor sees few objects at once: of the
+    pairs of classes that keyframes observed together, some would be equal if labels were random. Unless that is
+    significant, it is the density of all landmarks (L,).
+    """
+    extent_m = np.ptp(positions[:, :2], axis=0)
+    if spacing_m > extent_m.max():
+        kinds = defaultdict[int, set[int]](set)
+        for kind, keyframes in zip(classes.tolist(), observers, strict=True):
+            for keyframe in keyframes:
+                kinds[keyframe].add(kind)
+        pairs = {pair for each in kinds.values() for pair in combinations(sorted(each), 2)}
+        share = float(np.sum((np.bincount(classes) / len(classes)) ** 2))
+        if (1.0 - share) ** len(pairs) > SIGNIFICANT:
+            return float(np.log(len(classes) / np.prod(np.maximum(extent_m, 1e-9))))
+    return float(np.log(np.log(2.0) / (np.pi * spacing_m**2)))
+
+
+def _pairs_alike(positions: FloatArray, classes: IntArray, reach_m: float) -> IntArray:
+    """Pairs (P, 2) of landmarks of one class that are within reach of one another, ascending."""
     found = [np.zeros((0, 2), dtype=np.int64)]
     for each in np.unique(classes).tolist():
         alike = np.flatnonzero(classes == each)
         near = cKDTree(positions[alike, :2]).query_pairs(reach_m, output_type="ndarray")
-        found.append(rows[alike[np.sort(near, axis=1)]])
+        found.append(alike[np.sort(near, axis=1)])
     return np.concatenate(found)
 
 

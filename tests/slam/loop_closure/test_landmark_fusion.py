@@ -45,12 +45,13 @@ def found(
     step: FloatArray = SURE,
     config: ObjectCalibration = OBJECTS,
 ) -> list[tuple[int, int]]:
-    object_map, graph = mapped(landmarks, tentative, step)
+    object_map, graph = mapped([*landmarks, *FAR], tentative, step)
     assert fuse_landmarks(object_map, graph, config) == len(object_map.aliases)
     return [(kept, dropped) for dropped, kept in object_map.aliases.items()]
 
 
 FIRST: Seen = ("tree", (5.0, 4.0, 0.0), (0, 1, 2))
+FAR: tuple[Seen, ...] = (("post", (-20.0, 9.0, 0.0), (0,)), ("post", (20.0, -9.0, 0.0), (5,)))
 BESIDE: Seen = ("tree", (5.3, 3.8, 0.2), (3, 4))
 
 
@@ -106,9 +107,21 @@ def test_fuse_landmarks_merges_three_of_one_object() -> None:
 
 
 def test_fuse_landmarks_leaves_one_variable_in_the_graph() -> None:
-    object_map, graph = mapped([FIRST, BESIDE])
+    object_map, graph = mapped([FIRST, BESIDE, *FAR])
     assert fuse_landmarks(object_map, graph, OBJECTS) == 1
-    assert graph.landmarks.tolist() == [0]
+    assert graph.landmarks.tolist() == [0, 2, 3]
+
+
+@pytest.mark.parametrize(("classes", "expected"), [(15, [(0, 15)]), (5, []), (1, [])])
+def test_fuse_landmarks_takes_labels_for_identities_where_they_cannot_be_random(
+    classes: int, expected: list[tuple[int, int]]
+) -> None:
+    """No scan has two objects of a class; the last landmark is 2 m from the first."""
+    labels = [f"tag{number % classes}" for number in range(15)]
+    seen = [(label, (5.0 + 4.0 * number, 4.0, 0.0), (0, 1, 2)) for number, label in enumerate(labels)]
+    object_map, graph = mapped([*seen, ("tag0", (5.0, 2.0, 0.0), (4, 5))])
+    fuse_landmarks(object_map, graph, OBJECTS.model_copy(update={"spacing_m": 1e4}))
+    assert [(kept, dropped) for dropped, kept in object_map.aliases.items()] == expected
 
 
 def test_fuse_landmarks_leaves_a_fixed_map_as_it_is() -> None:
