@@ -106,12 +106,6 @@ def test_fuse_landmarks_merges_three_of_one_object() -> None:
     assert len(found(passes)) == 2
 
 
-def test_fuse_landmarks_leaves_one_variable_in_the_graph() -> None:
-    object_map, graph = mapped([FIRST, BESIDE, *FAR])
-    assert fuse_landmarks(object_map, graph, OBJECTS) == 1
-    assert graph.landmarks.tolist() == [0, 2, 3]
-
-
 @pytest.mark.parametrize(("classes", "expected"), [(15, [(0, 15)]), (5, []), (1, [])])
 def test_fuse_landmarks_takes_labels_for_identities_where_they_cannot_be_random(
     classes: int, expected: list[tuple[int, int]]
