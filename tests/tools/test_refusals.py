@@ -120,6 +120,7 @@ def test_what_an_extra_is_needed_for_is_refused_before_any_work(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, "slam.display.foxglove_feed", raising=False)
     result = dslam(*command.format(SAMPLE).split())
     assert_refused(result, f"this needs {module}", f"pip install 'descriptellation-slam[{extra}]'")
     assert not list(tmp_path.iterdir())
