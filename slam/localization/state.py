@@ -9,8 +9,8 @@ from logs.messages import DetectionAssociations, LoopClosureRecord
 from slam.odometry.keyframe import Keyframe
 
 CALIBRATIONS = "calibrations"
-"""Counter of a status: how often the map was built again with another calibration. Records of an earlier map
-is replaced by what follows.
+"""Counter of a status: how often the map was built again with another calibration. What follows replaces the records of
+an earlier map.
 """
 OF_ONE_MAP = (DetectionAssociations, LoopClosureRecord)
 """Records that name landmarks or keyframes of a map."""

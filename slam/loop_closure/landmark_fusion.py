@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -22,11 +22,12 @@ from slam.common.errors import FactorGraphError
 from slam.common.geometry import squared_mahalanobis
 from slam.frontend.data_association import DECIDED
 from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.odometry.noise import FREEDOM
 
 logger = logging.getLogger(__name__)
 
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t-distribution of offsets: the errors of an odometry have heavy tails."""
+LEAST_LOG_ODDS = float(np.log(DECIDED / (1.0 - DECIDED)))
+"""Log-likelihood ratio from which landmarks are taken to be one object."""
 SIGNIFICANT = 0.05
 """Labels are taken for identities where random ones were so unlikely."""
 
@@ -61,38 +62,46 @@ def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibra
     positions, classes, observers = graph.landmark_positions(rows), object_map.labels.classes(rows), graph.observers()
     log_density = _log_density(positions, classes, [observers[row] for row in rows.tolist()], config.spacing_m)
     missed = -np.log(1.0 - min(config.detection_probability, DECIDED))
-    least = np.log(DECIDED / (1.0 - DECIDED))
     # No covariance makes the likelihood of an offset that is longer large enough.
-    reach_m = float(np.exp(0.5 * (missed - least - log_density - 1.0 - np.log(np.pi))))
+    reach_m = float(np.exp(0.5 * (missed - LEAST_LOG_ODDS - log_density - 1.0 - np.log(np.pi))))
     pairs = _pairs_alike(positions, classes, reach_m)
+    if not len(pairs):
+        return []
+    d, pairs = positions[pairs[:, 0]] - positions[pairs[:, 1]], rows[pairs]
     try:
-        covariances = graph.relative_covariances(rows[pairs])
+        covariances = graph.relative_covariances(pairs)
     except FactorGraphError as error:
         logger.info("duplicate landmarks are not merged: %s", error)
         return []
     height_m = np.hypot(config.landmark_sigma_m, config.landmark_height_sigma_m)
     S = covariances + np.diag([config.landmark_sigma_m, config.landmark_sigma_m, height_m]) ** 2
-    d = positions[pairs[:, 0]] - positions[pairs[:, 1]]
-    pairs = rows[pairs]
-    together = np.array([len(observers[a] & observers[b]) for a, b in pairs.tolist()], dtype=np.int64)
-    flat = S[:, :2, :2]
+    together = np.array([len(observers[a] & observers[b]) for a, b in pairs.tolist()])
     tail = (FREEDOM + 3.0) * np.log1p(squared_mahalanobis(d, S) / FREEDOM)
-    ratios = -0.5 * (tail + np.log((2.0 * np.pi) ** 2 * np.linalg.det(flat))) - log_density + missed * (1 - together)
-    likely = ratios > least
+    log_area = np.log((2.0 * np.pi) ** 2 * np.linalg.det(S[:, :2, :2]))
+    ratios = -0.5 * (tail + log_area) - log_density + missed * (1 - together)
+    likely = ratios > LEAST_LOG_ODDS
+    return _sure(dict(zip(map(tuple, pairs[likely].tolist()), ratios[likely].tolist(), strict=True)), observers)
+
+
+def _sure(ratios: Mapping[tuple[int, int], float], observers: Mapping[int, set[int]]) -> list[tuple[int, int]]:
+    """Of pairs with their log-likelihood ratios, those of which no landmark is nearly as likely another object's: one
+    that was seen beside the other. No landmark is in two of them; the likeliest ones are chosen.
+    """
     partners = defaultdict[int, dict[int, float]](dict)
-    for (a, b), ratio in zip(pairs[likely].tolist(), ratios[likely].tolist(), strict=True):
+    for (a, b), ratio in ratios.items():
         partners[a][b] = partners[b][a] = ratio
-    chosen = dict[int, int]()
-    for a, b in pairs[likely][np.argsort(-ratios[likely], kind="stable")].tolist():
+    chosen, used = list[tuple[int, int]](), set[int]()
+    for (a, b), ratio in sorted(ratios.items(), key=lambda item: -item[1]):
         rivals = [
             rival
             for one, other in ((a, b), (b, a))
             for third, rival in partners[one].items()
             if third != other and not observers[third].isdisjoint(observers[other])
         ]
-        if max(rivals, default=-np.inf) < partners[a][b] - least and not {a, b} & {*chosen.keys(), *chosen.values()}:
-            chosen[a] = b
-    return sorted(chosen.items())
+        if max(rivals, default=-np.inf) < ratio - LEAST_LOG_ODDS and used.isdisjoint((a, b)):
+            chosen.append((a, b))
+            used |= {a, b}
+    return sorted(chosen)
 
 
 def _log_density(positions: FloatArray, classes: IntArray, observers: Sequence[set[int]], spacing_m: float) -> float:

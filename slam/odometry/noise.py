@@ -11,6 +11,8 @@ from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import covariance_in_axes, relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t-distribution of errors of the odometry, whose tails are heavy by slips."""
 SLIP_INFLATION = 3.0
 """Factor on the sigmas of the odometry where a match is in question: slips are larger than the noise of a step."""
 

@@ -35,12 +35,11 @@ from scipy.special import roots_genlaguerre
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import skew, travelled_m, view_change
+from slam.odometry.noise import FREEDOM
 from slam.self_calibration.object_tracks import ROUNDING, ObjectTracks
 
 BLOCKS = 8
 """Stretches of the log that the jackknife leaves out one at a time."""
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t-distribution."""
 ITERATIONS = 50
 QUADRATURE = 32
 """Nodes of the Gauss-Laguerre quadrature."""
