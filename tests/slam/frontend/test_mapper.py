@@ -252,6 +252,19 @@ def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
     np.testing.assert_allclose(off, 0.0, atol=0.045)  # .052 by the odometry
 
 
+def test_detections_between_keyframes_are_placed_by_the_landmarks(young):
+    """The odometry slips by 0.3 m, half a metre after the last keyframe."""
+    bench = Bench(odometry={"translation_sigma": 0.5})
+    bench.drive(9)
+    bench.move(0.9, 4.8)
+    bench.see(0.9, OBJECTS + np.array([0.3, 0.0, 0.0]))
+    bench.mapper.close_keyframe()
+    last = bench.mapper.keyframes[-1]
+    seen = [each for each in bench.observations() if each.keyframe == last.id]
+    off = [each.position[0] + last.odometry.T_odom_body[0, 3] - OBJECTS[each.landmark, 0] for each in seen]
+    np.testing.assert_allclose(off, np.zeros(4), atol=0.05)
+
+
 def test_a_break_at_a_keyframe_begins_a_segment_without_landmarks(young):
     bench = Bench()
     bench.drive(8, objects=OBJECTS[:2], labels=LABELS[:2])

@@ -90,6 +90,12 @@ def test_fuse_landmarks_knows_how_far_the_odometry_may_have_drifted() -> None:
     assert found([FIRST, far], config=sparse, step=0.2**2 * np.eye(6)) == [(0, 1)]
 
 
+def test_fuse_landmarks_expects_heavy_tails() -> None:
+    """Of an offset of 3.7 standard deviations a Gaussian would leave a probability of 97 %."""
+    far, sparse = ("tree", (5.0, 2.66, 0.0), (5,)), OBJECTS.model_copy(update={"spacing_m": 30.0})
+    assert found([FIRST, far], config=sparse) == [(0, 1)]
+
+
 def test_fuse_landmarks_leaves_what_is_not_confirmed() -> None:
     assert found([FIRST, BESIDE], tentative=(1,)) == []
 
