@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.frontend.active_landmarks import MOVING_ACCELERATION_RANGES, ActiveLandmarks
@@ -25,7 +26,8 @@ QUIET = {
 }
 WIDE = {"detection": {"farthest_m": 500.0, "common_sigma_m": 0.02}}
 SIGMA_M = 0.05
-PLACES = [[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]]
+PLACES = np.array([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0], [15.0, 6.0, 0.0], [14.0, -5.0, 0.0]])
+AHEAD, NEARER = PLACES[:2], PLACES[:2] - [-0.5, 0.0, 0.0]
 
 
 def odometry_at(x: float) -> OdometryPose:
@@ -44,7 +46,7 @@ class Bench:
         self.x = 0.0
         self.active.advance(odometry_at(0.0))
 
-    def add(self, positions: list[list[float]], *, confirmed: bool = True) -> IntArray:
+    def add(self, positions: ArrayLike, *, confirmed: bool = True) -> IntArray:
         """Landmarks at ``positions`` (N, 3) m, local frame."""
         rows = add_landmarks(
             self.map,
@@ -63,7 +65,7 @@ class Bench:
         self.x = x
 
     def see(
-        self, rows: IntArray, positions: FloatArray | None = None, *, is_uncertain: bool = False
+        self, rows: IntArray, positions: ArrayLike | None = None, *, is_uncertain: bool = False
     ) -> Correction | None:
         """Detect landmarks, where they are or at ``positions`` (N, 3) m, local frame."""
         indices = [self.active.rows.tolist().index(row) for row in rows]
@@ -153,7 +155,7 @@ def test_map_tells_which_landmarks_are_active() -> None:
 
 def test_moving_landmark_is_expected_where_its_velocity_takes_it() -> None:
     bench = Bench()
-    bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]], confirmed=False)
+    bench.add(AHEAD, confirmed=False)
     bench.map.assign(np.array([0]), velocity_local=[2.0, 0.0, 0.0])
     bench.advance(1.5)
     positions, covariances = bench.active.predict()
@@ -194,9 +196,9 @@ def test_landmarks_correct_the_robot_if_confirmed_or_its_pose_is_uncertain(
     confirmed: bool, is_uncertain: bool, x: float
 ) -> None:
     bench = Bench(**WIDE)
-    rows = bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]], confirmed=confirmed)
+    rows = bench.add(AHEAD, confirmed=confirmed)
     bench.advance(10.0)
-    bench.see(rows, [[20.5, 3.0, 0.0], [20.5, -3.0, 0.0]], is_uncertain=is_uncertain)
+    bench.see(rows, NEARER, is_uncertain=is_uncertain)
     assert bench.active.T_local_body[0, 3] == pytest.approx(x, abs=0.05)
     np.testing.assert_allclose(bench.active.T_local_odom @ pose_at(10.0), bench.active.T_local_body, atol=1e-12)
 
@@ -204,21 +206,21 @@ def test_landmarks_correct_the_robot_if_confirmed_or_its_pose_is_uncertain(
 @pytest.mark.parametrize(("speed_mps", "retires"), [(1e-3, False), (0.0, True)], ids=["moving", "retired"])
 def test_moving_and_retired_landmarks_do_not_correct_the_robot(speed_mps: float, retires: bool) -> None:
     bench = Bench()
-    rows = bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]], confirmed=False)
+    rows = bench.add(AHEAD, confirmed=False)
     bench.map.assign(rows, velocity_local=[speed_mps, 0.0, 0.0])
     if retires:
         bench.map.retire(rows, RetirementReason.MOVING)
     bench.advance(10.0)
-    bench.see(rows, [[20.5, 3.0, 0.0], [20.5, -3.0, 0.0]], is_uncertain=True)
+    bench.see(rows, NEARER, is_uncertain=True)
     assert bench.active.T_local_body[0, 3] == 10.0
     assert (bench.map.rows["position_local"][rows, 0] > (20.3 if speed_mps else 20.0)).all()
 
 
 def test_shift_corrects_the_odometry_and_not_what_the_landmarks_correct_it_by() -> None:
     bench = Bench()
-    rows = bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]])
+    rows = bench.add(AHEAD)
     bench.advance(10.0)
-    bench.see(rows, [[20.5, 3.0, 0.0], [20.5, -3.0, 0.0]])
+    bench.see(rows, NEARER)
     before, T_local_odom = bench.active.T_local_body, bench.active.T_local_odom
     T_shift = pose_at(1.0, 2.0, yaw=0.3)
     T_odom = bench.active.shift(T_shift, np.zeros((6, 6)))
@@ -232,7 +234,7 @@ def test_height_that_all_landmarks_seem_to_gain_is_no_slip() -> None:
     bench = Bench(odometry={"min_translation_sigma_m": 0.1})
     rows = bench.add(PLACES)
     bench.advance(10.0)
-    assert bench.see(rows, np.array(PLACES) + np.array([0.0, 0.0, 4.0])) is None
+    assert bench.see(rows, PLACES - [0.0, 0.0, -4.0]) is None
     np.testing.assert_array_equal(bench.active.T_odom_body, pose_at(10.0))
 
 
@@ -241,8 +243,7 @@ def test_slip_that_all_landmarks_show_corrects_the_odometry() -> None:
     rows = bench.add(PLACES)
     bench.advance(10.0)
     bench.active.slip()
-    correction = bench.see(rows, np.array(PLACES) - [4.0, 0.0, 0.0])
-    assert correction is not None
+    correction = bench.see(rows, PLACES - [4.0, 0.0, 0.0])
     np.testing.assert_allclose(correction.T_odom[:3, 3], [4.0, 0.0, 0.0], atol=0.7)
     assert correction.variances[0] == pytest.approx(np.sum(correction.T_odom[:3, 3] ** 2) / 2.0)
     np.testing.assert_allclose(bench.active.T_odom_body, correction.T_odom @ pose_at(10.0))
@@ -256,4 +257,4 @@ def test_error_that_a_shift_has_corrected_is_no_slip() -> None:
     rows = bench.add(PLACES)
     bench.advance(10.0)
     bench.active.shift(np.eye(4), np.zeros((6, 6)))
-    assert bench.see(rows, np.array(PLACES) - [4.0, 0.0, 0.0]) is None
+    assert bench.see(rows, PLACES - [4.0, 0.0, 0.0]) is None

@@ -77,9 +77,12 @@ class Drive:
         assert stamps_ns == [START_NS + step * STEP_NS for step in range(self.step)]
 
 
-def restart(drive: Drive) -> None:
-    """Let the odometry start again at its first pose."""
+def restarted() -> Drive:
+    """A drive whose odometry starts again at its first pose after 30 messages."""
+    drive = Drive()
+    drive.drive(30)
     drive.T_fault = invert(T_true(drive.step))
+    return drive
 
 
 def test_each_pose_is_handed_out_once_as_reported() -> None:
@@ -92,9 +95,7 @@ def test_each_pose_is_handed_out_once_as_reported() -> None:
 
 
 def test_last_pose_is_handed_out_although_no_other_tells_whether_it_is_wild() -> None:
-    drive = Drive()
-    drive.drive(30)
-    restart(drive)
+    drive = restarted()
     drive.drive(1)
     assert len(drive.poses) < drive.step
     drive.assert_each_once()
@@ -157,9 +158,7 @@ def test_poses_are_handed_out_as_corrected(yaw: float) -> None:
 
 
 def test_restart_of_the_odometry_among_known_landmarks_begins_no_segment() -> None:
-    drive = Drive()
-    drive.drive(30)
-    restart(drive)
+    drive = restarted()
     drive.drive(20)
     drive.assert_each_once()
     assert drive.errors_m().max() < 0.2
@@ -167,11 +166,8 @@ def test_restart_of_the_odometry_among_known_landmarks_begins_no_segment() -> No
 
 
 def test_restart_of_the_odometry_in_an_unknown_place_begins_a_segment() -> None:
-    drive = Drive()
-    drive.drive(30)
-    restart(drive)
-    drive.objects = forest(60, seed=5) + np.array([3.0, 2.0, 200.0])
-    drive.objects[:, 2] = 0.0
+    drive = restarted()
+    drive.objects = forest(60, seed=5) - [-3.0, -2.0, 0.0]
     drive.drive(REJOINING_SCANS + 10)
     drive.assert_each_once()
     assert [pose.segment for pose in drive.poses] == [0] * 30 + [1] * (REJOINING_SCANS + 10)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, make_transform, relative, skew
 from slam.frontend.local_map import POSE, LocalMap
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 
 LANDMARKS = np.array([[8.0, 5.0, 1.0], [12.0, -6.0, -2.0], [20.0, 7.0, 0.5], [28.0, -4.0, 3.0], [3.0, -9.0, 0.0]])
 ALL = np.arange(len(LANDMARKS))
@@ -40,10 +40,10 @@ class Drive:
         self.Q, self.R = scale**2 * Q, scale**2 * R_BODY
         self.T_true, self.odometry, self.seen = np.eye(4), list[FloatArray](), list[Measurement]()
         for step in range(steps):
-            turn = Rotation.from_rotvec(turns * rng.normal(size=3)).as_matrix()
-            U = make_transform(turn, rng.uniform(-0.5, 1.5, 3) * (np.array(turns) > 0)[[2, 2, 0]])
+            turn = turns * rng.normal(size=3)
+            U = motion_by(turn, rng.uniform(-0.5, 1.5, 3) * (np.array(turns) > 0)[[2, 2, 0]])
             noise = rng.normal(size=POSE) * np.sqrt(np.diag(self.Q))
-            self.T_true = self.T_true @ U @ make_transform(Rotation.from_rotvec(noise[:3]).as_matrix(), noise[3:])
+            self.T_true = self.T_true @ U @ motion_by(noise[:3], noise[3:])
             self.odometry.append(U)
             ids = ALL if step == 1 else np.flatnonzero(rng.random(len(ALL)) < 0.6)
             z = (LANDMARKS[ids] - self.T_true[:3, 3]) @ self.T_true[:3, :3]
@@ -66,8 +66,7 @@ class Drive:
         """Whitened, of poses as (rotation vector, position) each, and landmarks."""
         poses, landmarks = np.split(x, [POSE * len(self.odometry)])
         poses, landmarks = poses.reshape(-1, POSE), landmarks.reshape(-1, 3)
-        R = Rotation.from_rotvec(poses[:, :3]).as_matrix()
-        T = np.concatenate([np.eye(4)[None], make_transform(R, poses[:, 3:])])
+        T = np.concatenate([np.eye(4)[None], motion_by(poses[:, :3], poses[:, 3:])])
         of_steps = []
         for before, after, U in zip(T[:-1], T[1:], self.odometry, strict=True):
             off = relative(before @ U, after)
@@ -111,7 +110,7 @@ def test_filter_agrees_with_least_squares_over_all_poses(seed: int, turns: list[
         start.append([*Rotation.from_matrix(T[:3, :3]).as_rotvec(), *T[:3, 3]])
     solved = least_squares(drive.residuals, np.concatenate([np.ravel(start), LANDMARKS.ravel()]), method="lm")
     last = slice(POSE * (count - 1), POSE * count)
-    T_solved = make_transform(Rotation.from_rotvec(solved.x[last][:3]).as_matrix(), solved.x[last][3:])
+    T_solved = motion_by(solved.x[last][:3], solved.x[last][3:])
     landmarks = solved.x[POSE * count :].reshape(-1, 3)
     off = error_of(local, T_solved, landmarks)
     assert off @ np.linalg.solve(local._P, off) < 0.01
@@ -164,7 +163,7 @@ def test_effects_of_a_step_are_how_its_error_moves_the_offsets_of_landmarks() ->
 
     def measured(error: FloatArray) -> FloatArray:
         """Offsets that a body measures whose step had the error, in the axes that the filter believes in."""
-        turn = Rotation.from_rotvec([0.0, 0.0, error[0]]).as_matrix()
+        turn = pose_at(yaw=error[0])[:3, :3]
         T_true = make_transform(turn @ T[:3, :3], T[:3, 3] + np.append(error[1:], 0.0))
         return np.asarray((apply(invert(T_true), landmarks) @ T[:3, :3].T).ravel())
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from logs.messages import DetectionAssociations, Odometry
+from logs.messages import DetectionAssociations, FactorGraphRecord, Odometry
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.solver_options import UPDATE_KEYFRAMES
@@ -44,7 +44,6 @@ class Bench:
 
     def move(self, seconds: float, x: float = 0.0) -> Keyframe | None:
         (pose,) = self.track.add(Odometry(round(seconds * 1e9), pose_at(x))) or self.track.finish()
-        assert pose is not None
         return self.mapper.add_odometry(pose)
 
     def locate(
@@ -55,7 +54,6 @@ class Bench:
         **detected: Any,
     ) -> tuple[Tracked, OdometryPose]:
         pose = self.track.at(round(seconds * 1e9))
-        assert pose is not None
         positions = apply(invert(pose.T_odom_body), objects)
         scan = scan_of(positions, labels, stamp_ns=pose.stamp_ns, **({"sigma_m": 0.2} | detected))
         return self.mapper.locate(scan, pose), pose
@@ -78,6 +76,9 @@ class Bench:
         """Why each landmark retired; those that were never confirmed are in no record and so in none of these."""
         return list(self.map.to_record(0).reasons)
 
+    def graph_record(self) -> FactorGraphRecord:
+        return self.graph.to_record(0, np.arange(len(self.mapper.keyframes)))
+
     def observations(self) -> list[Observation]:
         return [factor for factor in self.graph.factors.values() if isinstance(factor, Observation)]
 
@@ -85,7 +86,7 @@ class Bench:
 def test_odometry_connects_keyframes():
     bench = Bench()
     bench.drive(13)
-    record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
+    record = bench.graph_record()
     assert record.edge_keyframe_ids.tolist() == [[0, 1], [1, 2], [2, 3]]
     np.testing.assert_allclose(record.edge_transforms[:, 0, 3], 2.0)
     np.testing.assert_allclose(record.T_map_body[:, 0, 3], [0.0, 2.0, 4.0, 6.0], atol=1e-6)
@@ -314,7 +315,7 @@ def test_new_segment_of_the_odometry_drops_the_landmarks_in_view():
     assert LandmarkState.TENTATIVE not in bench.states()
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
-    record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
+    record = bench.graph_record()
     assert np.sqrt(record.edge_covariances[-1][3, 3]) == pytest.approx(100.0 / 30.0 * bench.config.sensor_range_m)
     assert record.edge_kinds[-1] == "discontinuity"
 

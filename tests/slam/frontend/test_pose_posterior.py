@@ -9,19 +9,14 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, skew, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.data_association import AMBIGUOUS, Objects, associate, density
-from slam.frontend.pose_posterior import (
-    KnownLandmarks,
-    ModeSearch,
-    PriorComponent,
-    common_error,
-    probabilities,
-)
+from slam.frontend.pose_posterior import KnownLandmarks, ModeSearch, PriorComponent, common_error, probabilities
 from tests.helpers.landmarks import spheres
 from tests.helpers.poses import pose_at
 
 CONFIG = ObjectCalibration()
 ORIGIN = np.array([40.0, -10.0, 1.0])
 AS_PREDICTED = PriorComponent(1.0, np.zeros((6, 6)))
+ANYWHERE = PriorComponent(1e-4, np.diag([1e-3, 1e-3, np.pi, 50.0, 50.0, 1.0]) ** 2, is_anywhere=True)
 OWN_M, NOISE_M = 0.03, 0.03
 """What each landmark and each detection errs by, of its own."""
 
@@ -133,10 +128,8 @@ def test_weight_of_a_mode_is_the_evidence_of_its_pairs(weight: float) -> None:
 @pytest.mark.parametrize("yaw", [np.pi / 2.0, -3.0, 0.0])
 def test_wide_component_finds_any_heading(yaw: float) -> None:
     scene, which, T_off = Scene(scattered(), shift_m=0.1), np.arange(4, 16), about_body(5.0, 3.0, yaw)
-    spread = np.diag([1e-3, 1e-3, np.pi, 50.0, 50.0, 1.0]) ** 2
-    anywhere = PriorComponent(1e-4, spread, is_anywhere=True)
-    modes = scene.search(scene.seen(which, T_off)).modes([PriorComponent(1.0 - 1e-4, np.zeros((6, 6))), anywhere])
-    assert modes[0].component is anywhere
+    modes = scene.search(scene.seen(which, T_off)).modes([AS_PREDICTED, ANYWHERE])
+    assert modes[0].component is ANYWHERE
     np.testing.assert_allclose(modes[0].T_motion, T_off, atol=0.2)
     assert modes[0].assignment.landmark_rows.tolist() == which.tolist()
     assert probabilities(modes)[0] > 0.99
@@ -145,8 +138,7 @@ def test_wide_component_finds_any_heading(yaw: float) -> None:
 def test_wide_component_finds_nothing_where_all_objects_are_new() -> None:
     scene = Scene(scattered(), shift_m=0.1)
     new = Objects(ORIGIN + scattered(12, seed=9), spheres(NOISE_M, 12), np.zeros(12, np.int64))
-    anywhere = PriorComponent(1e-4, np.diag([1e-3, 1e-3, np.pi, 50.0, 50.0, 1.0]) ** 2, is_anywhere=True)
-    modes = scene.search(new).modes([PriorComponent(1.0 - 1e-4, np.zeros((6, 6))), anywhere])
+    modes = scene.search(new).modes([AS_PREDICTED, ANYWHERE])
     assert modes[0].assignment.matched.sum() <= 2
 
 
@@ -155,9 +147,7 @@ def test_wide_component_is_not_sure_where_two_places_look_alike() -> None:
     row = np.array([[x, 0.0, 0.0] for x in (0.0, 3.0, 5.0, 9.0, 10.0, 14.0, 16.0)])
     landmarks = np.concatenate([row - [8.0, 15.0, 0.0], row[:6] - [8.0, -15.0, 0.0]])
     scene, T_off = Scene(landmarks, shift_m=0.1), about_body(0.0, -8.0, 0.5)
-    anywhere = PriorComponent(1e-4, np.diag([1e-3, 1e-3, np.pi, 30.0, 30.0, 1.0]) ** 2, is_anywhere=True)
-    components = [PriorComponent(1.0 - 1e-4, np.zeros((6, 6))), anywhere]
-    modes = scene.search(scene.seen(np.arange(7), T_off)).modes(components)
+    modes = scene.search(scene.seen(np.arange(7), T_off)).modes([AS_PREDICTED, ANYWHERE])
     found = [mode for mode in modes if mode.assignment.matched.any()]
     assert [mode.assignment.matched.sum() for mode in found[:2]] == [7, 6]
     assert found[0].log_weight - found[1].log_weight > np.log(99.0)
@@ -172,8 +162,7 @@ def test_labels_decide_between_places_that_look_alike() -> None:
     labels = np.array([0, 1, 2, 3, 4, 5, *range(6, 16)])
     beliefs = 0.98 * np.eye(20)[labels] + 0.001
     scene, which, T_off = Scene(landmarks, beliefs=beliefs), np.array([3, 4, 5]), about_body(10.0, 0.0, 0.0)
-    anywhere = PriorComponent(1.0, np.diag([1e-3, 1e-3, np.pi, 30.0, 30.0, 1.0]) ** 2, is_anywhere=True)
-    modes = scene.search(scene.seen(which, T_off, labels[which])).modes([anywhere])
+    modes = scene.search(scene.seen(which, T_off, labels[which])).modes([ANYWHERE])
     assert modes[0].assignment.landmark_rows.tolist() == which.tolist()
     assert probabilities(modes)[0] > 0.99
 

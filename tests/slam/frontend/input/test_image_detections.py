@@ -66,7 +66,6 @@ def test_an_object_is_at_the_depth_of_what_is_near_in_its_box() -> None:
     depths[200:280, 300:330] = 8.0
     depths[230:235] = np.nan
     placed = place_by_depth(PINHOLE, np.array([310.0, 240.0, 60.0, 80.0]), depths)
-    assert placed is not None
     position, covariance = placed
     np.testing.assert_allclose(position, 8.0 * ray(PINHOLE, 310.0, 240.0), atol=1e-9)
     across = sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
@@ -81,7 +80,6 @@ def test_a_foot_on_the_ground_tells_the_distance() -> None:
     u, v = project(camera_foot)[0]
     box = np.array([u, v - 30.0, 20.0, 60.0])
     placed = place_on_ground(PINHOLE, box, T_body_camera, -0.1, 80.0)
-    assert placed is not None
     position, covariance = placed
     np.testing.assert_allclose(position, camera_foot[0], atol=1e-9)
     across = sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
@@ -99,7 +97,6 @@ def test_a_tag_of_known_size(turned: float) -> None:
     center = np.array([0.3, -0.2, 2.5])
     seen = square @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + center
     placed = place_tag(PINHOLE, project(seen), 0.16)
-    assert placed is not None
     position, covariance = placed
     np.testing.assert_allclose(position, center, atol=1e-9)
     assert sigma_along(covariance, center) > 5.0 * sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
