@@ -1,7 +1,5 @@
 """Drives that several files of tests share; each is simulated and replayed once."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

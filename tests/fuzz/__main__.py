@@ -1,7 +1,5 @@
 """``python -m tests.fuzz``: run mutated files through all commands, and keep those that something is wrong with."""
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import os

@@ -69,7 +69,6 @@ def main() -> int:
                 apart.submit(write_bomb, path, name).result()
             command = [sys.executable, "-m", "tools.cli", "info", str(path)]
             child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-            assert child.stderr is not None
             said, size = child.stderr.read().decode(errors="replace").strip(), f"{path.stat().st_size / 1e6:.2f} MB"
             _, status, usage = os.wait4(child.pid, 0)
         megabytes, seconds = usage.ru_maxrss * 1024 / 1e6, usage.ru_utime + usage.ru_stime

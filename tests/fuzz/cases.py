@@ -1,7 +1,5 @@
 """Command lines of the fuzzer, and the mutated files that they read."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import shlex

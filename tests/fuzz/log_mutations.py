@@ -1,7 +1,5 @@
 """Mutations of trees, as JSON has them, and of a log that stays a valid MCAP file."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Command lines in which one name is missing, no file, or a file of another kind."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whole and valid files of every format, from which the fuzzer goes out."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

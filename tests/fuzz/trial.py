@@ -1,7 +1,5 @@
 """One case after the other in a process of a pool, each in a folder and a child of its own."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import dataclass
@@ -48,7 +46,6 @@ def begin(trials: Trials) -> None:
 
 def run_case(number: int) -> Verdict:
     """Make the case, run it, and judge what became of it."""
-    assert _trials is not None
     limits = Limits()
     folder = _trials.folder / f"case-{number}"
     folder.mkdir()

@@ -51,7 +51,6 @@ class Outcome:
 
     @property
     def ate_m(self) -> float:
-        assert self.evaluation.estimate is not None
         return self.evaluation.estimate.ate_m
 
 

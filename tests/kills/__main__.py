@@ -1,7 +1,5 @@
 """``python -m tests.kills``: kill commands with SIGKILL at random times and give them again."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """The commands that are killed, each with small inputs, and what they are to leave in their folder."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

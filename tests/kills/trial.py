@@ -1,7 +1,5 @@
 """One command, killed at a given time and given again."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """No file is taken into memory as far as it asks for."""
 
-from __future__ import annotations
-
 import logging
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``python -m tests.mutants``: break the estimator in random places and see whether its fast tests fail."""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import os

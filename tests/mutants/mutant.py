@@ -1,7 +1,5 @@
 """Mutants of the estimator's sources, made by the operators of cosmic-ray."""
 
-from __future__ import annotations
-
 import ast
 import random
 import re

@@ -1,7 +1,5 @@
 """Runs tests on a copy of the repository in which one file has another source."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """What a finished map cannot be trusted in."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Drives with faulty input: refused with an error of ours, or mapped, and the final status counts what was lost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The same log and configuration give the same bytes: in other processes, from other folders, with other hash seeds."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

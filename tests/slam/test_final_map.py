@@ -1,7 +1,5 @@
 """Whether the result of a drive can be relied on, and which landmarks of a prior map it passed."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

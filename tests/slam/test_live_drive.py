@@ -1,7 +1,5 @@
 """A drive mapped message by message, as it comes from a stream."""
 
-from __future__ import annotations
-
 from collections import Counter
 from io import BytesIO
 from pathlib import Path
@@ -49,5 +47,4 @@ def test_what_becomes_known_is_published_and_written(tmp_path: Path) -> None:
     assert np.median(ratios, axis=0).max() < 0.5  # as of filters that are right
     assert max(record.lost_probability for record in found) < 0.01
     covariance = found[-1].covariance
-    assert covariance is not None
     assert np.linalg.eigvalsh(covariance).min() >= 0.0

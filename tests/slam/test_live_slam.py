@@ -1,7 +1,5 @@
 """A map of a robot that is calibrated during its drive."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Texts and frames for viewers, beside the estimates."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.messages import LoopClosureRecord, Record, StatusRecord, Transform

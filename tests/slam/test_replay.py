@@ -1,7 +1,5 @@
 """Replay: what is in the output, and what becomes of it when something fails on the way."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """A robot whose sensor sees 1.5 m or 600 m is mapped like one that sees 30 m, scaled."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from operator import attrgetter

@@ -1,7 +1,5 @@
 """Localization of single scans: found in a street by what is seen alone; where that is not enough, it is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

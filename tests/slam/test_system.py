@@ -1,7 +1,5 @@
 """Whole drives: what comes out is true where the input is, and is never better than the input allows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``python -m tests.soak``: simulate many laps of a town, replay them in one go, print memory and time per lap."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """``python -m tests.supply_chain``: known weaknesses of the dependencies."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

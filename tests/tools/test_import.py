@@ -1,7 +1,5 @@
 """dslam import csv, as it is typed, and what docs/import.md says of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

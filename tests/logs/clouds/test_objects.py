@@ -71,7 +71,6 @@ def test_objects_of_real_scans_are_those_that_were_published() -> None:
 
         def lines(name: str) -> list[str]:
             member = archive.extractfile(f"00/{name}")
-            assert member is not None
             return member.read().decode().split("\n")
 
         counts = lines("bow.txt")

@@ -1,15 +1,13 @@
 """A small graph whose truth is known, with noisy edges and observations."""
 
-from __future__ import annotations
-
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import invert, transform_from_xyz_yaw
 from tests.helpers.graphs import PLAIN, observed_from
+from tests.helpers.poses import motion_by
 
 EDGE_COVARIANCE = np.diag(np.repeat([0.05**2, 0.2**2], 3))
 SEEN_COVARIANCE = 0.02**2 * np.eye(3)
@@ -21,9 +19,7 @@ def true_poses() -> FloatArray:
     """A round of 12 keyframes on a circle of 8 m, with some tilt and height."""
     around = 2 * np.pi * np.arange(KEYFRAMES) / KEYFRAMES
     xyz = np.stack([8 * np.sin(around), 8 - 8 * np.cos(around), 0.5 * np.sin(2 * around)], axis=1)
-    tilt = make_transform(
-        Rotation.from_euler("y", 0.05 * np.sin(around)[:, None]).as_matrix(), np.zeros((KEYFRAMES, 3))
-    )
+    tilt = motion_by(np.outer(0.05 * np.sin(around), [0.0, 1.0, 0.0]))
     return transform_from_xyz_yaw(xyz, around) @ tilt
 
 
@@ -41,9 +37,7 @@ def noisy_edges(seed: int = 1) -> list[Edge]:
     T = true_poses()
     edges = []
     for i in range(KEYFRAMES - 1):
-        error = make_transform(
-            Rotation.from_rotvec(rng.normal(scale=0.05, size=3)).as_matrix(), rng.normal(scale=0.2, size=3)
-        )
+        error = motion_by(rng.normal(scale=0.05, size=3), rng.normal(scale=0.2, size=3))
         edges.append(edge(i, i + 1, invert(T[i]) @ T[i + 1] @ error))
     return edges
 

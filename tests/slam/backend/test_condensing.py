@@ -1,7 +1,5 @@
 """Keyframes of later traversals attached to earlier ones: the same map with fewer variables."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

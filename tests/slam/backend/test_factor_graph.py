@@ -3,8 +3,6 @@
 Each test of the estimate has a twin with one factor corrupted, in which the same check must fail.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

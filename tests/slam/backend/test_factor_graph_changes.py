@@ -1,7 +1,5 @@
 """The factor graph: landmarks that are merged and removed, edges that go, segments that a closure joins."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

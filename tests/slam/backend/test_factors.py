@@ -1,7 +1,5 @@
 """Noise and kernels of factors, and what no factor is made of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

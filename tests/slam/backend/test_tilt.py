@@ -1,17 +1,15 @@
 """The tilt of the odometry is held where the whole graph does not contradict it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.tilt import hold_tilt
 from slam.common.arrays import FloatArray
-from slam.common.geometry import make_transform, relative, transform_from_xyz_yaw
+from slam.common.geometry import relative, transform_from_xyz_yaw
 from tests.helpers.graphs import chained, observed_from
+from tests.helpers.poses import motion_by
 
 KEYFRAMES, STEP_M = 120, 1.0
 SIGMA_M = 0.1
@@ -23,8 +21,7 @@ TILT_RAD = 0.01
 def true_poses() -> FloatArray:
     """A straight drive of a body that is turned upside down on the way."""
     poses = transform_from_xyz_yaw(np.stack([STEP_M * np.arange(KEYFRAMES), *np.zeros((2, KEYFRAMES))], axis=1), 0.0)
-    roll = Rotation.from_euler("x", np.linspace(0.0, np.pi, KEYFRAMES)[:, None]).as_matrix()
-    return poses @ make_transform(roll, np.zeros((KEYFRAMES, 3)))
+    return poses @ motion_by(np.linspace(np.zeros(3), [np.pi, 0.0, 0.0], KEYFRAMES))
 
 
 def drive(drift_rad: float, seed: int) -> FactorGraph:
@@ -36,10 +33,10 @@ def drive(drift_rad: float, seed: int) -> FactorGraph:
     edges, observations = list[Edge](), list[Observation]()
     for k in range(KEYFRAMES):
         if k:
-            error = Rotation.from_rotvec(R[k].T @ np.append(rng.normal(scale=drift_rad, size=2), 0.0)).as_matrix()
+            error = motion_by(R[k].T @ np.append(rng.normal(scale=drift_rad, size=2), 0.0))
             covariance = 1e-4 * np.eye(6)
             covariance[:3, :3] = R[k].T @ upright @ R[k]
-            step = relative(T[k - 1], T[k]) @ make_transform(error, np.zeros(3))
+            step = relative(T[k - 1], T[k]) @ error
             edges.append(Edge(k - 1, k, step, covariance, EdgeKind.ODOMETRY))
         near = np.flatnonzero(np.linalg.norm(landmarks - T[k][:3, 3], axis=1) < 6.0)
         errors = rng.normal(scale=SIGMA_M, size=(len(near), 3))

@@ -1,7 +1,5 @@
 """Rigid transforms: properties over uniform, near-identity and near-pi rotations, and against SciPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

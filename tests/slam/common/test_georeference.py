@@ -1,7 +1,5 @@
 """Georeference: degrees to the plane and back, against known distances."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What viewers hold of a drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

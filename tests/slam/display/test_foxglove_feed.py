@@ -1,7 +1,5 @@
 """Estimates over a WebSocket, read by a client that is not Foxglove's."""
 
-from __future__ import annotations
-
 import json
 import struct
 from contextlib import closing

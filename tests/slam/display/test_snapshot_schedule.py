@@ -1,7 +1,5 @@
 """SnapshotSchedule: often at first, and in proportion to the map later."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

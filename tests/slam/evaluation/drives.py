@@ -1,7 +1,5 @@
 """Drives for the tests: made ones, and KITTI 00 where it is there."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray

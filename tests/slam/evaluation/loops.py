@@ -1,7 +1,5 @@
 """A drive there and back, and loop-closure candidates about it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Object maps and frames of detections for the tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -189,7 +187,6 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
     at = stamps(COUNT).tolist()
     lost, found = StatusRecord(at[110], "LOST", "warning", ""), StatusRecord(at[120], "RELOCALIZED", "info", "")
     records = collect_records([*made_log(), ("/slam/status", lost), ("/slam/status", found)])
-    assert records.graph is not None
     kept = records.graph.keyframe_ids[50:52].reshape(1, 2)
     jump = {"edge_transforms": np.eye(4)[None], "edge_covariances": np.eye(6)[None], "edge_kinds": ("discontinuity",)}
     records = replace(records, graph=replace(records.graph, edge_keyframe_ids=kept, **jump))
@@ -200,7 +197,6 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
 
 def test_of_a_given_map_the_picture_shows_what_is_around_the_path() -> None:
     records = collect_records(made_log())
-    assert records.object_map is not None
     positions = records.object_map.positions.copy()
     positions[0] += [2.0 * COUNT, 0.0, 0.0]
     records = replace(records, object_map=replace(records.object_map, positions=positions))

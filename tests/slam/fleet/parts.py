@@ -1,7 +1,5 @@
 """Parts of a fleet without files: made of maps of drives, joined, or with landmarks that a test places."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

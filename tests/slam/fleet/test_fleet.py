@@ -1,7 +1,5 @@
 """Whole fleets of short drives through the generated town: slow, as each log is mapped."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 
 from slam.fleet.presence import estimate_presence, find_passes, seen_probabilities

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +18,6 @@ from slam.formats.trajectories import write_kitti, write_tum
 def result(noisy_output: Path) -> tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]:
     """Of a drive around the block."""
     records = read_records(noisy_output)
-    assert records.graph is not None
-    assert records.object_map is not None
     return records.final_path, records.graph, records.object_map
 
 

@@ -1,7 +1,5 @@
 """Tables of landmarks: names of classes in any script, and what stands in them."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fixes of satellites: a prior in a map, and where on earth a map lies."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -63,7 +61,6 @@ def far_off(fixes: list[GeodeticFix], share: float) -> list[GeodeticFix]:
 
 def off_m(found: Georeference | None) -> FloatArray:
     """How far (N, 3) m positions of the path are from where they are on earth."""
-    assert found is not None
     return np.abs(TRUE.to_map(found.to_geodetic(POSITIONS)) - POSITIONS)
 
 
@@ -72,7 +69,6 @@ class TestGeoreference:
     def test_the_place_of_a_map_is_found_with_outliers(self, share: float) -> None:
         found = find_georeference(path(), far_off(fixes_of(POSITIONS), share))
         assert off_m(found).max() < 1.0
-        assert found is not None
         assert abs(found.yaw_rad - TRUE.yaw_rad) < 0.01
 
     def test_few_good_fixes_weigh_more_than_many_bad_ones(self) -> None:
@@ -98,7 +94,6 @@ class TestPrior:
         prior, found = GnssPrior(TRUE), None
         for i, fix in enumerate(far_off(fixes_of(POSITIONS[:20]), 0.3)):
             found = prior.add(fix, 3.0 * i)
-        assert found is not None
         reach_m = GATE_SIGMAS * found.sigma_m + abs(3.0 * 19 - found.at_travel_m)
         assert np.linalg.norm(found.position - POSITIONS[19, :2]) < reach_m < 30.0
 

@@ -1,7 +1,5 @@
 """A robot finds itself in a map that nobody drove, follows it there, and may bend it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Objects of a source become a map: their origin, and coordinates that cannot be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -31,7 +29,6 @@ def test_degrees_become_metres_around_their_middle_or_an_origin() -> None:
     found = given.positions[np.argsort(given.positions[:, 0]), :2]
     np.testing.assert_allclose(found, XY[np.argsort(XY[:, 0])], atol=1e-6)
     middle = import_map(objects(degrees(), is_geodetic=True), sigma_m=0.3).georeference
-    assert middle is not None
     np.testing.assert_allclose([middle.latitude_deg, middle.longitude_deg], np.median(degrees(), axis=0), atol=1e-6)
 
 

@@ -1,7 +1,5 @@
 """The prior of a pose: what the odometry says, and what is left where it may have failed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

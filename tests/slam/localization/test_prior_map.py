@@ -1,7 +1,5 @@
 """A map taken into a graph: one that moves with it, and one that stays as it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

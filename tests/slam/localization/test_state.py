@@ -1,7 +1,5 @@
 """The localization state, keyframe by keyframe."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.localization.state import CONTRADICTED, DISCONTINUITY, Fix, LocalizationState, State

@@ -1,7 +1,5 @@
 """What is said of a drive that was not found in its map, or at a wrong place."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

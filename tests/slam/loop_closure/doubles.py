@@ -1,7 +1,5 @@
 """What stands in for a verifier where the rules of acceptance are tested without a drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How many settings decide whether a loop closure is accepted."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Accepted closures and the factors that represent them: both go together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

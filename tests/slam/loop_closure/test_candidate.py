@@ -1,7 +1,5 @@
 """Agreement of candidates, and the best of several."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

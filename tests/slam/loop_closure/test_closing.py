@@ -1,7 +1,5 @@
 """What follows what when loops are looked for: rules of ``LoopCloser`` with doubles of its parts, without a drive."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
@@ -26,7 +23,7 @@ from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place_search import Place
 from slam.registration.registration import MIN_INLIERS
 from tests.helpers.candidates import make_candidate
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 from tests.slam.loop_closure.doubles import Patterns, make_keyframe, make_query
 
 STEP_M = 2.0
@@ -234,8 +231,7 @@ def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
 
 def test_query_of_a_tilted_body_is_upright(parts):
     drive = Drive(parts)
-    T_local_body = pose_at(STEP_M * FIRST)
-    T_local_body[:3, :3] = Rotation.from_euler("xyz", [5.0, -10.0, 0.0], degrees=True).as_matrix()
+    T_local_body = pose_at(STEP_M * FIRST) @ motion_by([0.0, -0.17, 0.0]) @ motion_by([0.09, 0.0, 0.0])
     keyframe = make_keyframe(FIRST, STEP_M * FIRST, segment=0)
     drive.keyframes.append(keyframe)
     drive.closer.close(Keyframe(keyframe.id, keyframe.odometry, T_local_body))

@@ -1,7 +1,5 @@
 """Closures in the graph and in the map: what inserting them ties together, withdrawing them sets free again."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

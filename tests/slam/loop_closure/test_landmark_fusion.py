@@ -1,7 +1,5 @@
 """Landmarks of one object are merged, those of two are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

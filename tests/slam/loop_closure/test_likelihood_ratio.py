@@ -1,7 +1,5 @@
 """What objects say for and against a place: much where they are seen again, little where they stand in rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Each expectation has a twin in which one part is made useless, and in which it must fail.
 """
 
-from __future__ import annotations
-
 from unittest.mock import patch
 
 import numpy as np
@@ -56,7 +54,6 @@ def test_loops_are_closed_in_both_directions_and_all_of_them_are_right(looped):
     for direction, least in (("same", 20), ("opposite", 40)):
         assert looped.closures[f"revisit_count_{direction}"] >= least
         recall = looped.closures[f"recall_{direction}"]
-        assert recall is not None
         assert recall >= 0.9
     assert looped.closures["median_translation_error_m"] < 0.5
     assert looped.closures["median_rotation_error_deg"] < 1.0

@@ -1,18 +1,15 @@
 """Verification without a drive: what is refused, the relative pose and its covariance, and what is compared with it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import apply, covariance_in_axes, gravity_frame, invert, make_transform, yaw_rad
+from slam.common.geometry import apply, covariance_in_axes, gravity_frame, invert, yaw_rad
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure import verification
 from slam.loop_closure.candidate import Candidate, Query
@@ -24,7 +21,7 @@ from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place_search import Place
 from slam.registration.registration import GATE_SIGMA
 from tests.helpers.candidates import make_candidate
-from tests.helpers.poses import keyframe_at, pose_at
+from tests.helpers.poses import keyframe_at, motion_by, pose_at
 from tests.slam.loop_closure.doubles import make_keyframe, make_query, make_submap, part_of
 
 STEP_M = 2.0
@@ -39,7 +36,7 @@ def body(number: int) -> FloatArray:
     """The body leans at the two keyframes that are compared."""
     upright = pose_at(STEP_M * (number % ROUND), yaw=0.3)
     roll, pitch = ROLL_PITCH.get(number, (0.0, 0.0))
-    return upright @ make_transform(Rotation.from_euler("xy", [roll, pitch]).as_matrix(), np.zeros(3))
+    return upright @ motion_by([roll, pitch, 0.0])
 
 
 def make_keyframes(*, second_segment: int = 0) -> list[Keyframe]:
@@ -184,7 +181,6 @@ def test_a_closure_predicts_within_its_segment():
         T_local_query=gravity_frame(body(QUERY - 5)),
     )
     place = scene.verifier.predict(seed, scene.query)
-    assert place is not None
     np.testing.assert_allclose(place.T_local_query, gravity_frame(body(QUERY)), atol=1e-9)
     assert (place.travel_m, place.predicted_by) == (STEP_M * HERE, QUERY - 5)
     elsewhere = replace(scene.query, keyframe=replace(scene.query.keyframe, odometry=replace(

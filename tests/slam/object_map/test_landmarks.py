@@ -1,7 +1,5 @@
 """The object map: beliefs, life cycle, merges, and growth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

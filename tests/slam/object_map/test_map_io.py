@@ -1,7 +1,5 @@
 """Maps that last: what is saved comes back, a robot finds itself in it, and what is no map is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Maps that are at odds with themselves are refused, each in one line that says what is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

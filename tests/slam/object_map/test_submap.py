@@ -1,7 +1,5 @@
 """Submaps: which landmarks they hold, where, and how exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,17 +1,14 @@
 """Odometry with the faults corrected that a calibration names, against the path that it should have told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.odometry.calibrated_odometry import CalibratedOdometry
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 
 COUNT = 400
 
@@ -53,9 +50,7 @@ def test_each_step_climbs_by_a_share_of_its_length():
 
 
 def test_roll_and_pitch_stay():
-    tilt = np.eye(4)
-    tilt[:3, :3] = Rotation.from_euler("xy", [0.2, -0.1]).as_matrix()
-    poses = chained(0.5, turns()) @ tilt
+    poses = chained(0.5, turns()) @ motion_by([0.2, -0.1, 0.0])
     found = corrected(poses, turn_scale=1.3)
     np.testing.assert_allclose(found[:, 2, :3], poses[:, 2, :3], atol=1e-12)
     assert abs(float(yaw_rad(invert(poses[-1]) @ found[-1]))) > 0.1

@@ -1,7 +1,5 @@
 """How far the odometry may have drifted between two keyframes, and which keyframe was nearest to a place."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

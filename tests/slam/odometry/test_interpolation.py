@@ -1,15 +1,12 @@
 """The trajectory between keyframes: it meets them, and keeps the odometry's shape in between."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import invert, transform_from_xyz_yaw
 from slam.odometry.interpolation import interpolate_between_keyframes
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 from tests.logs.examples import random_transform
 from tests.slam.evaluation.drives import stamps, winding_path
 
@@ -36,10 +33,9 @@ def test_a_map_that_lies_elsewhere_moves_the_odometry_as_a_whole(keyframes):
 def test_it_meets_every_keyframe_without_a_step_at_either_side():
     rng = np.random.default_rng(1)
     keyframes = [0, 10, 20, 40]
-    moved = make_transform(
-        Rotation.from_rotvec(rng.normal(scale=0.05, size=(4, 3))).as_matrix(), rng.normal(scale=0.5, size=(4, 3))
+    T_map_keyframe = odometry()[keyframes] @ motion_by(
+        rng.normal(scale=0.05, size=(4, 3)), rng.normal(scale=0.5, size=(4, 3))
     )
-    T_map_keyframe = odometry()[keyframes] @ moved
     T = bend(keyframes, T_map_keyframe)
     np.testing.assert_allclose(T[keyframes], T_map_keyframe, atol=1e-9)
     change_of_step = np.linalg.norm(

@@ -1,7 +1,5 @@
 """When a next keyframe is due."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

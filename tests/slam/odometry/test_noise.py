@@ -1,7 +1,5 @@
 """The noise of a step of the odometry: a random walk by travel, by turning and by time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

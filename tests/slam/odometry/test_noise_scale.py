@@ -1,7 +1,5 @@
 """The scale of the odometry's noise, by the innovations of a Kalman filter that uses it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Imported maps: their file, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

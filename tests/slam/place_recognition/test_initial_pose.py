@@ -1,7 +1,5 @@
 """Where a robot may be by what a person says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

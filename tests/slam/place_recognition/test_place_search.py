@@ -1,7 +1,5 @@
 """Poses in a map: pairs of objects propose, the likelihood of all objects decides."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Poses with most votes by matches of two objects."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

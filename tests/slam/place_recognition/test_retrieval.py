@@ -1,7 +1,5 @@
 """Which landmarks a place is found among, and which are its reference."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from slam.common.geometry import apply, invert, make_transform, yaw_rad
 from slam.self_calibration.scan_pairs import (
@@ -17,6 +16,7 @@ from slam.self_calibration.scan_pairs import (
     seen_by,
     spacing_of,
 )
+from tests.helpers.poses import motion_by
 from tests.helpers.surveyed_drives import NOISE, SurveyedDrive
 
 
@@ -49,9 +49,7 @@ def test_turning_the_detections_is_turning_the_scans(drive):
 
 def test_motions_have_no_roll_and_pitch(drive):
     pairs = ScanPairs.of(drive.scans, spacing_of(drive.scans))
-    tilt = np.eye(4)
-    tilt[:3, :3] = Rotation.from_euler("xy", [0.2, -0.1]).as_matrix()
-    tilted = np.stack([scan.T_odom_body @ tilt for scan in drive.scans])
+    tilted = np.stack([scan.T_odom_body @ motion_by([0.2, -0.1, 0.0]) for scan in drive.scans])
     np.testing.assert_allclose(pairs.motions_by(tilted)[:, 2], [[0.0, 0.0, 1.0, 0.0]] * len(pairs.rows), atol=1e-9)
 
 

@@ -1,7 +1,5 @@
 """Groups of drives side by side: which differences are marked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Drives are mapped and evaluated, with faults where they are asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Sweeps over a short drive: drives are mapped once, whatever happens between."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

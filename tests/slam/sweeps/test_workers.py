@@ -1,7 +1,5 @@
 """Processes that compute tasks."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """Drives through a field of objects, with the true poses and worse ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.common.arrays import FloatArray

@@ -1,7 +1,5 @@
 """The trajectories of a drive, collected scan by scan."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 

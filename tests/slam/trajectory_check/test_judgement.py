@@ -1,7 +1,5 @@
 """Which trajectory predicts detections on other visits, against simulated drives whose truth is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

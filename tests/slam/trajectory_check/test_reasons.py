@@ -1,7 +1,5 @@
 """The likely reason why another trajectory is better."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

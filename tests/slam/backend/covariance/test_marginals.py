@@ -1,14 +1,11 @@
 """Covariances of keyframes and landmarks, against the noise of their measurements and against draws."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
-from scipy.spatial.transform import Rotation
 
 from slam.backend.covariance.marginals import compute_marginals, offset_covariances
 from slam.backend.factor_graph import FactorGraph
@@ -22,9 +19,9 @@ from slam.backend.factors import (
 )
 from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert, make_transform
+from slam.common.geometry import invert
 from tests.helpers.graphs import PLAIN, chained, odometry_edges
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 from tests.slam.backend.graphs import edge, noisy_edges, sightings, true_landmarks, true_poses
 
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
@@ -33,7 +30,7 @@ SEEN_COVARIANCE = 0.01 * np.eye(3)
 
 def drive() -> tuple[FloatArray, list[Edge]]:
     """True poses (10, 4, 4) of a body that turns and leans more and more, and the odometry between them."""
-    tilt = make_transform(Rotation.from_euler("y", 0.1).as_matrix(), np.zeros(3))
+    tilt = motion_by([0.0, 0.1, 0.0])
     T = [np.eye(4)]
     for _ in range(9):
         T.append(T[-1] @ pose_at(2.0, yaw=0.4) @ tilt)
@@ -133,7 +130,7 @@ def test_noise_of_odometry_is_matched_to_residuals_axis_by_axis() -> None:
         T.append(T[-1] @ step)
     for k in range(count - 1):
         error = rng.normal(scale=true_sigmas)
-        measured = step @ make_transform(Rotation.from_rotvec(error[:3]).as_matrix(), error[3:])
+        measured = step @ motion_by(error[:3], error[3:])
         edges.append(Edge(k, k + 1, measured, EDGE_COVARIANCE, "odometry"))
     graph = optimized(edges)
     for k in range(4, count, 4):

@@ -1,7 +1,5 @@
 """The noise that a drive shows, against draws of a noise that the factors do not tell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

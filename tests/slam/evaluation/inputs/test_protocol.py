@@ -1,7 +1,5 @@
 """The protocol: its lengths go with the sensor range of a run."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 

@@ -1,7 +1,5 @@
 """Truth in the text formats of others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

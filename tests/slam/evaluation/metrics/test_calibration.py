@@ -1,7 +1,5 @@
 """Errors drawn from known covariances, and from others than the map says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Posterior probabilities against how often they are right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sentences and tables around the figures of an evaluation."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

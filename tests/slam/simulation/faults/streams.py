@@ -1,7 +1,5 @@
 """A made-up drive of ten seconds, and how tests read a recording."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

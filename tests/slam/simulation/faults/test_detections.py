@@ -1,7 +1,5 @@
 """Faults of stamps, positions, labels and objects, each by what it makes of the drive."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Faults of the odometry: where they are and how large, as what happens to its steps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
