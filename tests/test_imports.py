@@ -1,15 +1,13 @@
 """The import rules of the packages, read from the source."""
 
 import ast
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tests.tools.runs import ROOT
+from tests.tools.runs import ROOT, run_python
 
 OURS = ("descriptors", "logs", "slam", "tools")
 
@@ -165,5 +163,4 @@ def test_descriptors_alone_import_torch() -> None:
 )
 def test_what_is_started_loads_only_what_it_needs(started: str, heavy: str) -> None:
     code = f"import sys; {started}; print([m for m in {heavy.split()!r} if m in sys.modules])"
-    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert result.stdout.splitlines()[-1] == "[]"
+    assert run_python(code).out.splitlines()[-1] == "[]"

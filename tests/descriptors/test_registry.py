@@ -1,6 +1,5 @@
 """Every name stands for a descriptor and an index that keep the same rules."""
 
-import subprocess
 import sys
 
 import numpy as np
@@ -12,6 +11,7 @@ from descriptors.index import Matches, VectorIndex
 from descriptors.registry import DESCRIPTOR_NAMES, make_descriptor, make_index
 from slam.common.arrays import FloatArray, IntArray
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
+from tests.tools.runs import run_python
 
 # Of these, the vectors of unlike objects may be as near as those of like ones.
 VAGUE = ("random",)
@@ -89,8 +89,7 @@ def test_descriptors_without_a_network_do_not_load_torch():
         "assert 'descriptors.descriptellation_lr.pair_index' in sys.modules\n"
         "assert 'torch' not in sys.modules, 'torch was imported'\n"
     )
-    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert finished.returncode == 0, finished.stderr
+    assert run_python(code).err == ""
 
 
 def test_make_descriptor_names_the_extra_that_a_network_needs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from logs.storage.mcap_index import MAGIC
-from tests.fuzz.sandbox import Limits, Outcome
+from tests.fuzz.sandbox import MEMORY_BYTES, SECONDS, Outcome
 from tests.helpers.forked_commands import CRASHED
 
 _FINE = (0, 1, 2)
@@ -13,16 +13,16 @@ _ESCAPES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")
 _SIGNALS = {-14: "hang", -24: "hang", -9: "killed", -11: "segmentation fault", -6: "abort", -25: "file too large"}
 
 
-def judge(arguments: list[str], outputs: list[Path], outcome: Outcome, limits: Limits) -> list[str]:
+def judge(arguments: list[str], outputs: list[Path], outcome: Outcome) -> list[str]:
     """The complaints about one run; ``outputs`` are the files that it was to write."""
     found = []
     last = outcome.err.strip().splitlines()[-1] if outcome.err.strip() else ""
     if outcome.code not in _FINE:
         name = "crash" if outcome.code == CRASHED else _SIGNALS.get(outcome.code, f"exit {outcome.code}")
         found.append(f"{name}: {_shape(last)}")
-    if outcome.seconds > limits.seconds and outcome.code in _FINE:
+    if outcome.seconds > SECONDS and outcome.code in _FINE:
         found.append("slow")
-    if outcome.peak_bytes > limits.memory_bytes // 2:
+    if outcome.peak_bytes > MEMORY_BYTES // 2:
         found.append("memory")
     if "Warning:" in outcome.err:
         found.append(f"warning of a library: {_shape(next(x for x in outcome.err.splitlines() if 'Warning:' in x))}")

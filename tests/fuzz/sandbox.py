@@ -8,12 +8,7 @@ from pathlib import Path
 
 from tests.helpers.forked_commands import ERR, OUT, start
 
-
-@dataclass(frozen=True)
-class Limits:
-    seconds: int = 10
-    memory_bytes: int = 1_500_000_000
-    file_bytes: int = 500_000_000
+SECONDS, MEMORY_BYTES, FILE_BYTES = 10, 1_500_000_000, 500_000_000
 
 
 @dataclass(frozen=True)
@@ -29,10 +24,10 @@ class Outcome:
     peak_bytes: int
 
 
-def run(arguments: list[str], folder: Path, limits: Limits) -> Outcome:
+def run(arguments: list[str], folder: Path) -> Outcome:
     """``dslam`` with ``arguments``, from within ``folder``, as a fork of this process in which all is imported."""
     before = status_bytes("VmRSS")
-    child = start(arguments, folder, lambda: _limit(limits))
+    child = start(arguments, folder, _limit)
     _, status, usage = os.wait4(child, 0)
     return Outcome(
         code=os.waitstatus_to_exitcode(status),
@@ -43,13 +38,13 @@ def run(arguments: list[str], folder: Path, limits: Limits) -> Outcome:
     )
 
 
-def _limit(limits: Limits) -> None:
+def _limit() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limits.file_bytes, limits.file_bytes))
-    resource.setrlimit(resource.RLIMIT_AS, (status_bytes("VmSize") + limits.memory_bytes,) * 2)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (FILE_BYTES, FILE_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (status_bytes("VmSize") + MEMORY_BYTES,) * 2)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, 20.0 * limits.seconds)  # for what waits; a shared machine is slow
-    resource.setrlimit(resource.RLIMIT_CPU, (3 * limits.seconds,) * 2)
+    signal.setitimer(signal.ITIMER_REAL, 20.0 * SECONDS)  # for what waits; a shared machine is slow
+    resource.setrlimit(resource.RLIMIT_CPU, (3 * SECONDS,) * 2)
 
 
 def status_bytes(name: str) -> int:

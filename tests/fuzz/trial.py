@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.fuzz.cases import make_case
 from tests.fuzz.judgement import judge
-from tests.fuzz.sandbox import Limits, run
+from tests.fuzz.sandbox import run
 from tests.fuzz.seeds import Seeds
 
 
@@ -46,12 +46,11 @@ def begin(trials: Trials) -> None:
 
 def run_case(number: int) -> Verdict:
     """Make the case, run it, and judge what became of it."""
-    limits = Limits()
     folder = _trials.folder / f"case-{number}"
     folder.mkdir()
     case = make_case(_trials.seeds, folder, np.random.default_rng([_trials.seed, number]))
-    outcome = run(case.arguments, folder, limits)
-    complaints = judge(case.arguments, case.outputs, outcome, limits)
+    outcome = run(case.arguments, folder)
+    complaints = judge(case.arguments, case.outputs, outcome)
     if complaints:
         _keep(folder, _trials.keep / f"{_trials.seed}-{number}", case.arguments)
     shutil.rmtree(folder)

@@ -34,11 +34,17 @@ class Trial:
 def run_whole(command: Command, folder: Path) -> Reference:
     """Run a command that nobody kills."""
     folder.mkdir()
-    started = time.monotonic()
-    code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
+    code, seconds = _run(command, folder)
     if code != 0:
         raise RuntimeError(f"{command.name} ends with {code}: {(folder / ERR).read_text()[-500:]}")
-    return Reference(_files(folder), time.monotonic() - started)
+    return Reference(_files(folder), seconds)
+
+
+def _run(command: Command, folder: Path) -> tuple[int, float]:
+    """Its exit code, and how long it takes."""
+    started = time.monotonic()
+    code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
+    return code, time.monotonic() - started
 
 
 def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: Reference, *, is_new: bool) -> Trial:
@@ -55,9 +61,7 @@ def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: R
     wrong = [f"after the kill: {each}" for each in _faults(command, _files(folder), reference)]
     if not is_new:
         wrong += [f"after the kill: {name} is gone" for name in reference.files if not (folder / name).exists()]
-    started = time.monotonic()
-    code = os.waitstatus_to_exitcode(os.waitpid(start(command.arguments, folder), 0)[1])
-    again_s = time.monotonic() - started
+    code, again_s = _run(command, folder)
     if code != 0:
         wrong.append(f"the second run ends with {code}: {(folder / ERR).read_text()[-300:]}")
     found = _files(folder)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from logs.messages import FactorGraphRecord, StatusRecord
+from logs.messages import FactorGraphRecord
 from slam import graph_condenser
 from slam.graph_condenser import find_anchors
 from slam.object_map.map_io import load_map, save_map
 from tests.helpers.loop_drives import CORNERS, Outcome, furnished, replay_drive
-from tests.helpers.short_drives import records_of
+from tests.helpers.short_drives import final_status, records_of
 
 ROUNDS = 7
 
@@ -31,9 +31,7 @@ def condensed(rounds, tmp_path_factory) -> Outcome:
 
 
 def count_condensed(outcome: Outcome) -> int:
-    status = records_of(outcome.path, "/slam/status")[-1]
-    assert isinstance(status, StatusRecord)
-    return status.counters.get("keyframes_condensed", 0)
+    return final_status(outcome.path).counters.get("keyframes_condensed", 0)
 
 
 def variables(graph: FactorGraphRecord) -> int:

@@ -1,5 +1,7 @@
 """What the tests of the command line share."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +24,12 @@ class Result:
 
 
 Run = Callable[..., Result]
+
+
+def run_python(code: str) -> Result:
+    """What another interpreter says that runs ``code`` in the repository."""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    return Result(done.returncode, done.stdout, done.stderr)
 
 
 def assert_refused(result: Result, *told: str, code: int = 2) -> None:

@@ -70,6 +70,5 @@ class TestSweep:
         output = ("-o", tmp_path / "sweep")
         assert_refused(dslam("sweep", mapped, *output), "give the drive")
         assert_refused(dslam("sweep", SAMPLE, *output, "--degrade", "drop=1"), "did you mean")
-        assert_refused(dslam("sweep", SAMPLE, *output, "--set", "keyframe.distance=1"), "keyframe.distance_m")
         assert_refused(dslam("sweep", SAMPLE, "-o", SAMPLE), str(SAMPLE))
         assert not (tmp_path / "sweep").exists()

@@ -1,8 +1,6 @@
 """Saved maps by the command line: made, described, found oneself in, and refused."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,7 @@ from logs.writer import LogWriter
 from slam.library import read_map
 from slam.object_map.map_io import METADATA, POINTS_TOPIC
 from tests.helpers.short_drives import raw_messages, records_of
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run, assert_refused, run_python
 from tools import cli
 
 pytestmark = pytest.mark.slow
@@ -114,8 +112,7 @@ def test_no_solver_is_loaded_to_look_into_a_map(town: Path) -> None:
         f"import sys; from tools.cli import run; run(['info', {str(town)!r}]); "
         f"print([m for m in {heavy!r} if m in sys.modules])"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.splitlines()[-1] == "[]"
+    assert run_python(code).out.splitlines()[-1] == "[]"
 
 
 def rewritten(path: Path, source: Path, metadata: dict[str, str]) -> Path:

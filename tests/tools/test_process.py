@@ -13,7 +13,7 @@ import pytest
 from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.writer import LogWriter
-from tests.tools.runs import ROOT, SAMPLE, Run
+from tests.tools.runs import ROOT, SAMPLE, Run, run_python
 
 INFO = f"{sys.executable} -m dslam info {SAMPLE}"
 
@@ -107,6 +107,5 @@ class TestSignals:
             "sys.meta_path.insert(0, Finder())\n"
             "tools.main()"
         )
-        command = [sys.executable, "-c", code]
-        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
+        result = run_python(code)
+        assert (result.code, result.err) == (130, "dslam: interrupted\n")

@@ -32,7 +32,6 @@ def test_settings(dslam: Run, tmp_path: Path) -> None:
     assert_refused(dslam(*replay, "--set", "loop_closure.descriptor=rings"), "rings", "descriptellation_lr")
     assert_refused(dslam(*replay, "--config", tmp_path / "none.toml"), "none.toml")
     simulate = ("simulate", tmp_path / "out.mcap")
-    assert_refused(dslam(*simulate, "--set", "sensor.dropout=2"), "less than or equal to 1")
     assert_refused(dslam(*simulate, "--set", "kidnap.gap_s=30"), "--set: kidnap.from_m is missing")
     assert_refused(dslam(*simulate, "--length", 1), "too short")
     assert_refused(dslam(*simulate, "--objects", "objects.csv"), "--trajectory")

@@ -48,18 +48,8 @@ def home(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     home = tmp_path_factory.mktemp("fresh")
     venv.create(home, with_pip=False)
     site = Path(sysconfig.get_path("purelib", vars={"base": str(home)}))
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "--python",
-        str(home / "bin" / "python"),
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--no-index",
-    ]
-    subprocess.run([*pip, "--ignore-installed", str(wheel)], check=True)
+    pip = [sys.executable, *f"-m pip --python {home}/bin/python install".split()]
+    subprocess.run([*pip, *["--quiet", "--no-deps", "--no-index", "--ignore-installed"], str(wheel)], check=True)
     here = [path for path in sys.path if path.endswith("site-packages")]
     (site / "dependencies.pth").write_text("\n".join(here), encoding="utf-8")
     for name in ("slam", "logs", "tools", "descriptors"):

@@ -78,12 +78,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(folder / "town.mcap", folder / copy)
     shutil.copy(folder / "map.mcap", folder / "a1.mcap")
     export = ["export", str(folder / "map.mcap")]
-    for name, kind in (
-        ("gt.tum", "--tum"),
-        ("truth.tum", "--tum"),
-        ("00.txt", "--kitti"),
-        ("consistent.txt", "--kitti"),
-    ):
+    for name in ("gt.tum", "truth.tum", "00.txt", "consistent.txt"):
+        kind = "--tum" if name.endswith("tum") else "--kitti"
         assert cli.run([*export, "--of", "truth", kind, str(folder / name)]) == 0
     assert cli.run([*export, "--of", "odometry", "--tum", str(folder / "odometry.tum")]) == 0
     assert cli.run([*export, "--geojson", str(folder / "trees.geojson"), "--origin", "60.17,24.94"]) == 0

@@ -68,8 +68,8 @@ def build(edges: list[Edge], observations: list[Observation], kernel_width: floa
     return graph
 
 
-def worst_pose_error_m(graph: FactorGraph) -> float:
-    return float(np.linalg.norm(graph.poses()[:, :3, 3] - true_poses()[:, :3, 3], axis=1).max())
+def worst_pose_error_m(graph: FactorGraph, T: FloatArray) -> float:
+    return float(np.linalg.norm(graph.poses()[:, :3, 3] - T[:, :3, 3], axis=1).max())
 
 
 def assert_is_true(graph: FactorGraph) -> None:

@@ -13,15 +13,14 @@ from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.formats.g2o import write_g2o
 from slam.formats.trajectories import write_kitti, write_tum
 
+Result = tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]
+
 
 @pytest.fixture(scope="module")
-def result(noisy_output: Path) -> tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]:
+def result(noisy_output: Path) -> Result:
     """Of a drive around the block."""
     records = read_records(noisy_output)
     return records.final_path, records.graph, records.object_map
-
-
-Result = tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]
 
 
 def test_tum_comes_back_exactly(result: Result, tmp_path: Path) -> None:

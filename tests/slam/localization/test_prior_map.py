@@ -52,8 +52,18 @@ def see_again(graph: FactorGraph) -> None:
     seen = observed_from(3, NEW_POSE, OBJECTS + OFFSET, range(4), SEEN)
     graph.add_observations([replace(each, landmark=4 + each.landmark) for each in seen])
     graph.update()
+    merge(graph)
+
+
+def merge(graph: FactorGraph) -> None:
     graph.alias_landmarks({4 + row: row for row in range(4)})
     graph.optimize()
+
+
+def assert_found(graph: FactorGraph) -> None:
+    """Everything is seen beside where the map has it, so the robot is that far beside where it is, the other way."""
+    assert graph.landmarks.tolist() == []
+    np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
 
 
 def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
@@ -70,13 +80,11 @@ def test_a_path_is_no_map() -> None:
 
 
 def test_landmarks_of_a_fixed_map_stay_and_tell_where_the_robot_is(saved: SavedMap) -> None:
-    """Everything is seen beside where the map has it, so the robot is that far beside where it is, the other way."""
     _, graph = loaded(saved, fixed=True)
     see_again(graph)
-    assert graph.landmarks.tolist() == []
+    assert_found(graph)
     np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-3)
-    np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
 
 
 def test_twin_landmarks_of_a_map_that_is_extended_move(saved: SavedMap) -> None:
@@ -98,10 +106,8 @@ def test_what_was_merged_into_such_a_map_can_be_taken_apart_again(saved: SavedMa
     left: list[Factor] = [factor for number, factor in graph.factors.items() if number not in numbers]
     assert {type(factor).__name__ for factor in left} == {"Edge", "Observation"}
     graph.optimize()
-    graph.alias_landmarks({4 + row: row for row in range(4)})
-    graph.optimize()
-    assert graph.landmarks.tolist() == []
-    np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
+    merge(graph)
+    assert_found(graph)
 
 
 def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved: SavedMap) -> None:

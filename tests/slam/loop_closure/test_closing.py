@@ -1,4 +1,4 @@
-"""What follows what when loops are looked for: rules of ``LoopCloser`` with doubles of its parts, without a drive."""
+"""What follows what when loops are looked for: rules of ``LoopCloser`` without a drive, with doubles of its parts."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +13,6 @@ from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure import loop_closer as module
-from slam.loop_closure.acceptance import Decision
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
@@ -30,7 +29,9 @@ STEP_M = 2.0
 LOOP_M = 400.0
 """The street is driven again after so much travel."""
 FIRST = int(LOOP_M / STEP_M)
-SURE_LLR, TRACKED_LLR, WEAK_LLR = 30.0, 8.0, 1.0
+SURE_LLR, TRACKED_LLR, WEAK_LLR = 30.0, 15.0, 1.0
+UNPREDICTED_PENALTY = 10.0
+"""Of a place that no closure predicts."""
 PLACE = Place(pose_at(0.0), 0.0, 0, "descriptor")
 
 
@@ -73,6 +74,7 @@ class Parts(Patterns):
             reference=self.keyframes[max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0],
             T_local_query=pose_at(query.keyframe.odometry.travel_m - LOOP_M + self.off_m),
             llrs=dict.fromkeys(range(self.objects), llr / self.objects),
+            odometry_penalty=UNPREDICTED_PENALTY if place.predicted_by is None else 0.0,
         )
         return replace(found, place=place)
 
@@ -92,16 +94,6 @@ class Parts(Patterns):
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         return make_query(self.keyframes[0], 1).submap
-
-    # Acceptance.
-    def is_acceptable(self, candidate: Candidate) -> bool:
-        return candidate.score >= (20.0 if candidate.place.predicted_by is None else 6.0)
-
-    def decide(self, query: Query, verified: list[Candidate | LoopClosureRecord]) -> Decision:
-        (best,) = verified
-        if isinstance(best, LoopClosureRecord):
-            return Decision((best,))
-        return Decision((), best) if self.is_acceptable(best) else Decision((best.record(Stage.ACCEPTANCE, "weak"),))
 
     # Accepted closures.
     def is_localized(self, keyframe: Keyframe) -> bool:
@@ -136,7 +128,7 @@ class Map:
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
     parts = Parts()
-    for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "ContinuityMonitor", "Acceptance"):
+    for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "ContinuityMonitor"):
         monkeypatch.setattr(module, name, lambda *_, **__: parts)
     monkeypatch.setattr(module, "recent_submap", parts.recent_submap)
     monkeypatch.setattr(
