@@ -33,7 +33,7 @@ def test_neighbours_are_those_that_brute_force_finds():
         assert np.count_nonzero(found.owners == centre) == len(expected)
 
 
-@pytest.mark.parametrize(("count", "centres"), [(0, None), (5, np.zeros(0, dtype=np.int64)), (1, None)])
+@pytest.mark.parametrize(("count", "centres"), [(0, None), (5, np.zeros(0, int)), (1, None)])
 def test_no_object_no_centre_and_one_object_alone(count, centres):
     positions, labels = scattered(count, seed=0)
     found = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M, centres=centres)
@@ -63,7 +63,7 @@ def test_chosen_centres_come_in_that_order_with_their_neighbours(rows):
     positions, labels = scattered(50, seed=6)
     positions[0, 0] += 1000.0  # without neighbours
     everything = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
-    numbers = np.array(rows, dtype=np.int64)
+    numbers = np.array(rows, int)
     gathered = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M, centres=numbers)
     for chosen in (everything[numbers], gathered):
         assert chosen.vocabulary == VOCABULARY

@@ -24,13 +24,13 @@ def prepared(vectors: NDArray[np.float32], labels: NDArray[np.int64]) -> Constel
     """Constellations that have these vectors (B, LENGTH)."""
     offsets = 2 * np.arange(len(vectors) + 1)
     positions = vectors.astype(np.float64).reshape(-1, 3)
-    zeros = np.zeros(len(positions), dtype=np.int64)
+    zeros = np.zeros(len(positions), int)
     return Constellations(positions, zeros, labels, offsets, ("a", "b", "c"), positions[::2])
 
 
 def alike(vector: float, count: int) -> Constellations:
     """So many constellations of class 0, with all numbers of their vectors the same."""
-    return prepared(np.full((count, LENGTH), vector, dtype=np.float32), np.zeros(count, dtype=np.int64))
+    return prepared(np.full((count, LENGTH), vector, dtype=np.float32), np.zeros(count, int))
 
 
 def filled(count: int) -> tuple[VectorIndex, NDArray[np.float32], NDArray[np.int64]]:
@@ -71,7 +71,7 @@ def test_ties_go_to_the_lower_number():
     index = VectorIndex(Prepared())
     index.add(alike(0.0, 200))
     index.add(alike(1.0, 1))
-    matches = index.search(alike(1.0, 2), 6, np.ones(201, dtype=bool))
+    matches = index.search(alike(1.0, 2), 6, np.ones(201, bool))
     assert entries_of(matches, 0) == entries_of(matches, 1) == [200, 0, 1, 2, 3, 4]
 
 

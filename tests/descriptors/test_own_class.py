@@ -10,6 +10,7 @@ import pytest
 
 from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
+from descriptors.index import VectorIndex
 from descriptors.learned.networks import default_architecture
 from descriptors.registry import make_descriptor, make_index
 from descriptors.training import trainer
@@ -41,10 +42,11 @@ def described(name: str) -> np.ndarray:
 def test_example_of_the_page_is_found_in_the_current_folder_and_finds_objects() -> None:
     assert all(len(code.strip().splitlines()) <= 20 for code in EXAMPLES)
     index = make_index("mine:Rings")
+    assert isinstance(index, VectorIndex)
     positions, labels = scattered(60, seed=1)
     constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
     index.add(constellations)
-    matches = index.search(constellations, 1, np.ones(60, dtype=bool))
+    matches = index.search(constellations, 1, np.ones(60, bool))
     assert np.mean(matches.entries == np.arange(60)) > 0.9
 
 
@@ -75,6 +77,7 @@ def test_vectors_whose_length_changes_are_refused(mine: Path) -> None:
         "    def describe(self, c): return np.zeros((len(c), len(c)))\n"
     )
     index = make_index("mine:Bad")
+    assert isinstance(index, VectorIndex)
     for count in (5, 6):
         positions, labels = scattered(count, seed=1)
         constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=20.0)

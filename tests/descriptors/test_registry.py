@@ -26,7 +26,7 @@ def added(index: VectorIndex, positions: FloatArray, labels: IntArray) -> None:
 
 def searched(index: VectorIndex, positions: FloatArray, labels: IntArray, k: int) -> Matches:
     constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
-    return index.search(constellations, k, np.ones(len(index), dtype=bool))
+    return index.search(constellations, k, np.ones(len(index), bool))
 
 
 @every_name

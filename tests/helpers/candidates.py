@@ -34,7 +34,7 @@ def make_candidate(
         T_local_query=T_local_query,
         covariance=sigma**2 * np.eye(6),
         log_likelihood_ratios=np.array(list(llr_of.values())),
-        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        pairs=np.array(pairs, int).reshape(-1, 2),
         odometry_penalty=odometry_penalty,
         unpredicted_penalty=0.0,
     )

@@ -53,9 +53,9 @@ def detections_of(
     covariances: FloatArray | None = None,
 ) -> ObjectDetections:
     """A message of detections at ``positions`` (N, 3) m: sure ones of trees unless it is said otherwise."""
-    at = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    at = np.array(positions, float).reshape(-1, 3)
     count = len(at)
-    sure = np.ones(count) if scores is None else np.array(scores, dtype=np.float64)
+    sure = np.ones(count) if scores is None else np.array(scores, float)
     return ObjectDetections(stamp_ns, frame_id, at, tuple(labels) or ("tree",) * count, sure, covariances)
 
 
@@ -70,6 +70,6 @@ def scan_of(
 ) -> Scan:
     """Detections at ``positions`` (N, 3) m, trees unless ``labels`` (N,) are given; all are used."""
     count = len(positions)
-    used = np.ones(count, dtype=np.bool_)
+    used = np.ones(count, bool)
     names = tuple(labels) or ("tree",) * count
     return Scan(stamp_ns, sensor, positions, spheres(sigma_m, count), names, used, used & has_own)

@@ -102,7 +102,7 @@ def with_objects(world: World, rows: list[int]) -> World:
 def furnished(corners: list[tuple[int, int]], *, seed: int) -> World:
     """An object of some class about every 5 m of each street, 4 m to 9 m off it."""
     rng = np.random.default_rng(seed)
-    tour = np.array(corners, dtype=np.float64)
+    tour = np.array(corners, float)
     streets = sorted({(min(a, b), max(a, b)) for a, b in pairwise(corners)})
     xy = np.concatenate([_along_street(np.array(a, float), np.array(b, float), rng) for a, b in streets])
     positions = np.column_stack([xy, rng.uniform(-0.5, 1.5, len(xy))])

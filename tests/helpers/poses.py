@@ -12,7 +12,7 @@ from slam.odometry.pose import OdometryPose
 
 def pose_at(x: float = 0.0, y: float = 0.0, *, z: float = 0.0, yaw: float = 0.0) -> FloatArray:
     """(4, 4), in metres and radians."""
-    return transform_from_xyz_yaw(np.array([x, y, z], dtype=np.float64), yaw)
+    return transform_from_xyz_yaw(np.array([x, y, z], float), yaw)
 
 
 def motion_by(rotation: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:

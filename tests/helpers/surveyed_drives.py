@@ -125,7 +125,7 @@ class SurveyedDrive:
         T_odom_body = transform_from_xyz_yaw(_xyz(self.scale * self._places), self.headings)
         for k in np.unique(self.scan).tolist():
             xyz = _xyz(self.scale * self._in_body[self.scan == k])
-            labels, variances = np.zeros(len(xyz), dtype=np.int64), np.full(len(xyz), np.nan)
+            labels, variances = np.zeros(len(xyz), int), np.full(len(xyz), np.nan)
             found.append(SurveyScan(round(self.times_s[k] * 1e9), T_odom_body[k], xyz, labels, variances))
         return found
 
@@ -149,7 +149,7 @@ def tracks_of(
 ) -> ObjectTracks:
     """Tracks at height zero, of one class unless ``labels`` are given, whose messages claim no noise."""
     none = np.zeros(len(track))
-    classes = np.zeros(len(track), dtype=np.int64) if labels is None else labels
+    classes = np.zeros(len(track), int) if labels is None else labels
     return ObjectTracks(track, scan, offsets, points, classes, none * np.nan, none, none + np.inf, none)
 
 

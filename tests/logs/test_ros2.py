@@ -60,6 +60,7 @@ def test_cut_message_is_refused() -> None:
 
 
 def with_definition(raw: RawMessage, encoding: str, text: str) -> RawMessage:
+    assert raw.channel.schema is not None
     schema = replace(raw.channel.schema, encoding=encoding, data=text.encode())
     return replace(raw, channel=replace(raw.channel, schema=schema))
 

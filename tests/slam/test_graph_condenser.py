@@ -72,7 +72,7 @@ def test_a_saved_map_is_without_the_condensed_keyframes(condensed, tmp_path):
 
 def find(seen: list[tuple[int, list[int]]], travel_m: list[float], **limits: list[bool]) -> dict[int, int]:
     """Anchors of keyframes, each given with its id and the landmarks that it observed."""
-    everything = np.ones(len(seen), dtype=np.bool_)
+    everything = np.ones(len(seen), bool)
     return find_anchors(
         [(keyframe, landmark) for keyframe, landmarks in seen for landmark in landmarks],
         np.array([keyframe for keyframe, _ in seen]),

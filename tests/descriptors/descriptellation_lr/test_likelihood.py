@@ -68,7 +68,7 @@ def test_score_counts_hits_and_misses_inside_the_rings() -> None:
 def test_objects_near_their_counterparts_fall_into_set_cells_and_others_rarely() -> None:
     rng = np.random.default_rng(3)
     positions = rng.uniform(0.0, 20.0, (400, 2))
-    labels = np.zeros(400, dtype=np.int64)
+    labels = np.zeros(400, int)
     positions /= spacing_m(positions)
     tree = cKDTree(positions)
     ends = find_ends(positions, labels, tree, 3)

@@ -50,7 +50,7 @@ def test_bit_sliced_sums_are_sums() -> None:
     counters = _sum([[_packed(bits) for bits in level] for level in levels], np.zeros((2, 10), dtype=np.uint64))
     expected = sum(weight * level.sum(axis=0) for weight, level in zip((1, 2, 4), levels, strict=True))
     row, place, values = _largest(counters, np.full((2, 10), ~np.uint64(0)), 640)
-    found = np.zeros((2, 640), dtype=np.int64)
+    found = np.zeros((2, 640), int)
     found[row, place] = values
     np.testing.assert_array_equal(found, expected)
 
@@ -101,7 +101,7 @@ def test_pairs_of_other_classes_do_not_match() -> None:
 def test_only_allowed_objects_match() -> None:
     positions, labels = town()
     rows, seen = view(positions)
-    allowed = np.ones(len(positions), dtype=bool)
+    allowed = np.ones(len(positions), bool)
     allowed[rows] = False
     matches = search(indexed(positions, labels), seen, labels[rows], allowed=allowed)
     assert len(matches.nats)
@@ -135,7 +135,7 @@ def test_query_or_map_of_hardly_any_objects_is_no_error(count: int) -> None:
 
 def test_pair_with_nothing_around_it_matches_pairs_of_its_length() -> None:
     positions = np.array([[0.0, 0.0], [5.0, 0.0], [1e3, 0.0], [1e3 + 9.0, 0.0], [0.0, 1e3], [7.0, 1e3]])
-    labels = np.zeros(6, dtype=np.int64)
+    labels = np.zeros(6, int)
     whole, grown = PairIndex(shipped_likelihood(), 7.0), PairIndex(shipped_likelihood(), 7.0)
     whole.add(positions, labels)
     for first in (0, 2, 4):
@@ -149,7 +149,7 @@ def test_pair_with_nothing_around_it_matches_pairs_of_its_length() -> None:
 
 @pytest.mark.parametrize(("noise_m", "is_found"), [(0.1, False), (1.0, True)])
 def test_pair_is_compared_within_the_noise_of_its_own_objects(noise_m: float, is_found: bool) -> None:
-    known, labels = np.array([[0.0, 0.0], [5.0, 0.0], [500.0, 0.0], [507.0, 0.0]]), np.zeros(4, dtype=np.int64)
+    known, labels = np.array([[0.0, 0.0], [5.0, 0.0], [500.0, 0.0], [507.0, 0.0]]), np.zeros(4, int)
     seen = np.array([[0.0, 0.0], [5.0, 0.0], [500.0, 0.0], [508.0, 0.0]])
     matches = indexed(known, labels).search(seen, labels, sigmas_m=np.array([0.1, 0.1, noise_m, noise_m]))
     pairs = {(*sorted(query), *sorted(entry)) for query, entry in zip(matches.queries, matches.entries, strict=True)}

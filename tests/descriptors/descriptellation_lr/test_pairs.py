@@ -40,7 +40,7 @@ def test_each_pair_is_found_once_with_the_lower_class_first() -> None:
 
 def test_neighbours_are_in_the_frame_of_the_pair() -> None:
     positions = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 1.5], [3.0, 0.0], [9.0, 9.0]])
-    pairs = pairs_of(positions, np.zeros(5, dtype=np.int64), np.array([[0, 1], [1, 0]]))
+    pairs = pairs_of(positions, np.zeros(5, int), np.array([[0, 1], [1, 0]]))
     assert pairs.lengths.tolist() == [2.0, 2.0]
     assert np.diff(pairs.offsets).tolist() == [2, 2]  # the last object is beyond the outer ring
     order = np.lexsort((pairs.radii, pairs.owners))
@@ -65,6 +65,6 @@ def test_cells_do_not_change_with_the_frame_but_with_the_class_of_a_neighbour() 
 
 def test_neighbours_inside_the_inner_ring_have_no_cell() -> None:
     positions = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 0.5 * SIZES.inner], [1.0, 1.01 * SIZES.inner]])
-    cells = cells_of(pairs_of(positions, np.zeros(4, dtype=np.int64), np.array([[0, 1]])), SIZES)
+    cells = cells_of(pairs_of(positions, np.zeros(4, int), np.array([[0, 1]])), SIZES)
     assert np.count_nonzero(cells < 0) == 1
     assert 0 <= cells.max() < SIZES.sectors  # the first ring

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
+from descriptors.index import VectorIndex
 from descriptors.learned.descriptor import BATCH, LearnedDescriptor
 from descriptors.learned.networks import load_network, make_network, pad_constellations
 from descriptors.learned.weights import Weights, read_weights, save_weights
@@ -84,9 +85,10 @@ def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descr
 def test_candidates_of_the_paper_s_network_are_of_any_class():
     positions, labels = scattered(30, seed=2)
     index = make_index("descriptellation")
+    assert isinstance(index, VectorIndex)
     entries = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
     index.add(entries)
-    matches = index.search(entries, 30, np.ones(30, dtype=np.bool_))
+    matches = index.search(entries, 30, np.ones(30, bool))
     assert len(matches.queries) == 900
 
 

@@ -53,9 +53,9 @@ def test_a_map_is_seen_from_all_sides_and_gives_the_mean_of_the_voxels() -> None
 
 
 def test_beams_that_hit_nothing_and_empty_clouds_are_no_objects() -> None:
-    nothing = LabelledCloud(np.full((50, 3), np.nan), np.full(50, 80), np.zeros(50, dtype=np.int64))
+    nothing = LabelledCloud(np.full((50, 3), np.nan), np.full(50, 80), np.zeros(50, int))
     assert find_objects(nothing, NAMES, viewpoint=ORIGIN).positions.shape == (0, 3)
-    empty = LabelledCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
+    empty = LabelledCloud(np.zeros((0, 3)), np.zeros(0, int))
     assert find_objects(empty, viewpoint=ORIGIN).detections(0, "lidar").labels == ()
 
 

@@ -97,7 +97,7 @@ def test_interpolation_is_scipys_slerp_and_a_straight_line(T_first, T_second, fr
 def test_interpolation_of_a_single_pose_and_at_no_time():
     T = transform_from_xyz_yaw(np.array([[1.0, 2, 3]]), np.array([0.4]))
     np.testing.assert_array_equal(interpolate(np.array([5]), T, np.array([5, 5])), np.repeat(T, 2, axis=0))
-    assert interpolate(np.array([5]), T, np.zeros(0, dtype=np.int64)).shape == (0, 4, 4)
+    assert interpolate(np.array([5]), T, np.zeros(0, int)).shape == (0, 4, 4)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_interpolation_of_a_single_pose_and_at_no_time():
 def test_interpolation_refuses_what_has_no_answer(stamps_ns, at_ns):
     T = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
     with pytest.raises(GeometryError):
-        interpolate(np.array(stamps_ns, dtype=np.int64), T, np.array(at_ns, dtype=np.int64))
+        interpolate(np.array(stamps_ns, int), T, np.array(at_ns, int))
 
 
 def test_a_stamp_of_another_century_does_not_blur_those_of_a_nanosecond():

@@ -26,7 +26,7 @@ def at_ns(index: int) -> int:
 
 def series_of(T_world_body: FloatArray) -> PoseSeries:
     """One pose a second."""
-    return clean_poses(np.array([at_ns(index) for index in range(len(T_world_body))], dtype=np.int64), T_world_body)
+    return clean_poses(np.array([at_ns(index) for index in range(len(T_world_body))], int), T_world_body)
 
 
 def there_and_back() -> PoseSeries:
@@ -39,8 +39,8 @@ def there_and_back() -> PoseSeries:
 
 def keyframes(indices: range | list[int]) -> tuple[IntArray, IntArray]:
     """Ids and stamps of keyframes at the poses of these indices, which are their ids."""
-    ids = np.array(indices, dtype=np.int64)
-    return ids, np.array([at_ns(index) for index in indices], dtype=np.int64)
+    ids = np.array(indices, int)
+    return ids, np.array([at_ns(index) for index in indices], int)
 
 
 def closure(

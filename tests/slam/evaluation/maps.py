@@ -17,7 +17,7 @@ def object_map(
     first_seen_ns: IntArray | None = None,
 ) -> ObjectMapRecord:
     vocabulary = tuple(sorted(set(labels)))
-    placed = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+    placed = np.asarray(positions, float).reshape(-1, 3)
     classes = [vocabulary.index(label) for label in labels]
     record = ObjectMapRecord.of_objects(ids, placed, classes, vocabulary, sigma_m=1.0, observations=5)
     seen_ns = record.first_seen_ns if first_seen_ns is None else first_seen_ns
@@ -35,7 +35,7 @@ def frames(
     """From (true id, landmark id, created) of each detection of each frame; stamps are 1 s apart from 0."""
     at = stamps_ns or [index * 1_000_000_000 for index in range(len(detections))]
     associations = [
-        DetectionAssociations(t, tuple(d[1] for d in frame), np.array([d[2] for d in frame], dtype=np.bool_))
+        DetectionAssociations(t, tuple(d[1] for d in frame), np.array([d[2] for d in frame], bool))
         for t, frame in zip(at, detections, strict=True)
     ]
     truths = [DetectionTruth(t, tuple(d[0] for d in frame)) for t, frame in zip(at, detections, strict=True)]

@@ -11,7 +11,7 @@ from slam.evaluation.result import Evaluation
 
 def graph(stamps_ns: IntArray, T_map_body: FloatArray) -> FactorGraphRecord:
     """Keyframes alone."""
-    none = np.zeros(0, dtype=np.int64)
+    none = np.zeros(0, int)
     return FactorGraphRecord(
         stamp_ns=int(stamps_ns[-1]),
         keyframe_ids=np.arange(len(stamps_ns)),

@@ -56,7 +56,7 @@ def made_log() -> list[tuple[str, Record]]:
     positions = winding_path(COUNT)[:100:10, :3, 3] + np.random.default_rng(0).uniform(-5, 5, (10, 3))
     labels = ("tree",) * 9 + ("pole",)
     log.append(("/ground_truth/objects", object_map(ids, positions, labels)))
-    first = np.array(at_frames[::3], dtype=np.int64)
+    first = np.array(at_frames[::3], int)
     in_map = apply(invert(T_WORLD_MAP), positions)
     log.append(("/slam/map", object_map(names, in_map + 99.0, labels, first_seen_ns=first)))
     log.append(("/slam/map", object_map(names, in_map, ("tree",) * 10, first_seen_ns=first)))
@@ -187,6 +187,7 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
     at = stamps(COUNT).tolist()
     lost, found = StatusRecord(at[110], "LOST", "warning", ""), StatusRecord(at[120], "RELOCALIZED", "info", "")
     records = collect_records([*made_log(), ("/slam/status", lost), ("/slam/status", found)])
+    assert records.graph is not None
     kept = records.graph.keyframe_ids[50:52].reshape(1, 2)
     jump = {"edge_transforms": np.eye(4)[None], "edge_covariances": np.eye(6)[None], "edge_kinds": ("discontinuity",)}
     records = replace(records, graph=replace(records.graph, edge_keyframe_ids=kept, **jump))
@@ -197,6 +198,7 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
 
 def test_of_a_given_map_the_picture_shows_what_is_around_the_path() -> None:
     records = collect_records(made_log())
+    assert records.object_map is not None
     positions = records.object_map.positions.copy()
     positions[0] += [2.0 * COUNT, 0.0, 0.0]
     records = replace(records, object_map=replace(records.object_map, positions=positions))

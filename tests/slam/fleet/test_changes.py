@@ -18,7 +18,7 @@ def positions() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def changes() -> tuple[Change, ...]:
-    seen = np.ones((34, MONTHS), dtype=bool)
+    seen = np.ones((34, MONTHS), bool)
     seen[[GOES, MOVES], 3:] = False
     seen[[COMES, MOVED], :3] = False
     part = street_part(positions(), [*["lamp"] * 30, "tree", "tree", "bench", "bench"], seen)

@@ -47,7 +47,7 @@ def test_a_place_that_a_map_has_twice_is_not_recognised(maps: list[SavedMap]) ->
 
 
 def join(log_odds: float, *, reference_map: int = 0, query_map: int = 1) -> Join:
-    nothing = np.zeros((0, 2), dtype=np.int64)
+    nothing = np.zeros((0, 2), int)
     return Join(query_map, reference_map, 0, np.eye(4), np.eye(4), np.eye(6), log_odds, nothing)
 
 

@@ -9,7 +9,7 @@ SEEN = 0.9
 
 
 def presence(seen: list[list[int]], passed: list[list[int]] | None = None):  # type: ignore[no-untyped-def]
-    sightings = np.array(seen, dtype=bool)
+    sightings = np.array(seen, bool)
     probabilities = np.where(np.ones_like(sightings) if passed is None else np.array(passed, bool), SEEN, 0.0)
     return estimate_presence(sightings, probabilities, MONTHS_NS)
 
@@ -55,7 +55,7 @@ def test_what_few_of_many_sessions_have_neither_came_nor_went() -> None:
     steady = [[1] * 8] * 40
     rare = [[0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 0, 0, 0]]
     came = [0, 0, 0, 0, 1, 1, 1, 1]
-    seen = np.array([*steady, *rare, came], dtype=bool).repeat(4, axis=1)
+    seen = np.array([*steady, *rare, came], bool).repeat(4, axis=1)
     seen[40:44] &= np.arange(32) % 4 == 0
     stamps_ns = np.arange(32) * 7 * DAY_NS
     result = estimate_presence(seen, np.full(seen.shape, SEEN), stamps_ns)

@@ -20,6 +20,8 @@ Result = tuple[PoseSeries, FactorGraphRecord, ObjectMapRecord]
 def result(noisy_output: Path) -> Result:
     """Of a drive around the block."""
     records = read_records(noisy_output)
+    assert records.graph is not None
+    assert records.object_map is not None
     return records.final_path, records.graph, records.object_map
 
 
@@ -28,7 +30,7 @@ def test_tum_comes_back_exactly(result: Result, tmp_path: Path) -> None:
     write_tum(tmp_path / "a.tum", trajectory.stamps_ns, trajectory.T_world_body)
     lines = [line.split(" ") for line in (tmp_path / "a.tum").read_text().splitlines()]
     assert [line[0] for line in lines] == [f"{ns // 10**9}.{ns % 10**9:09d}" for ns in trajectory.stamps_ns.tolist()]
-    numbers = np.array([line[1:] for line in lines], dtype=np.float64)
+    numbers = np.array([line[1:] for line in lines], float)
     np.testing.assert_array_equal(numbers[:, :3], trajectory.T_world_body[:, :3, 3])
     R = Rotation.from_quat(numbers[:, 3:]).as_matrix()
     # Products of rotations are orthonormal to rounding only; a quaternion holds the nearest rotation.
@@ -61,7 +63,7 @@ def test_g2o_of_landmarks(result: Result, tmp_path: Path) -> None:
     _, graph, object_map = result
     write_g2o(tmp_path / "a.g2o", graph, object_map)
     lines = [line.split(" ") for line in (tmp_path / "a.g2o").read_text().splitlines()]
-    vertices = {line[1]: np.array(line[2:], dtype=float) for line in lines if line[0] == "VERTEX_TRACKXYZ"}
+    vertices = {line[1]: np.array(line[2:], float) for line in lines if line[0] == "VERTEX_TRACKXYZ"}
     assert min(map(int, vertices)) == graph.keyframe_ids.max() + 1
     assert len(vertices) == len(set(graph.observation_landmark_ids))
     edges = [line for line in lines if line[0] == "EDGE_SE3_TRACKXYZ"]
@@ -72,7 +74,7 @@ def test_g2o_of_landmarks(result: Result, tmp_path: Path) -> None:
         assert (edge[1], edge[3]) == (str(keyframe), "0")
         np.testing.assert_array_equal(vertices[edge[2]], object_map.positions[object_map.ids.index(name)])
         expected = [*position, *np.linalg.inv(covariance)[np.triu_indices(3)]]
-        np.testing.assert_allclose(np.array(edge[4:], dtype=float), expected, rtol=1e-6)
+        np.testing.assert_allclose(np.array(edge[4:], float), expected, rtol=1e-6)
     assert ["PARAMS_SE3OFFSET", "0", "0", "0", "0", "0", "0", "0", "1"] in lines
     assert ["FIX", "0"] in lines
 

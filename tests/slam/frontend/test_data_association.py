@@ -60,11 +60,11 @@ def random_scene(rng: np.random.Generator, detections: int, landmarks: int) -> S
 
 def plain_scene(seen, landmarks, *, labels=None, beliefs=None, sigma_m: float = SIGMA_M) -> Scene:
     """Detections and landmarks (N,) along x or (N, 3) m, of two classes, all of the first one unless given."""
-    places = [np.array(each, dtype=float) for each in (seen, landmarks)]
+    places = [np.array(each, float) for each in (seen, landmarks)]
     places = [each if each.ndim == 2 else np.column_stack([each, np.zeros((len(each), 2))]) for each in places]
     D, L = map(len, places)
     P = [spheres(sigma_m, count) for count in (D, L)]
-    labels = np.zeros(D, dtype=np.int64) if labels is None else np.array(labels)
+    labels = np.zeros(D, int) if labels is None else np.array(labels)
     beliefs = np.tile([1.0, 0.0], (L, 1)) if beliefs is None else np.array(beliefs)
     return Scene(Objects(places[0], P[0], labels), places[1], P[1], beliefs)
 

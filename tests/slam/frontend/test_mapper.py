@@ -54,6 +54,7 @@ class Bench:
         **detected: Any,
     ) -> tuple[Tracked, OdometryPose]:
         pose = self.track.at(round(seconds * 1e9))
+        assert pose is not None
         positions = apply(invert(pose.T_odom_body), objects)
         scan = scan_of(positions, labels, stamp_ns=pose.stamp_ns, **({"sigma_m": 0.2} | detected))
         return self.mapper.locate(scan, pose), pose
@@ -340,7 +341,7 @@ def test_landmarks_that_became_inactive_since_a_scan_was_located_are_none_of_its
     bench.drive(12)
     bench.move(1.2, 6.0)
     tracked, pose = bench.locate(1.2)
-    bench.mapper._deactivate(np.ones(4, dtype=np.bool_))
+    bench.mapper._deactivate(np.ones(4, bool))
     associations = bench.mapper.add_scan(tracked, pose)
     assert associations.landmark_ids == ("",) * 4
     assert not associations.created.any()

@@ -118,4 +118,4 @@ def test_robot_that_waits_measures_no_better_than_often():
 
 def test_keyframe_that_saw_nothing_has_no_observation():
     assert summed([]) == {}
-    assert summed([(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))]) == {}
+    assert summed([(np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)))]) == {}

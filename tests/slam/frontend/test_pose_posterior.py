@@ -44,7 +44,7 @@ class Scene:
         """Landmarks ``which``, as detected by a body that is ``T_off`` (4, 4) from where it is predicted."""
         noise = np.random.default_rng(seed).normal(scale=NOISE_M, size=(len(which), 3))
         positions = apply(invert(T_off), self.landmarks[which]) + noise
-        labels = np.zeros(len(which), dtype=np.int64) if labels is None else labels
+        labels = np.zeros(len(which), int) if labels is None else labels
         return Objects(positions, spheres(NOISE_M, len(which)), labels)
 
     def search(self, seen: Objects) -> ModeSearch:

@@ -309,7 +309,7 @@ def test_error_while_nothing_was_in_view_is_corrected() -> None:
     """The scan after it matches next to nothing; only a search for any place around finds the pose."""
     drive = driven(12)
     drive.err(pose_at(0.3, 0.3, yaw=0.2))
-    drive.located(np.zeros(0, dtype=np.int64))
+    drive.located(np.zeros(0, int))
     found = drive.drive(8)
     assert drive.corrections == 1
     assert known(found[-1]) > 0.8

@@ -48,7 +48,7 @@ class Street:
             self.keyframe += 1
             travel_m = STEP_M * self.keyframe
             ranges = np.hypot(self.positions[:, 0] - travel_m, self.positions[:, 1])
-            seen = (ranges < RANGE_M) & ~np.asarray(blind if hidden is None else hidden, dtype=bool)
+            seen = (ranges < RANGE_M) & ~np.asarray(blind if hidden is None else hidden, bool)
             self.first_m[seen] = np.minimum(self.first_m[seen], travel_m)
             self.last_m[seen] = travel_m
             noticed = self.monitor.update(self._keyframe(travel_m), self._map())
@@ -135,7 +135,7 @@ def test_after_a_kidnapping_the_next_one_is_as_improbable_as_before(street):
 def test_two_landmarks_that_are_missed_are_enough():
     street = Street()
     kept_m = 2.0 * LEARNING * STEP_M - 4.0
-    others = np.ones(len(street.positions), dtype=bool)
+    others = np.ones(len(street.positions), bool)
     others[np.flatnonzero(street.x_m >= kept_m)[0]] = False
     others[len(street.x_m) + np.flatnonzero(street.x_m >= kept_m)[0]] = False
     assert street.drive(LEARNING) is None

@@ -43,7 +43,7 @@ def fixes_of(positions: FloatArray, sigma_m: float = 2.0, *, seed: int = 1) -> l
 def path(count: int = 200, step_m: float = 3.0) -> TrajectoryRecord:
     yaw = 0.02 * np.arange(count)
     xyz = np.cumsum(step_m * np.stack([np.cos(yaw), np.sin(yaw), np.zeros(count)], axis=1), axis=0)
-    stamps_ns = SECOND * np.arange(count, dtype=np.int64)
+    stamps_ns = SECOND * np.arange(count)
     return TrajectoryRecord(0, "map", stamps_ns, transform_from_xyz_yaw(xyz, yaw))
 
 

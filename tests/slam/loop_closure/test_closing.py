@@ -286,10 +286,9 @@ def test_unconfirmed_landmarks_are_used_only_where_the_confirmed_ones_do_not_suf
     parts.places, parts.unconfirmed = [], 1
     drive.close(FIRST)
     assert parts.retrieved == 1
-    parts.is_connected = False
+    parts.is_connected, parts.places, parts.llrs = False, [PLACE], {FIRST + 1: WEAK_LLR, FIRST + 2: SURE_LLR}
     drive.close(FIRST + 1, segment=3)
     assert parts.retrieved == 3
-    parts.places, parts.llrs = [PLACE], {FIRST + 2: SURE_LLR}
     drive.close(FIRST + 2, segment=3)
     assert parts.retrieved == 4
 

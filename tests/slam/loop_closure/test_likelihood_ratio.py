@@ -25,7 +25,7 @@ T_REFERENCE_QUERY = pose_at(30.0, -20.0, z=1.0, yaw=0.7)
 SIGMA_M = 0.35
 """Of a landmark."""
 HERE = np.eye(4)
-NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
+NO_PAIRS = np.zeros((0, 2), int)
 AROUND_AREA_M2 = np.pi * (CLUTTER_RANGES * RANGE_M) ** 2
 
 
@@ -129,7 +129,7 @@ def test_the_llr_of_an_empty_query_or_reference_is_zero(seen, known):
 
 def test_where_none_stands_around_a_rare_class_says_more_than_a_common_one():
     positions, _ = scattered(20, seed=3)
-    labels = np.zeros(20, dtype=np.int64)
+    labels = np.zeros(20, int)
     labels[0] = 1
     query = seen(positions[:1], labels[:1])
     reference = submap(positions, labels)

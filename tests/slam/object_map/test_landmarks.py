@@ -14,7 +14,7 @@ def new_map(vocabulary: str = "abc", count: int = 1, positions=None) -> ObjectMa
     """A map of ``count`` landmarks of class "a", each seen once at time 0, scan 1."""
     object_map = ObjectMap(CONFIG)
     object_map.labels.indices(tuple(vocabulary))
-    see_new(object_map, np.zeros((count, 3)) if positions is None else np.array(positions, dtype=float))
+    see_new(object_map, np.zeros((count, 3)) if positions is None else np.array(positions, float))
     return object_map
 
 

@@ -11,7 +11,7 @@ from tests.logs.examples import random_transform
 from tests.slam.evaluation.drives import stamps, winding_path
 
 COUNT = 41
-NO_BREAKS = np.zeros(COUNT, dtype=np.int64)
+NO_BREAKS = np.zeros(COUNT, int)
 
 
 def odometry() -> FloatArray:

@@ -55,7 +55,7 @@ def is_near(T: FloatArray, T_gt: FloatArray, *, within_m: float = 0.5) -> bool:
 def test_objects_that_are_not_allowed_make_no_pose() -> None:
     positions, labels = town()
     seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(2))
-    allowed = np.ones(len(positions), dtype=bool)
+    allowed = np.ones(len(positions), bool)
     allowed[rows] = False
     poses = searched(positions, labels).find_poses(query(seen, labels[rows]), count=5, allowed=allowed)
     assert len(poses)
@@ -134,9 +134,9 @@ def test_pose_voted_for_beside_the_right_one_is_fitted_until_it_is_right(monkeyp
 def test_objects_are_met_no_farther_than_the_next_object_of_the_map() -> None:
     """Two metres apart; those of the query are one and three metres off, and known to five."""
     row = np.column_stack([2.0 * np.arange(10), np.zeros((10, 2))])
-    search = searched(row, np.zeros(10, dtype=np.int64))
+    search = searched(row, np.zeros(10, int))
     positions = np.array([[4.0, 1.0, 0.0], [8.0, 3.0, 0.0]])
-    asked = _query(positions, np.zeros(2, dtype=np.int64), np.full(2, 5.0))
+    asked = _query(positions, np.zeros(2, int), np.full(2, 5.0))
     apart_m, _ = search._met(_Poses(np.array([asked.middle]), np.ones(1, dtype=complex)), asked, np.full(2, 5.0))
     np.testing.assert_allclose(apart_m, [[1.0, np.inf]], atol=1e-6)
 

@@ -202,10 +202,10 @@ def test_matches_by_vectors_are_pairs_of_one_length_in_one_segment(places):
         positions = np.concatenate([ends, np.reshape(more, (-1, 3))])
         rows = np.arange(len(positions))
         landmarks.enter(Batch(positions, np.zeros_like(rows), rows, rows, segment, ("tree",)))
-    found = landmarks.search(ends, np.zeros(2, dtype=np.int64), sigmas_m=np.full(2, 0.1))
+    found = landmarks.search(ends, np.zeros(2, int), sigmas_m=np.full(2, 0.1))
     assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1}), frozenset({3, 4})}
     allowed = np.array([True, True, True, True, False])
-    found = landmarks.search(ends, np.zeros(2, dtype=np.int64), sigmas_m=np.full(2, 0.1), allowed=allowed)
+    found = landmarks.search(ends, np.zeros(2, int), sigmas_m=np.full(2, 0.1), allowed=allowed)
     assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1})}
 
 

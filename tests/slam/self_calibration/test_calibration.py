@@ -49,6 +49,7 @@ def with_noise(survey: Survey, **variances: float) -> Survey:
 
 def with_errors(survey: Survey, **variances: float) -> Survey:
     """The survey of a log whose noise is known with these standard errors."""
+    assert survey.components is not None
     errors = replace(survey.components.standard_errors, **variances)
     return replace(survey, components=replace(survey.components, standard_errors=errors))
 

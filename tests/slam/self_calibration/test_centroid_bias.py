@@ -24,7 +24,7 @@ def passed(bias_m: FloatArray, *, seed: int = 0) -> tuple[ObjectTracks, FloatArr
         rays = offsets / np.linalg.norm(offsets, axis=1)[:, None]
         label = number % len(bias_m)
         points = place - bias_m[label] * rays + rng.normal(0.0, NOISE_M, offsets.shape)
-        same = np.ones(len(scans), dtype=np.int64)
+        same = np.ones(len(scans), int)
         parts.append((number * same, scans, offsets, points, label * same, np.tile(place, (len(scans), 1))))
     track, scan, offsets, points, labels, true = (np.concatenate(column) for column in zip(*parts, strict=True))
     return tracks_of(track, scan, offsets, points, labels), true

@@ -14,7 +14,7 @@ def scans_of(each: float, *, half_angle: float = np.pi, height_m: float = 0.0) -
     for number, count in enumerate(rng.poisson(each, 300).tolist()):
         r, angle = 25.0 * np.sqrt(rng.random(count)), half_angle * rng.uniform(-1.0, 1.0, count)
         z = height_m * rng.random(count)
-        positions, labels = np.column_stack([r * np.cos(angle), r * np.sin(angle), z]), np.zeros(count, dtype=np.int64)
+        positions, labels = np.column_stack([r * np.cos(angle), r * np.sin(angle), z]), np.zeros(count, int)
         scans.append(SurveyScan(number, np.eye(4), positions, labels, np.full(count, np.nan)))
     return scans
 

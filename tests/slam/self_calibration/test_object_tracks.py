@@ -26,9 +26,9 @@ def scan_of(
     """``objects`` (N, 3) m of the odometry frame, seen from (x, 0)."""
     T = pose_at(x, yaw=yaw)
     c, s = np.cos(yaw), np.sin(yaw)
-    objects = np.array(objects, dtype=np.float64).reshape(-1, 3)
+    objects = np.array(objects, float).reshape(-1, 3)
     in_body = (objects - [x, 0.0, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    of_each = np.array(labels if labels is not None else [0] * len(objects), dtype=np.int64)
+    of_each = np.array(labels if labels is not None else [0] * len(objects), int)
     return SurveyScan(number * 10**8, T, in_body, of_each, np.full(len(objects), 0.04))
 
 

@@ -72,7 +72,7 @@ def test_second_detections_of_another_class_are_kept(scans):
 
 def test_a_scan_of_many_detections_is_left_out(scans):
     twice = scattered(scans, 0.1)
-    heap = replace(scans[0], positions=np.zeros((30_000, 3)), labels=np.zeros(30_000, dtype=np.int64))
+    heap = replace(scans[0], positions=np.zeros((30_000, 3)), labels=np.zeros(30_000, int))
     assert find_resolution([heap, *twice, heap]) == find_resolution(twice) > 0.0
 
 

@@ -130,7 +130,7 @@ def test_the_spacing_is_the_distance_of_the_nearest_of_its_class(drive):
 def test_the_spacing_of_many_objects_takes_no_memory_of_all_their_pairs():
     positions = np.random.default_rng(0).uniform(-50.0, 50.0, (5000, 3))
     scan = replace(SurveyedDrive(0, NOISE, scans=2, objects=80).scans[0], positions=positions,
-                   labels=np.zeros(5000, dtype=np.int64))  # fmt: skip
+                   labels=np.zeros(5000, int))  # fmt: skip
     tracemalloc.start()
     try:
         spacing_of([scan])

@@ -19,7 +19,7 @@ def among_false(scans: list[SurveyScan], range_m: float, each: float) -> list[Su
         r, angle = range_m * np.sqrt(rng.random(count)), rng.uniform(-np.pi, np.pi, count)
         false = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.zeros(count)])
         number = len(scan.positions) + count
-        positions, labels = np.concatenate([scan.positions, false]), np.zeros(number, dtype=np.int64)
+        positions, labels = np.concatenate([scan.positions, false]), np.zeros(number, int)
         spoilt.append(replace(scan, positions=positions, labels=labels, variances=np.full(number, np.nan)))
     return spoilt
 

@@ -130,13 +130,13 @@ def test_a_robot_that_neither_moves_nor_turns_tells_the_noise_of_its_detector():
 
 @pytest.mark.parametrize("count", [0, 1, 60])
 def test_too_few_detections_tell_nothing(count):
-    tracks = tracks_of(np.zeros(count, dtype=np.int64), np.arange(count), np.ones((count, 2)), np.ones((count, 2)))
+    tracks = tracks_of(np.zeros(count, int), np.arange(count), np.ones((count, 2)), np.ones((count, 2)))
     times = np.arange(float(count))
     assert estimate_components(tracks, Motion(times, times, times, times)) is None
 
 
 def test_pairs_are_ever_twice_as_many_detections_apart_while_there_are_enough():
-    track = tracks_of(np.zeros(300, dtype=np.int64), np.arange(300), np.ones((300, 2)), np.ones((300, 2)))
+    track = tracks_of(np.zeros(300, int), np.arange(300), np.ones((300, 2)), np.ones((300, 2)))
     lags = [np.unique(second - first).tolist() for first, second in _lagged_pairs(track)]
     assert lags == [[1], [2], [4], [8], [16], [32], [64], [128]]
 

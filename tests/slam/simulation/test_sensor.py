@@ -20,7 +20,7 @@ def _rngs(seed: int = 0) -> Rngs:
 
 
 def _scan(positions: FloatArray, config: SensorConfig, rngs: Rngs | None = None) -> Scan:
-    classes = np.arange(len(positions), dtype=np.int64) % CLASS_COUNT
+    classes = np.arange(len(positions)) % CLASS_COUNT
     return scan_objects(positions, classes, CLASS_COUNT, config, rngs or _rngs())
 
 
@@ -73,7 +73,7 @@ HALF_ANGLE = float(np.arcsin(0.05))
     ],
 )
 def test_objects_are_hidden(radius_m: float, xy: list[tuple[float, float]], is_seen: list[bool]) -> None:
-    positions = np.column_stack([np.array(xy, dtype=np.float64), np.zeros(len(xy))])
+    positions = np.column_stack([np.array(xy, float), np.zeros(len(xy))])
     assert unshadowed(positions, radius_m).tolist() == is_seen
 
 

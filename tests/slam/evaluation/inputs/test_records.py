@@ -13,7 +13,7 @@ from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.formats.trajectories import write_kitti
 from tests.helpers.short_drives import write_log
 
-STAMPS_NS = 10**9 * (1_700_000_000 + np.arange(30, dtype=np.int64))
+STAMPS_NS = 10**9 * (1_700_000_000 + np.arange(30))
 T_CAMERA_BODY = np.array([[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, -0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
 
 

@@ -16,7 +16,7 @@ def test_disorder_and_duplicates_are_repaired() -> None:
 
 def test_synchronize_interpolates_at_epoch_scale() -> None:
     truth = series(straight_path(11, step_m=10.0), rate_hz=1.0)  # 10 m/s
-    at_ns = START_NS + np.array([1, 250_000_001, 9_999_999_999], dtype=np.int64)
+    at_ns = START_NS + np.array([1, 250_000_001, 9_999_999_999], int)
     _, gt = synchronize(PoseSeries(at_ns, straight_path(3)), truth)
     np.testing.assert_allclose(gt.positions[:, 0], [1e-8, 2.50000001, 99.99999999], rtol=0, atol=1e-11)
 
@@ -57,5 +57,5 @@ def test_clean_poses_refuses_non_finite_pose() -> None:
 
 def test_path_length_between_stamps_and_beyond_the_ends() -> None:
     path = series(straight_path(3, step_m=2.0), rate_hz=1.0)
-    at = START_NS + np.array([-5, 500_000_000, 2_000_000_000, 9_000_000_000], dtype=np.int64)
+    at = START_NS + np.array([-5, 500_000_000, 2_000_000_000, 9_000_000_000], int)
     np.testing.assert_allclose(path.travelled_at_m(at), [0.0, 1.0, 4.0, 4.0])

@@ -17,7 +17,7 @@ from slam.evaluation.metrics.association import (
 from tests.slam.evaluation.drives import straight_path
 from tests.slam.evaluation.maps import frames, object_map
 
-WALK = PoseSeries(np.arange(1001, dtype=np.int64) * 1_000_000_000, straight_path(1001))  # 1 m/s from time 0
+WALK = PoseSeries(np.arange(1001) * 1_000_000_000, straight_path(1001))  # 1 m/s from time 0
 
 
 def quality(*detections: list[tuple[str, str, bool]], aliases: dict[str, str] | None = None) -> dict[str, Any]:

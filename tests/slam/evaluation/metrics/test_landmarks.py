@@ -14,7 +14,7 @@ from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import straight_path
 from tests.slam.evaluation.maps import object_map
 
-WALK = PoseSeries(np.arange(201, dtype=np.int64) * 1_000_000_000, straight_path(201))
+WALK = PoseSeries(np.arange(201) * 1_000_000_000, straight_path(201))
 
 
 def street(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
@@ -131,7 +131,7 @@ def test_empty_map() -> None:
 def test_landmarks_first_seen_without_truth_have_no_window() -> None:
     positions = np.array([[0.0, 0, 0], [5.0, 0, 0], [0, 5.0, 0]])
     map_gt = object_map(("a", "b", "c"), positions, ("x",) * 3)
-    late = np.full(3, 999_000_000_000, dtype=np.int64)
+    late = np.full(3, 999_000_000_000, int)
     map_est = object_map(("a", "b", "c"), positions, ("x",) * 3, first_seen_ns=late)
     assert quality(map_est, map_gt, {name: name for name in "abc"})["median_error_m"] is None
 

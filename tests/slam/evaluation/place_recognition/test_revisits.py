@@ -70,7 +70,7 @@ def test_keyframes_without_truth_are_not_queries() -> None:
 
 
 def test_duplicated_stamps_disorder_and_one_pose() -> None:
-    ids, stamps_ns = np.array([7, 5, 3], dtype=np.int64), np.array([at_ns(2), at_ns(2), at_ns(0)], dtype=np.int64)
+    ids, stamps_ns = np.array([7, 5, 3], int), np.array([at_ns(2), at_ns(2), at_ns(0)], int)
     found = find_revisits(ids, stamps_ns, there_and_back(), Protocol())
     assert found["keyframe"].tolist() == [3, 5]
     one = series_of(np.eye(4)[None])

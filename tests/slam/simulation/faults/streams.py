@@ -80,7 +80,7 @@ def records(log: Recording, kind: type[_Kind]) -> list[_Kind]:
 
 
 def stamps(log: Recording, kind: type) -> IntArray:
-    return np.array([record.stamp_ns for record in records(log, kind)], dtype=np.int64)
+    return np.array([record.stamp_ns for record in records(log, kind)], int)
 
 
 def positions(log: Recording) -> FloatArray:
