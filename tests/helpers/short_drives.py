@@ -15,7 +15,7 @@ from slam.common.config import Config
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.result import Evaluation
-from slam.object_map.map_io import METADATA
+from slam.object_map.map_io import METADATA, SavedMap
 from slam.replay import replay
 from slam.simulation.config import OdometryConfig, SensorConfig, SimulationConfig
 from slam.simulation.simulation import simulate
@@ -137,9 +137,9 @@ def final_status(path: Path) -> StatusRecord:
     return status
 
 
-def map_in_memory(entries: Iterable[Entry], config: Config | None = None) -> Slam:
+def map_in_memory(entries: Iterable[Entry], *prior_map: SavedMap, extend: bool = True) -> Slam:
     """A system that has processed the records, not yet finished."""
-    slam = Slam(config or Config())
+    slam = Slam(Config(), *prior_map, extend=extend)
     for _, _, record in entries:
         slam.process(record)
     return slam

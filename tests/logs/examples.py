@@ -3,16 +3,13 @@
 import dataclasses
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from logs import messages as m
+from tests.helpers.poses import motion_by
 
 
 def random_transform(rng):
-    T = np.eye(4)
-    T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    T[:3, 3] = rng.normal(scale=50.0, size=3)
-    return T
+    return motion_by(rng.normal(scale=2.0, size=3), rng.normal(scale=50.0, size=3))
 
 
 def random_covariance(rng, size):

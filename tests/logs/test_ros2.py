@@ -12,6 +12,7 @@ from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage
 from tests.helpers.data import NAV2, needs_nav2
+from tests.helpers.poses import pose_at
 from tests.helpers.ros2_logs import encoded, header, tf, vector
 from tests.logs.examples import assert_same_record
 
@@ -42,9 +43,7 @@ def test_unset_stamp_is_log_time_and_one_before_zero_is_refused() -> None:
 
 
 def test_tf_gives_frames_or_odometry() -> None:
-    near, far = np.eye(4), np.eye(4)
-    near[0, 3], far[0, 3] = 1.0, 2.0
-    values = {"transforms": [tf(5, "map", "odom", near), tf(5, "odom", "base_link", far)]}
+    values = {"transforms": [tf(5, "map", "odom", pose_at(1.0)), tf(5, "odom", "base_link", pose_at(2.0))]}
     raw = encoded(("/tf", "tf2_msgs/msg/TFMessage", 100, values))
     frames = decode(raw, "transforms")  # type: ignore[arg-type]
     assert [(r.parent_frame_id, r.child_frame_id) for r in frames] == [("map", "odom"), ("odom", "base_link")]

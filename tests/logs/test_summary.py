@@ -4,15 +4,14 @@ import pytest
 from logs import messages as m
 from logs.summary import summarize
 from tests.helpers.landmarks import detections_of
+from tests.helpers.poses import pose_at
 from tests.helpers.short_drives import write_log, write_records
 
 SECOND = 1_000_000_000
 
 
 def odometry(stamp_ns, x):
-    T = np.eye(4)
-    T[0, 3] = x
-    return m.Odometry(stamp_ns, T)
+    return m.Odometry(stamp_ns, pose_at(x))
 
 
 def detections(stamp_ns, *labels):

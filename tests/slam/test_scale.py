@@ -49,7 +49,7 @@ def scaled(record: Record, scale: float) -> Record:
             return replace(
                 record,
                 positions=record.positions * scale,
-                covariances=None if record.covariances is None else record.covariances * scale**2,
+                covariances=record.covariances * scale**2,
             )
         case _:
             return record

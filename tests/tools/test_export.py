@@ -15,6 +15,7 @@ from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import EvaluationRecords, read_records
 from slam.object_map.map_io import confirmed
 from tests.helpers.landmarks import detections_of
+from tests.helpers.poses import pose_at
 from tests.tools.runs import Run, assert_refused
 
 ORIGIN = "60.1699,24.9384,12.5,30"
@@ -30,9 +31,7 @@ def test_a_map_far_up_is_exported(dslam: Run, tmp_path: Path) -> None:
     places = np.random.default_rng(0).uniform(-40.0, 40.0, (20, 3))
     with LogWriter(tmp_path / "drive.mcap") as writer:
         for i in range(40):
-            T_odom_body = np.eye(4)
-            T_odom_body[:3, 3] = i, 0.0, 1e7 * i
-            writer.write("/odom", Odometry(i * 10**9, T_odom_body))
+            writer.write("/odom", Odometry(i * 10**9, pose_at(i, z=1e7 * i)))
             writer.write("/objects", detections_of(places, stamp_ns=i * 10**9, frame_id="base_link"))
     assert dslam("replay", tmp_path / "drive.mcap", "-o", tmp_path / "mapped.mcap").code == 0
     result = dslam("export", tmp_path / "mapped.mcap", "--g2o", tmp_path / "graph.g2o")

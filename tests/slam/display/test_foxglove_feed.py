@@ -9,6 +9,7 @@ import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from logs.messages import SlamPose
+from tests.helpers.poses import pose_at
 
 connect = pytest.importorskip("websockets.sync.client").connect
 FoxgloveFeed = pytest.importorskip("slam.display.foxglove_feed").FoxgloveFeed
@@ -16,8 +17,6 @@ SUBPROTOCOL, MESSAGE_DATA = "foxglove.sdk.v1", 1
 
 
 def test_client_receives_the_poses_that_it_subscribes_to() -> None:
-    T_map_body = np.eye(4)
-    T_map_body[:3, 3] = [1.0, 2.0, 3.0]
     with closing(FoxgloveFeed("127.0.0.1", 0)) as feed:
         feed.show("/slam/pose", SlamPose(5, np.eye(4)), 5)
         with connect(f"ws://127.0.0.1:{feed.port}", subprotocols=[SUBPROTOCOL]) as client:
@@ -25,7 +24,7 @@ def test_client_receives_the_poses_that_it_subscribes_to() -> None:
             assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.PoseInFrame")
             subscription = {"id": 1, "channelId": channel["id"]}
             client.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
-            stamps_ns, pose = _next_pose(client, feed, SlamPose(7, T_map_body))
+            stamps_ns, pose = _next_pose(client, feed, SlamPose(7, pose_at(1.0, 2.0, z=3.0)))
     assert stamps_ns == 7
     position = pose.pose.position
     assert (position.x, position.y, position.z) == (1.0, 2.0, 3.0)

@@ -23,9 +23,7 @@ def winding_path(count: int) -> FloatArray:
 
 
 def straight_path(count: int, step_m: float = 1.0) -> FloatArray:
-    xyz = np.zeros((count, 3))
-    xyz[:, 0] = step_m * np.arange(count)
-    return transform_from_xyz_yaw(xyz, np.zeros(count))
+    return transform_from_xyz_yaw(np.outer(step_m * np.arange(count), [1.0, 0.0, 0.0]), 0.0)
 
 
 def series(T_world_body: FloatArray, rate_hz: float = 10.0) -> PoseSeries:

@@ -9,6 +9,7 @@ from slam.fleet.joins import Join, accept_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.part import Part
 from tests.helpers.driven_maps import drive_poses, driven_map, town
+from tests.helpers.poses import pose_at
 from tests.slam.fleet.parts import CONFIG, joins_of, session_parts
 
 pytestmark = pytest.mark.slow
@@ -61,9 +62,8 @@ def test_maps_whose_joins_all_contradict_the_solution_stay_alone(
 def test_a_false_pair_is_rejected_by_the_others(joint: list[Part], parts: list[Part], joins: list[Join]) -> None:
     """Maps 0 and 2 joined far from where the chain over 1 puts them."""
     template = next(join for join in joins if (join.reference_map, join.query_map) == (0, 1))
-    T = np.eye(4)
-    T[:2, 3] = [400.0, 300.0]
-    false = replace(template, reference_map=0, query_map=2, T_reference_place=T, log_odds=30.0)
+    far = pose_at(400.0, 300.0)
+    false = replace(template, reference_map=0, query_map=2, T_reference_place=far, log_odds=30.0)
     found = join_parts(parts, [*joins, false], CONFIG)[0]
     assert found.sessions == (0, 1, 2)
     np.testing.assert_allclose(found.objects.positions, joint[0].objects.positions, atol=0.05)

@@ -13,17 +13,15 @@ from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
-from tests.helpers.short_drives import Entry, block_world, drive, write_log, write_map
+from tests.helpers.short_drives import Entry, block_world, drive, map_in_memory, write_log, write_map
 
 pytestmark = pytest.mark.slow
 
 PROVENANCE = {"version": "test"}
 
 
-def mapped(entries: list[Entry], prior_map: SavedMap | None = None, *, extend: bool = True) -> tuple[Slam, FinalMap]:
-    slam = Slam(Config(), prior_map, extend=extend)
-    for _, _, record in entries:
-        slam.process(record)
+def mapped(entries: list[Entry], *prior_map: SavedMap, extend: bool = True) -> tuple[Slam, FinalMap]:
+    slam = map_in_memory(entries, *prior_map, extend=extend)
     return slam, slam.finish()
 
 

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.object_map.map_io import SavedMap, confirmed, load_map
 from slam.object_map.map_validation import parts
@@ -20,7 +19,7 @@ from tests.helpers.short_drives import drive, keep_until, map_in_memory, write_m
 
 @pytest.fixture(scope="module")
 def known() -> SavedMap:
-    final = map_in_memory(keep_until(drive(SimulationConfig()), 12.0), Config()).finish()
+    final = map_in_memory(keep_until(drive(SimulationConfig()), 12.0)).finish()
     return SavedMap(confirmed(final.object_map), final.graph)
 
 

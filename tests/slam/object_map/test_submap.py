@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import Calibration, ObjectCalibration
-from slam.common.geometry import gravity_frame, make_transform
+from slam.common.geometry import gravity_frame
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import make_submap, recent_submap, recent_submap_with_unconfirmed
-from tests.helpers.poses import keyframe_at, pose_at
+from tests.helpers.poses import keyframe_at, motion_by, pose_at
 
 CONFIG = Calibration(objects=ObjectCalibration(landmark_sigma_m=0.4, landmark_sigma_per_m=0.02))
 HERE = keyframe_at(np.eye(4), travel_m=100.0)
@@ -34,7 +34,7 @@ def test_a_recent_submap_holds_confirmed_landmarks_of_the_last_travel_on_its_seg
 
 
 def test_it_is_upright_at_the_keyframe():
-    lean = make_transform(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]).T, np.zeros(3))
+    lean = motion_by([0.0, -np.pi / 2, 0.0])
     T = pose_at(3.0, 4.0, yaw=np.pi / 2)
     found = recent_submap(objects((13.0, 99, 0, True)), keyframe_at(T, travel_m=100.0), CONFIG)
     np.testing.assert_allclose(found.positions, [[-4.0, -10.0, 1.0]], atol=1e-12)

@@ -1,5 +1,7 @@
 """How far the odometry may have drifted between two keyframes, and which keyframe was nearest to a place."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -24,11 +26,9 @@ def winding_path() -> tuple[FloatArray, FloatArray]:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), headings
 
 
-def track_of(
-    config: OdometryCalibration, *, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)
-) -> KeyframeTrack:
+def track_of(config: OdometryCalibration, **driven: Any) -> KeyframeTrack:
     track = KeyframeTrack(Calibration(odometry=config))
-    for keyframe in keyframes_of(break_at=break_at, origin=origin):
+    for keyframe in keyframes_of(**driven):
         track.add(keyframe)
     return track
 

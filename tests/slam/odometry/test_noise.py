@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from slam.common.calibration import OdometryCalibration
-from slam.common.geometry import make_transform
 from slam.odometry.noise import model_variances, step_covariance, step_variances
 from slam.odometry.pose import OdometryPose
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 
 SILENT = {
     "translation_sigma": 1e-6,
@@ -72,8 +70,8 @@ def test_the_covariance_has_the_variances_on_its_diagonal_rotation_first():
 
 def test_a_body_that_leans_errs_in_heading_about_the_vertical():
     before, after = pose(), pose(3.0)
-    R = Rotation.from_euler("x", 40, degrees=True).as_matrix()
-    leaning = replace(after, T_odom_body=make_transform(R, after.T_odom_body[:3, 3]))
+    leaning = replace(after, T_odom_body=after.T_odom_body @ motion_by([0.7, 0.0, 0.0]))
+    R = leaning.T_odom_body[:3, :3]
     upright, leant = step_covariance(before, after, ALL), step_covariance(before, leaning, ALL)
     up_body = R.T @ [0.0, 0.0, 1.0]
     _, tilt, heading = step_variances(before, leaning, ALL)

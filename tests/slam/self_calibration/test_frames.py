@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, invert, roll_pitch_yaw_deg
 from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
@@ -18,14 +20,18 @@ from tests.helpers.surveyed_drives import NOISE, SurveyedDrive, records_of
 RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL = (0, 0, 0), (180, 0, 0), (0, 0, 180), (0, 0, 90), (-90, 0, -90)
 
 
-def turned(scans: list[SurveyScan], R: np.ndarray) -> list[SurveyScan]:
+def rotation(angles_deg: ArrayLike) -> FloatArray:
+    return np.asarray(Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix())
+
+
+def turned(scans: list[SurveyScan], R: FloatArray) -> list[SurveyScan]:
     """The scans of a sensor whose detections ``R`` would put right."""
     return [replace(scan, positions=scan.positions @ R) for scan in scans]
 
 
 @pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL])
 def test_quarter_turns_are_found(drive, angles_deg):
-    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    R = rotation(angles_deg)
     found = find_orientation(turned(drive.scans, R))
     np.testing.assert_allclose(found, R, atol=1e-9)
 
@@ -45,8 +51,8 @@ def test_a_robot_that_only_goes_straight_on_tells_nothing():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, OPTICAL, (90, 0, 0), (0, 90, 0)])
 def test_the_angles_give_the_rotation_back(angles_deg):
-    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
-    again = Rotation.from_euler("xyz", roll_pitch_yaw_deg(R), degrees=True).as_matrix()
+    R = rotation(angles_deg)
+    again = rotation(roll_pitch_yaw_deg(R))
     np.testing.assert_allclose(again, R, atol=1e-9)
 
 
@@ -71,7 +77,7 @@ def narrow(scans: list[SurveyScan], half_rad: float) -> list[SurveyScan]:
 @pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, OPTICAL])
 def test_objects_that_come_and_go_at_a_turn_hide_no_orientation(angles_deg):
     drive = SurveyedDrive(1, NOISE, scans=1200, objects=80)
-    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    R = rotation(angles_deg)
     np.testing.assert_allclose(find_orientation(turned(narrow(drive.scans, 0.3), R)), R, atol=1e-9)
 
 
@@ -173,7 +179,7 @@ def test_lengths_that_are_wrong_by_a_part_are_of_the_same_unit(scans, factor):
 
 
 def test_a_sensor_that_is_turned_tells_no_unit(scans):
-    assert find_unit(turned(scans, Rotation.from_euler("xyz", OPTICAL, degrees=True).as_matrix())) == 1.0
+    assert find_unit(turned(scans, rotation(OPTICAL))) == 1.0
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
+from slam.common.geometry import apply, invert
 from slam.self_calibration import object_tracks
 from slam.self_calibration.object_tracks import (
     MISSED_SCANS,
@@ -24,12 +25,9 @@ def scan_of(
     objects: FloatArray, *, number: int = 0, x: float = 0.0, yaw: float = 0.0, labels: list[int] | None = None
 ) -> SurveyScan:
     """``objects`` (N, 3) m of the odometry frame, seen from (x, 0)."""
-    T = pose_at(x, yaw=yaw)
-    c, s = np.cos(yaw), np.sin(yaw)
-    objects = np.array(objects, float).reshape(-1, 3)
-    in_body = (objects - [x, 0.0, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    of_each = np.array(labels if labels is not None else [0] * len(objects), int)
-    return SurveyScan(number * 10**8, T, in_body, of_each, np.full(len(objects), 0.04))
+    T, places = pose_at(x, yaw=yaw), np.array(objects, float).reshape(-1, 3)
+    of_each = np.array([0] * len(places) if labels is None else labels, int)
+    return SurveyScan(number * 10**8, T, apply(invert(T), places), of_each, np.full(len(places), 0.04))
 
 
 def lengths(tracks: ObjectTracks) -> list[int]:

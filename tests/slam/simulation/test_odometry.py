@@ -5,26 +5,17 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.simulation.config import OdometryConfig
 from slam.simulation.simulation import drifting_odometry
+from tests.helpers.poses import pose_at
+from tests.slam.evaluation.drives import straight_path
+from tests.slam.trajectory_check.drives import circle
 
 STEP_M = 0.8
 SEGMENT_STEPS = 125  # 100 m
 
 
-def _straight(steps: int) -> FloatArray:
-    xyz = np.zeros((steps + 1, 3))
-    xyz[:, 0] = STEP_M * np.arange(steps + 1)
-    return transform_from_xyz_yaw(xyz, np.full(steps + 1, 0.0))
-
-
-def _curved(steps: int) -> FloatArray:
-    angle = np.linspace(0.0, 6.0, steps + 1)
-    xyz = np.stack([50.0 * np.sin(angle), 50.0 * (1.0 - np.cos(angle)), np.zeros(steps + 1)], axis=1)
-    return transform_from_xyz_yaw(xyz + np.array([3.0, -4.0, 0.0]), angle)
-
-
 def _segment_errors(config: OdometryConfig, *, segments: int = 2000) -> tuple[FloatArray, FloatArray]:
     """Error of each 100 m of a long straight drive: translation (S, 2) m, frame of its start, and heading (S,) rad."""
-    T = drifting_odometry(_straight(segments * SEGMENT_STEPS), config, rng=np.random.default_rng(1))
+    T = drifting_odometry(straight_path(segments * SEGMENT_STEPS + 1, STEP_M), config, rng=np.random.default_rng(1))
     T_start_end = invert(T[:-1:SEGMENT_STEPS]) @ T[SEGMENT_STEPS::SEGMENT_STEPS]
     return T_start_end[:, :2, 3] - [100.0, 0.0], yaw_rad(T_start_end)
 
@@ -34,7 +25,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def test_without_drift_it_is_the_true_motion_from_the_identity() -> None:
-    T_world_body = _curved(300)
+    T_world_body = pose_at(3.0, -4.0, yaw=0.3) @ circle()
     config = OdometryConfig(scale_drift_percent=0.0, heading_drift_deg_per_100m=0.0)
     T_odom_body = drifting_odometry(T_world_body, config, rng=np.random.default_rng(0))
     np.testing.assert_allclose(T_odom_body, invert(T_world_body[0]) @ T_world_body, atol=1e-9)
@@ -57,7 +48,7 @@ def test_heading_error_over_100_m_is_the_configured_one() -> None:
 
 
 def test_scale_error_is_smooth_over_short_paths() -> None:
-    T = drifting_odometry(_straight(2000), OdometryConfig(), rng=np.random.default_rng(3))
+    T = drifting_odometry(straight_path(2000, STEP_M), OdometryConfig(), rng=np.random.default_rng(3))
     lengths = np.linalg.norm(np.diff(T[:, :2, 3], axis=0), axis=1) / STEP_M - 1.0
     correlation = np.corrcoef(lengths[1:], lengths[:-1])[0, 1]
     assert correlation == pytest.approx(np.exp(-STEP_M / 20.0), abs=0.02)

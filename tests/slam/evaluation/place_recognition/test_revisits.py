@@ -6,6 +6,7 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
 from slam.evaluation.place_recognition.revisits import find_revisits
+from tests.slam.evaluation.drives import straight_path
 from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, keyframes, series_of, there_and_back
 
 
@@ -55,10 +56,7 @@ def test_queries_are_thinned_but_revisit_any_keyframe() -> None:
 
 @pytest.mark.parametrize(("spacing_m", "kept"), [(1.95, 21), (1.85, 11), (3.0, 21)])
 def test_the_spacing_has_a_tolerance(spacing_m: float, kept: int) -> None:
-    xyz = np.zeros((21, 3))
-    xyz[:, 1] = spacing_m * np.arange(21)
-    truth = series_of(transform_from_xyz_yaw(xyz, np.zeros(21)))
-    assert len(find(truth, range(21))) == kept
+    assert len(find(series_of(straight_path(21, spacing_m)), range(21))) == kept
 
 
 def test_keyframes_without_truth_are_not_queries() -> None:

@@ -19,6 +19,7 @@ from slam.frontend.input.image_detections import (
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.sensor_frames import SensorFrames
+from tests.helpers.poses import motion_by
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]])
 PINHOLE = CameraModel(0, "camera", K, np.zeros(5), "plumb_bob")
@@ -68,7 +69,7 @@ def test_an_object_is_at_the_depth_of_what_is_near_in_its_box() -> None:
     placed = place_by_depth(PINHOLE, np.array([310.0, 240.0, 60.0, 80.0]), depths)
     position, covariance = placed
     np.testing.assert_allclose(position, 8.0 * ray(PINHOLE, 310.0, 240.0), atol=1e-9)
-    across = sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
+    across = sigma_along(covariance, np.eye(3)[0])
     assert sigma_along(covariance, position) > 1.2 * across > 0.1
     assert place_by_depth(PINHOLE, np.array([310.0, 240.0, 60.0, 80.0]), np.full((480, 640), np.nan)) is None
     assert place_by_depth(PINHOLE, np.array([-90.0, 240.0, 60.0, 80.0]), depths) is None
@@ -82,7 +83,7 @@ def test_a_foot_on_the_ground_tells_the_distance() -> None:
     placed = place_on_ground(PINHOLE, box, T_body_camera, -0.1, 80.0)
     position, covariance = placed
     np.testing.assert_allclose(position, camera_foot[0], atol=1e-9)
-    across = sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
+    across = sigma_along(covariance, np.eye(3)[0])
     assert sigma_along(covariance, position) > 5.0 * across > 0.0
     assert np.linalg.eigvalsh(covariance).min() > 0.0
     above = np.array([u, 100.0, 20.0, 60.0])
@@ -93,13 +94,11 @@ def test_a_foot_on_the_ground_tells_the_distance() -> None:
 @pytest.mark.parametrize("turned", [0.0, 0.5])
 def test_a_tag_of_known_size(turned: float) -> None:
     square = 0.08 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
-    c, s = np.cos(turned), np.sin(turned)
     center = np.array([0.3, -0.2, 2.5])
-    seen = square @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + center
-    placed = place_tag(PINHOLE, project(seen), 0.16)
+    placed = place_tag(PINHOLE, project(apply(motion_by([0.0, turned, 0.0], center), square)), 0.16)
     position, covariance = placed
     np.testing.assert_allclose(position, center, atol=1e-9)
-    assert sigma_along(covariance, center) > 5.0 * sigma_along(covariance, np.array([1.0, 0.0, 0.0]))
+    assert sigma_along(covariance, center) > 5.0 * sigma_along(covariance, np.eye(3)[0])
     assert place_tag(PINHOLE, np.zeros((4, 2)), 0.16) is None
     blurred, _ = place_tag(PINHOLE, project(square * [0.9, 1.1, 1.0] + center), 0.16)
     np.testing.assert_allclose(blurred, center, rtol=1e-9)
