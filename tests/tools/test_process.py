@@ -37,75 +37,77 @@ def odd_names(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class TestNames:
-    def test_are_shown_as_they_stand(self, dslam: Run, odd_names: Path) -> None:
-        result = dslam("info", odd_names)
-        assert result.code == 0
-        assert "\x1b" not in result.out + result.err
-        for text in ("[red]x[/red]", "\\x1b[2J", "[bold]odom", "/[/]objects\\x1b[31m", "Bäume", "\\u202egpj"):
-            assert text in result.out
-
-    def test_are_not_interpreted_in_messages(self, dslam: Run, odd_names: Path, tmp_path: Path) -> None:
-        result = dslam("replay", odd_names, "-o", tmp_path / "out.mcap", "--topic", "odometry=/\x1b[31m")
-        assert result.code == 2
-        assert "\x1b" not in result.err
-        assert "\\x1b[31m" in result.err
-
-    def test_in_a_locale_without_umlauts(self, odd_names: Path) -> None:
-        result = shell(
-            f"{sys.executable} -m dslam info {odd_names}",
-            LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0", PYTHONIOENCODING="ascii:strict",
-        )  # fmt: skip
-        assert (result.returncode, result.stderr) == (0, "")
-        assert "B\\xe4ume" in result.stdout
+def test_names_are_shown_as_they_stand(dslam: Run, odd_names: Path) -> None:
+    result = dslam("info", odd_names)
+    assert result.code == 0
+    assert "\x1b" not in result.out + result.err
+    for text in ("[red]x[/red]", "\\x1b[2J", "[bold]odom", "/[/]objects\\x1b[31m", "Bäume", "\\u202egpj"):
+        assert text in result.out
 
 
-class TestStreams:
-    @pytest.mark.parametrize("closed", [">&-", "2>&-"])
-    def test_that_are_closed(self, closed: str) -> None:
-        result = shell(f"{INFO} {closed}")
-        assert result.returncode == 0
-        assert result.stderr == ""
-
-    def test_a_refusal_without_standard_error(self, tmp_path: Path) -> None:
-        assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>&-").returncode == 2
-        assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>/dev/full").returncode == 2
-
-    def test_that_are_full_or_break(self) -> None:
-        result = shell(f"{INFO} > /dev/full")
-        assert result.returncode == 2
-        assert result.stderr.count("\n") == 1
-        assert "No space left" in result.stderr
-        assert shell(f"{INFO} | true").stderr == ""
+def test_names_are_not_interpreted_in_messages(dslam: Run, odd_names: Path, tmp_path: Path) -> None:
+    result = dslam("replay", odd_names, "-o", tmp_path / "out.mcap", "--topic", "odometry=/\x1b[31m")
+    assert result.code == 2
+    assert "\x1b" not in result.err
+    assert "\\x1b[31m" in result.err
 
 
-class TestSignals:
-    @pytest.mark.slow
-    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-    def test_while_mapping_name_what_is_left(self, tmp_path: Path, number: signal.Signals) -> None:
-        output, part = tmp_path / "out.mcap", tmp_path / "out.mcap.part"
-        command = [sys.executable, "-m", "dslam", "replay", str(SAMPLE), "-o", str(output)]
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        deadline = time.monotonic() + 60.0
-        while not (part.exists() and part.stat().st_size) and process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.01)
-        process.send_signal(number)
-        _, told = process.communicate(timeout=600)
-        assert process.returncode == 128 + number
-        assert told.count("\n") == 1
-        assert str(part) in told
-        assert not output.exists()
-        with LogReader(part) as reader:
-            assert reader.topics() is not None
+def test_names_in_a_locale_without_umlauts(odd_names: Path) -> None:
+    result = shell(
+        f"{sys.executable} -m dslam info {odd_names}",
+        LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0", PYTHONIOENCODING="ascii:strict",
+    )  # fmt: skip
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "B\\xe4ume" in result.stdout
 
-    def test_while_importing_are_one_line(self) -> None:
-        code = (
-            "import os, signal, sys, tools\n"
-            "class Finder:\n"
-            "    def find_spec(self, name, path, target=None):\n"
-            "        if name == 'tools.cli': os.kill(os.getpid(), signal.SIGINT)\n"
-            "sys.meta_path.insert(0, Finder())\n"
-            "tools.main()"
-        )
-        result = run_python(code)
-        assert (result.code, result.err) == (130, "dslam: interrupted\n")
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-"])
+def test_closed_streams(closed: str) -> None:
+    result = shell(f"{INFO} {closed}")
+    assert result.returncode == 0
+    assert result.stderr == ""
+
+
+def test_a_refusal_without_standard_error(tmp_path: Path) -> None:
+    assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>&-").returncode == 2
+    assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>/dev/full").returncode == 2
+
+
+def test_full_and_broken_streams() -> None:
+    result = shell(f"{INFO} > /dev/full")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "No space left" in result.stderr
+    assert shell(f"{INFO} | true").stderr == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_while_mapping_name_what_is_left(tmp_path: Path, number: signal.Signals) -> None:
+    output, part = tmp_path / "out.mcap", tmp_path / "out.mcap.part"
+    command = [sys.executable, "-m", "dslam", "replay", str(SAMPLE), "-o", str(output)]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not (part.exists() and part.stat().st_size) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=600)
+    assert process.returncode == 128 + number
+    assert told.count("\n") == 1
+    assert str(part) in told
+    assert not output.exists()
+    with LogReader(part) as reader:
+        assert reader.topics() is not None
+
+
+def test_signal_while_importing_is_one_line() -> None:
+    code = (
+        "import os, signal, sys, tools\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'tools.cli': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "tools.main()"
+    )
+    result = run_python(code)
+    assert (result.code, result.err) == (130, "dslam: interrupted\n")

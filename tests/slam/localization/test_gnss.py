@@ -64,42 +64,44 @@ def off_m(found: Georeference | None) -> FloatArray:
     return np.abs(TRUE.to_map(found.to_geodetic(POSITIONS)) - POSITIONS)
 
 
-class TestGeoreference:
-    @pytest.mark.parametrize("share", [0.0, 0.3])
-    def test_the_place_of_a_map_is_found_with_outliers(self, share: float) -> None:
-        found = find_georeference(path(), far_off(fixes_of(POSITIONS), share))
-        assert off_m(found).max() < 1.0
-        assert abs(found.yaw_rad - TRUE.yaw_rad) < 0.01
-
-    def test_few_good_fixes_weigh_more_than_many_bad_ones(self) -> None:
-        good, bad = fixes_of(POSITIONS, 0.1), fixes_of(POSITIONS, 20.0, seed=3)
-        found = find_georeference(path(), [bad[i] if i % 40 else good[i] for i in range(len(good))])
-        assert off_m(found)[:, :2].max() < 0.3
-
-    def test_fixes_before_the_drive_say_nothing(self) -> None:
-        elsewhere = fixes_of(np.tile(POSITIONS[0] + np.array([500.0, 0.0, 0.0]), (300, 1)))
-        early = [replace(fix, stamp_ns=fix.stamp_ns - 10**12) for fix in elsewhere]
-        assert off_m(find_georeference(path(), early + fixes_of(POSITIONS))).max() < 1.0
-
-    def test_a_path_too_short_or_few_fixes_tell_nothing(self) -> None:
-        short = path(step_m=0.01)
-        assert find_georeference(short, fixes_of(short.T_map_body[:, :3, 3])) is None
-        assert find_georeference(path(), fixes_of(POSITIONS)[:4]) is None
-        late = [replace(fix, stamp_ns=fix.stamp_ns + 10**15) for fix in fixes_of(POSITIONS)]
-        assert find_georeference(path(), late) is None
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_find_georeference_finds_the_place_of_a_map_with_outliers(share: float) -> None:
+    found = find_georeference(path(), far_off(fixes_of(POSITIONS), share))
+    assert off_m(found).max() < 1.0
+    assert abs(found.yaw_rad - TRUE.yaw_rad) < 0.01
 
 
-class TestPrior:
-    def test_the_latest_fix_that_most_agree_with_holds(self) -> None:
-        prior, found = GnssPrior(TRUE), None
-        for i, fix in enumerate(far_off(fixes_of(POSITIONS[:20]), 0.3)):
-            found = prior.add(fix, 3.0 * i)
-        reach_m = GATE_SIGMAS * found.sigma_m + abs(3.0 * 19 - found.at_travel_m)
-        assert np.linalg.norm(found.position - POSITIONS[19, :2]) < reach_m < 30.0
+def test_few_good_fixes_weigh_more_than_many_bad_ones() -> None:
+    good, bad = fixes_of(POSITIONS, 0.1), fixes_of(POSITIONS, 20.0, seed=3)
+    found = find_georeference(path(), [bad[i] if i % 40 else good[i] for i in range(len(good))])
+    assert off_m(found)[:, :2].max() < 0.3
 
-    def test_fixes_without_covariance_are_no_prior(self) -> None:
-        (fix,) = fixes_of(POSITIONS[:1])
-        assert GnssPrior(TRUE).add(replace(fix, covariance=None), 0.0) is None
+
+def test_fixes_before_the_drive_say_nothing() -> None:
+    elsewhere = fixes_of(np.tile(POSITIONS[0] + np.array([500.0, 0.0, 0.0]), (300, 1)))
+    early = [replace(fix, stamp_ns=fix.stamp_ns - 10**12) for fix in elsewhere]
+    assert off_m(find_georeference(path(), early + fixes_of(POSITIONS))).max() < 1.0
+
+
+def test_a_path_too_short_or_few_fixes_tell_nothing() -> None:
+    short = path(step_m=0.01)
+    assert find_georeference(short, fixes_of(short.T_map_body[:, :3, 3])) is None
+    assert find_georeference(path(), fixes_of(POSITIONS)[:4]) is None
+    late = [replace(fix, stamp_ns=fix.stamp_ns + 10**15) for fix in fixes_of(POSITIONS)]
+    assert find_georeference(path(), late) is None
+
+
+def test_latest_fix_that_most_agree_with_is_the_prior() -> None:
+    prior, found = GnssPrior(TRUE), None
+    for i, fix in enumerate(far_off(fixes_of(POSITIONS[:20]), 0.3)):
+        found = prior.add(fix, 3.0 * i)
+    reach_m = GATE_SIGMAS * found.sigma_m + abs(3.0 * 19 - found.at_travel_m)
+    assert np.linalg.norm(found.position - POSITIONS[19, :2]) < reach_m < 30.0
+
+
+def test_fixes_without_covariance_are_no_prior() -> None:
+    (fix,) = fixes_of(POSITIONS[:1])
+    assert GnssPrior(TRUE).add(replace(fix, covariance=None), 0.0) is None
 
 
 def nav_sat_fix(**fields: object) -> dict[str, object]:
@@ -107,33 +109,33 @@ def nav_sat_fix(**fields: object) -> dict[str, object]:
     return {**values, "position_covariance": np.diag([1.0, 4.0, 9.0]), "position_covariance_type": 2, **fields}
 
 
-class TestMessages:
-    def test_nav_sat_fix(self) -> None:
-        def decoded(**fields: object) -> tuple[GeodeticFix, ...]:
-            raw = encoded(("/fix", "sensor_msgs/msg/NavSatFix", 5 * SECOND, nav_sat_fix(**fields)))
-            return decode(raw, "gnss", Counter())  # type: ignore[return-value, arg-type]
+def test_nav_sat_fix() -> None:
+    def decoded(**fields: object) -> tuple[GeodeticFix, ...]:
+        raw = encoded(("/fix", "sensor_msgs/msg/NavSatFix", 5 * SECOND, nav_sat_fix(**fields)))
+        return decode(raw, "gnss", Counter())  # type: ignore[return-value, arg-type]
 
-        (fix,) = decoded()
-        assert (fix.stamp_ns, fix.frame_id, fix.latitude_deg, fix.longitude_deg) == (SECOND, "gps", 60.1, 24.9)
-        assert fix.altitude_m == 0.0
-        np.testing.assert_array_equal(fix.covariance, np.diag([1.0, 4.0, 9.0]))
-        assert decoded(position_covariance_type=0)[0].covariance is None
-        assert decoded(status={"status": -1, "service": 1}) == ()
-        with pytest.raises(InvalidRecordError, match="not a valid latitude and longitude"):
-            decoded(latitude=float("nan"))
+    (fix,) = decoded()
+    assert (fix.stamp_ns, fix.frame_id, fix.latitude_deg, fix.longitude_deg) == (SECOND, "gps", 60.1, 24.9)
+    assert fix.altitude_m == 0.0
+    np.testing.assert_array_equal(fix.covariance, np.diag([1.0, 4.0, 9.0]))
+    assert decoded(position_covariance_type=0)[0].covariance is None
+    assert decoded(status={"status": -1, "service": 1}) == ()
+    with pytest.raises(InvalidRecordError, match="not a valid latitude and longitude"):
+        decoded(latitude=float("nan"))
 
-    def test_location_fix_comes_back_as_written(self, tmp_path: Path) -> None:
-        written = fixes_of(np.zeros((2, 3)))
-        with LogWriter(tmp_path / "log.mcap") as writer:
-            writer.write("/fix", written[0])
-            writer.write("/fix", replace(written[1], covariance=None))
-        with LogReader(tmp_path / "log.mcap") as reader:
-            selection = select_topics(reader.topics(), needed=())
-            assert selection.topics_of("gnss") == ("/fix",)
-            found = [entry.record for entry in reader.records(selection)]
-        assert found[0].latitude_deg == written[0].latitude_deg
-        np.testing.assert_array_equal(found[0].covariance, written[0].covariance)
-        assert found[1].covariance is None
+
+def test_location_fix_comes_back_as_written(tmp_path: Path) -> None:
+    written = fixes_of(np.zeros((2, 3)))
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.write("/fix", written[0])
+        writer.write("/fix", replace(written[1], covariance=None))
+    with LogReader(tmp_path / "log.mcap") as reader:
+        selection = select_topics(reader.topics(), needed=())
+        assert selection.topics_of("gnss") == ("/fix",)
+        found = [entry.record for entry in reader.records(selection)]
+    assert found[0].latitude_deg == written[0].latitude_deg
+    np.testing.assert_array_equal(found[0].covariance, written[0].covariance)
+    assert found[1].covariance is None
 
 
 def with_fixes(entries: list[Entry]) -> list[Entry]:
