@@ -61,18 +61,15 @@ def test_landmarks_and_poses_on_earth(dslam: Run, mapped: Path, records: Evaluat
     assert_refused(dslam("export", mapped, "--geojson", places, "--origin", "north"), "LAT,LON")
 
 
-@pytest.mark.parametrize("of", ["estimate", "online", "odometry", "truth"])
-def test_each_track_has_its_poses(
-    dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path, of: str
-) -> None:
-    assert dslam("export", mapped, "--of", of, "--tum", tmp_path / "t.txt").code == 0
-    expected = {
-        "estimate": records.final_path,
-        "online": records.online_path,
-        "odometry": records.odometry_path,
-        "truth": records.true_path,
-    }[of]
-    np.testing.assert_array_equal(np.loadtxt(tmp_path / "t.txt")[:, 1:4], expected.positions)
+def test_each_track_has_its_poses(dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
+    for of, path in (
+        ("estimate", records.final_path),
+        ("online", records.online_path),
+        ("odometry", records.odometry_path),
+        ("truth", records.true_path),
+    ):
+        assert dslam("export", mapped, "--of", of, "--tum", tmp_path / "t.txt").code == 0
+        np.testing.assert_array_equal(np.loadtxt(tmp_path / "t.txt")[:, 1:4], path.positions, err_msg=of)
 
 
 def test_the_layout_shows_topics_that_a_map_has(dslam: Run, mapped: Path, tmp_path: Path) -> None:

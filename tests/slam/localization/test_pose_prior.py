@@ -43,8 +43,8 @@ def test_it_falls_with_the_distance_from_the_prediction_in_the_plane_and_in_head
 
 def test_far_from_the_prediction_only_a_failure_of_the_odometry_is_left():
     far, lost = T_PREDICTED @ pose_at(300.0), prior(sigma_m=np.inf).log_mass(T_PREDICTED, COVARIANCE)
-    assert prior(failed=1e-3).log_mass(far, COVARIANCE) == pytest.approx(lost + np.log(1e-3))
-    assert prior(failed=1e-6).log_mass(far, COVARIANCE) == pytest.approx(lost + np.log(1e-6))
+    for failed in (1e-3, 1e-6):
+        assert prior(failed=failed).log_mass(far, COVARIANCE) == pytest.approx(lost + np.log(failed))
 
 
 def test_it_is_a_probability():

@@ -92,8 +92,8 @@ def test_drift_is_as_large_as_random_walks_make_it(first, last, sigmas):
 def test_drift_does_not_depend_on_where_the_odometry_begins():
     config = OdometryCalibration()
     near, far = track_of(config), track_of(config, origin=(450_000.0, 5_200_000.0))
-    np.testing.assert_allclose(far.drift_sigmas(10, 110), near.drift_sigmas(10, 110), rtol=0.01)
-    np.testing.assert_allclose(far.drift_sigmas(60, 75), near.drift_sigmas(60, 75), rtol=0.01)
+    for ends in ((10, 110), (60, 75)):
+        np.testing.assert_allclose(far.drift_sigmas(*ends), near.drift_sigmas(*ends), rtol=0.01)
 
 
 def test_there_is_no_drift_from_a_keyframe_to_itself():

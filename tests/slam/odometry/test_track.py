@@ -1,6 +1,7 @@
 """The track of the odometry: interpolation, disorder, breaks and corrections."""
 
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +19,8 @@ def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
     return Odometry(START_NS + round(seconds * 1e9), pose_at(x, yaw=yaw))
 
 
-def track(*steps: tuple[float, float]) -> OdometryTrack:
-    made = OdometryTrack()
+def track(*steps: tuple[float, float], **given: Any) -> OdometryTrack:
+    made = OdometryTrack(**given)
     for seconds, x in steps:
         made.add(odometry(seconds, x))
     made.finish()
@@ -80,27 +81,20 @@ def test_oldest_poses_are_dropped():
 
 @pytest.mark.parametrize(("sensor_range_m", "breaks"), [(30.0, 0), (1.5, 1)])
 def test_limit_of_a_step_scales_with_the_sensor_range(sensor_range_m, breaks):
-    made = OdometryTrack(sensor_range_m=sensor_range_m)
-    for step in range(20):  # the speed before the first step is not known
-        made.add(odometry(0.1 * step, 0.1 * step))
-    made.add(odometry(2.0, 3.5))
-    made.finish()
+    known = ((0.1 * step, 0.1 * step) for step in range(20))  # the speed before the first step is not
+    made = track(*known, (2.0, 3.5), sensor_range_m=sensor_range_m)
     assert made.latest.segment == breaks
 
 
 @pytest.mark.parametrize(("sensor_range_m", "travel_m"), [(30.0, 0.0), (1.5, 0.05)])
 def test_jitter_scales_with_the_sensor_range(sensor_range_m, travel_m):
-    made = OdometryTrack(sensor_range_m=sensor_range_m)
-    for seconds, x in ((0.0, 0.0), (0.1, 0.03), (0.2, 0.01)):
-        made.add(odometry(seconds, x))
+    made = track((0.0, 0.0), (0.1, 0.03), (0.2, 0.01), sensor_range_m=sensor_range_m)
     assert made.latest.travel_m == pytest.approx(travel_m)
 
 
 def test_duplicates_and_late_messages_are_counted():
     counters = Counter[str]()
-    made = OdometryTrack(counters)
-    for seconds, x in ((0, 0), (1, 5), (2, 10), (2, 99), (1.5, 99)):
-        made.add(odometry(seconds, x))
+    made = track((0, 0), (1, 5), (2, 10), (2, 99), (1.5, 99), counters=counters)
     assert x_at(made, 1.5) == pytest.approx(7.5)
     assert (made.latest.stamp_ns, made.latest.travel_m) == (START_NS + 2_000_000_000, pytest.approx(10.0))
     assert counters == {"odometry_duplicated": 1, "odometry_out_of_order": 1}
@@ -108,18 +102,14 @@ def test_duplicates_and_late_messages_are_counted():
 
 def test_messages_before_time_zero_are_dropped():
     counters = Counter[str]()
-    made = OdometryTrack(counters)
     before_zero_s = -1.0 - START_NS * 1e-9
-    for seconds in (before_zero_s, before_zero_s + 0.5, 0, 1, 2):
-        made.add(odometry(seconds, 0.0 if seconds < 0 else 5.0 * seconds))
+    made = track((before_zero_s, 0), (before_zero_s + 0.5, 0), (0, 0), (1, 5), (2, 10), counters=counters)
     assert (made.latest.segment, made.latest.travel_m) == (0, pytest.approx(10.0))
     assert counters == {"odometry_before_time_zero": 2}
 
 
 def test_single_stamp_from_the_future_is_no_silence():
-    made = OdometryTrack()
-    for seconds, x in ((0, 0), (1, 1), (1000, 2), (2, 2), (3, 3)):
-        made.add(odometry(seconds, x))
+    made = track((0, 0), (1, 1), (1000, 2), (2, 2), (3, 3))
     assert (made.latest.segment, made.latest.travel_m) == (0, pytest.approx(3.0))
     assert made.latest.stamp_ns == START_NS + 3_000_000_000
 

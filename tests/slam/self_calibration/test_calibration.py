@@ -244,26 +244,22 @@ def test_noise_by_travel_is_limited_where_the_robot_stands(surveyed):
 # Faults of the input
 
 
-@pytest.mark.parametrize(("delay_s", "of_odometry", "of_detections"), [
-    (0.05, -0.05, 0.0), (-0.2, 0.2, 0.0), (0.21, 0.0, 0.21), (-0.5, 0.0, -0.5),
+UNKNOWN = LoggingDelays()
+
+
+@pytest.mark.parametrize(("delay_s", "delays", "of_odometry", "of_detections"), [
+    (0.05, UNKNOWN, -0.05, 0.0), (-0.2, UNKNOWN, 0.2, 0.0), (0.21, UNKNOWN, 0.0, 0.21), (-0.5, UNKNOWN, 0.0, -0.5),
+    (-0.1, LoggingDelays(0.0, -0.1), 0.0, -0.1), (-0.1, LoggingDelays(0.2, 0.1), 0.1, 0.0),
 ])  # fmt: skip
-def test_a_delay_of_up_to_two_scans_is_one_of_the_odometry(surveyed, delay_s, of_odometry, of_detections):
+def test_a_delay_is_one_of_the_odometry_up_to_two_scans_or_where_log_times_tell_so(
+    surveyed, delay_s, delays, of_odometry, of_detections
+):
     late = replace(surveyed, delay_s=delay_s, interval_s=0.1)
-    calibration = calibrate(Config(), late)
+    calibration = calibrate(Config(), late, delays)
     assert calibration.config.calibration.odometry.time_offset_s == of_odometry
     assert calibration.config.calibration.detection.time_offset_s == of_detections
     (note,) = (note for note in calibration.notes if "off their stamps" in note)
     assert f"{of_odometry or of_detections:+.3f} s" in note
-
-
-@pytest.mark.parametrize(("delays", "of_odometry", "of_detections"), [
-    (LoggingDelays(0.0, -0.1), 0.0, -0.1), (LoggingDelays(0.2, 0.1), 0.1, 0.0),
-])  # fmt: skip
-def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of_detections):
-    late = replace(surveyed, delay_s=-0.1, interval_s=0.1)
-    calibration = calibrate(Config(), late, delays)
-    assert calibration.config.calibration.odometry.time_offset_s == of_odometry
-    assert calibration.config.calibration.detection.time_offset_s == of_detections
 
 
 @pytest.mark.parametrize(("ratio", "factor"), [

@@ -29,8 +29,7 @@ def test_straight_tour_is_driven_at_cruising_speed_from_end_to_end() -> None:
     config = DriveConfig(speed_mps=8.0)
     drive = _drive(np.array([[1.0, 2.0], [1.0, 82.0]]), config)
     assert drive.stamps_ns.tolist() == [START_NS + 100_000_000 * number for number in range(101)]
-    np.testing.assert_allclose(drive.T_world_body[0, :3, 3], [1, 2, 0], atol=1e-9)
-    np.testing.assert_allclose(drive.T_world_body[-1, :3, 3], [1, 82, 0], atol=1e-6)
+    np.testing.assert_allclose(drive.T_world_body[[0, -1], :3, 3], [[1, 2, 0], [1, 82, 0]], atol=1e-6)
     np.testing.assert_allclose(yaw_rad(drive.T_world_body), np.pi / 2, atol=1e-9)
     np.testing.assert_allclose(_rates(drive, config)[0], 8.0, rtol=1e-6)
 

@@ -94,14 +94,14 @@ def test_geojson_of_areas_alone_holds_no_objects(tmp_path: Path) -> None:
 
 
 def test_read_geojson_refuses(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"latitude 6\.6e\+06.*these are metres"):
-        read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
-    with pytest.raises(DatasetError, match="they are swapped"):
-        read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
-    with pytest.raises(DatasetError, match="holds no objects"):
-        read_geojson(geojson(tmp_path / "a.json"))
-    with pytest.raises(DatasetError, match=r"features\.0\.geometry: "):
-        read_geojson(geojson(tmp_path / "a.json", {"geometry": {"type": "Point", "coordinates": ["x", 1]}}))
+    for fault, *features in (
+        (r"latitude 6\.6e\+06.*these are metres", feature(385000.0, 6.6e6)),
+        ("they are swapped", feature(34.0, -118.2)),
+        ("holds no objects",),
+        (r"features\.0\.geometry: ", {"geometry": {"type": "Point", "coordinates": ["x", 1]}}),
+    ):
+        with pytest.raises(DatasetError, match=fault):
+            read_geojson(geojson(tmp_path / "a.json", *features))
     cut = geojson(tmp_path / "a.json", feature(24.9, 60.1))
     for text in (cut.read_text()[:-10], "[" * 100_000, "[" + "9" * 5_000 + "]"):
         cut.write_text(text)
