@@ -79,10 +79,14 @@ def test_oldest_poses_are_dropped():
     assert x_at(made, 0.01 * (HISTORY + 50)) == pytest.approx(0.1 * (HISTORY + 50))
 
 
-@pytest.mark.parametrize(("sensor_range_m", "breaks"), [(30.0, 0), (1.5, 1)])
-def test_limit_of_a_step_scales_with_the_sensor_range(sensor_range_m, breaks):
+@pytest.mark.parametrize(
+    ("sensor_range_m", "step", "breaks"),
+    [(30.0, (2.0, 3.5), 0), (1.5, (2.0, 3.5), 1), (1.5, (11.9, 31.0), 0), (1.5, (11.9, 33.9), 1)],
+)
+def test_limit_of_a_step_scales_with_the_sensor_range(sensor_range_m, step, breaks):
+    """At once an acceleration, after a while two sensor ranges per second."""
     known = ((0.1 * step, 0.1 * step) for step in range(20))  # the speed before the first step is not
-    made = track(*known, (2.0, 3.5), sensor_range_m=sensor_range_m)
+    made = track(*known, step, sensor_range_m=sensor_range_m)
     assert made.latest.segment == breaks
 
 
