@@ -42,27 +42,29 @@ def noisy_edges(seed: int = 1) -> list[Edge]:
     return edges
 
 
-def sightings(seed: int = 2, sigma_m: float = 0.005) -> list[Observation]:
+def sightings(seed: int = 2, sigma_m: float = 0.005, poses: FloatArray | None = None) -> list[Observation]:
     """Each keyframe sees the eight landmarks nearest to it."""
     rng = np.random.default_rng(seed)
     found = list[Observation]()
-    for k, T in enumerate(true_poses()):
+    for k, T in enumerate(true_poses() if poses is None else poses):
         nearest = np.argsort(np.linalg.norm(true_landmarks() - T[:3, 3], axis=1))[:8]
         errors = rng.normal(scale=sigma_m, size=(8, 3))
         found += observed_from(k, T, true_landmarks(), nearest, SEEN_COVARIANCE, errors)
     return found
 
 
-def build(edges: list[Edge], observations: list[Observation], kernel_width: float = PLAIN) -> FactorGraph:
+def build(
+    edges: list[Edge], observations: list[Observation], kernel_width: float = PLAIN, *, keyframes: int = KEYFRAMES
+) -> FactorGraph:
     """The graph as a drive builds it: keyframe by keyframe, with an update after each."""
     graph = FactorGraph(kernel_width=kernel_width)
     graph.add_keyframe(0, true_poses()[0])
-    for k in range(KEYFRAMES):
+    for k in range(keyframes):
         if k > 0:
             graph.add_next_keyframe(edges[k - 1])
         graph.add_observations([o for o in observations if o.keyframe == k])
         graph.update()
-    for extra in edges[KEYFRAMES - 1 :]:
+    for extra in edges[keyframes - 1 :]:
         graph.add_edge(extra)
     graph.update()
     return graph

@@ -1,5 +1,7 @@
 """Keyframes of later traversals attached to earlier ones: the same map with fewer variables."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -10,8 +12,8 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, relative
-from tests.helpers.graphs import PLAIN, chained, observed_from
-from tests.helpers.poses import pose_at
+from tests.helpers.graphs import chained, observed_from, odometry_edges
+from tests.helpers.poses import motion_by, pose_at
 from tests.logs.examples import random_covariance
 from tests.slam.backend import graphs
 from tests.slam.backend.graphs import KEYFRAMES, LANDMARKS, SEEN_COVARIANCE, true_landmarks, worst_pose_error_m
@@ -28,19 +30,14 @@ def true_poses(rounds: int) -> FloatArray:
 
 def driven(rounds: int) -> FactorGraph:
     """Rounds in which each keyframe sees the eight landmarks nearest to it."""
-    rng = np.random.default_rng(1)
-    T, landmarks = true_poses(rounds), true_landmarks()
-    graph = FactorGraph(kernel_width=PLAIN)
-    graph.add_keyframe(0, T[0])
-    for k in range(len(T)):
-        if k > 0:
-            error = gtsam.Pose3.Expmap(rng.multivariate_normal(np.zeros(6), STEP_COVARIANCE)).matrix()
-            graph.add_next_keyframe(Edge(k - 1, k, relative(T[k - 1], T[k]) @ error, STEP_COVARIANCE, "odometry"))
-        nearest = np.argsort(np.linalg.norm(landmarks - T[k][:3, 3], axis=1))[:8]
-        errors = rng.normal(scale=0.02, size=(8, 3))
-        graph.add_observations(observed_from(k, T[k], landmarks, nearest, SEEN_COVARIANCE, errors))
-        graph.update()
-    return graph
+    T, rng = true_poses(rounds), np.random.default_rng(1)
+    errors = rng.normal(size=(len(T), 6)) * np.sqrt(np.diag(STEP_COVARIANCE))
+    edges = odometry_edges(T, STEP_COVARIANCE)
+    noisy = [
+        replace(each, T_from_to=each.T_from_to @ motion_by(off[:3], off[3:]))
+        for each, off in zip(edges, errors, strict=False)
+    ]
+    return graphs.build(noisy, graphs.sightings(1, 0.02, T), keyframes=len(T))
 
 
 def anchors_of(rounds: range) -> dict[int, int]:

@@ -46,9 +46,12 @@ def path(turn_rad: float = 0.02, step_m: float = 0.5) -> FloatArray:
 def messages() -> list[Message[Record]]:
     """Odometry that is 2 % too long and turns too much; scans of four objects, each off by its own centimetres."""
     odometry, truth = path(0.021, 0.51), path()
+    vocabulary = ("bench", "lamp", "tree")
+    classes = [vocabulary.index(label) for label in LABELS]
+    truth_map = ObjectMapRecord.of_objects(IDS, OBJECTS, classes, vocabulary, stamp_ns=START_NS, frame_id="world")
     found: list[Message[Record]] = [
         Message("/tf_static", START_NS, Transform(START_NS, "base_link", "lidar", T_BODY_SENSOR)),
-        Message("/ground_truth/objects", START_NS, _objects()),
+        Message("/ground_truth/objects", START_NS, truth_map),
     ]
     for i, stamp_ns in enumerate(STAMPS_NS.tolist()):
         seen = apply(invert(truth[i] @ T_BODY_SENSOR), OBJECTS) + 0.01 * (np.arange(12).reshape(4, 3) - 5.0)
@@ -90,9 +93,3 @@ def positions(log: Recording) -> FloatArray:
 
 def labels(log: Recording) -> list[tuple[str, ...]]:
     return [scan.seen.labels for scan in log.scans]
-
-
-def _objects() -> ObjectMapRecord:
-    vocabulary = ("bench", "lamp", "tree")
-    classes = [vocabulary.index(label) for label in LABELS]
-    return ObjectMapRecord.of_objects(IDS, OBJECTS, classes, vocabulary, stamp_ns=START_NS, frame_id="world")
