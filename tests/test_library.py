@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 
 import dslam
-from dslam import (
-    ImportedMap,
-    InputDataError,
-    landmark_table,
-    load_map,
-    read_map,
-    read_trajectory,
-    save_map,
-)
+from dslam import ImportedMap, InputDataError, landmark_table, load_map, read_map, read_trajectory, save_map
 from slam.place_recognition.imported_map import make_imported_map
 from tests.tools.runs import ROOT, SAMPLE
 

@@ -5,14 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from descriptors.training.maps import (
-    TrainingMap,
-    draw_map,
-    draw_pattern,
-    draw_patterns,
-    piece_of,
-    with_classes_of,
-)
+from descriptors.training.maps import TrainingMap, draw_map, draw_pattern, draw_patterns, piece_of, with_classes_of
 from descriptors.training.views import CLUTTER, draw_view
 
 

@@ -55,12 +55,7 @@ class Outcome:
 
 
 def replay_drive(
-    folder: Path,
-    world: World,
-    *,
-    seed: int = 1,
-    kidnap: KidnapConfig | None = None,
-    **loop_closure: Any,
+    folder: Path, world: World, *, seed: int = 1, kidnap: KidnapConfig | None = None, **loop_closure: Any
 ) -> Outcome:
     """Drive through ``world`` with the default noise, at 5 scans a second, and replay it."""
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)

@@ -114,11 +114,7 @@ def every_kind(rng):
                 seed_query_keyframe_id=0,
             ),
         ),
-        (
-            "/slam/closures",
-            "loop_closures",
-            m.LoopClosureRecord(23, 7, 4, False, "retrieval", "too far"),
-        ),
+        ("/slam/closures", "loop_closures", m.LoopClosureRecord(23, 7, 4, False, "retrieval", "too far")),
         ("/slam/status", "status", m.StatusRecord(26, "mapping", "info", "fine", {"keyframes": 3, "closures": 1})),
     ]
 

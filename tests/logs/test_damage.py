@@ -80,10 +80,7 @@ def test_summary_with_a_bad_checksum_is_not_believed(whole, tmp_path):
     assert len(stamps(path)[0]) == COUNT
 
 
-@pytest.mark.parametrize(
-    "layout",
-    [Layout("lz4"), Layout("", has_index=False), Layout("", use_chunking=False)],
-)
+@pytest.mark.parametrize("layout", [Layout("lz4"), Layout("", has_index=False), Layout("", use_chunking=False)])
 def test_other_layouts_are_read_alike(whole, tmp_path, layout):
     path = tmp_path / "log.mcap"
     path.write_bytes(whole)

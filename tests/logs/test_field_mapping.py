@@ -66,10 +66,7 @@ def test_numbers_are_a_position_and_a_message_without_header_is_of_its_log_time(
 
 @pytest.mark.parametrize("fields", ["plants[] label=kind", "plants[] position=place colour=kind"])
 def test_mapping_without_position_or_with_unknown_part_is_refused(log: Path, fields: str) -> None:
-    with (
-        LogReader(log) as reader,
-        pytest.raises(TopicSelectionError, match="is not a field mapping; write"),
-    ):
+    with LogReader(log) as reader, pytest.raises(TopicSelectionError, match="is not a field mapping; write"):
         select_topics(reader.topics(), {"detections": f"/plants:{fields}"})
 
 

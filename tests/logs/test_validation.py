@@ -77,13 +77,7 @@ def test_objects_without_a_position_are_dropped_and_counted():
     assert record.covariances.shape == (2, 3, 3)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"labels": ["a", "b", "c"]},
-        {"covariances": [1.0]},
-    ],
-)
+@pytest.mark.parametrize("change", [{"labels": ["a", "b", "c"]}, {"covariances": [1.0]}])
 def test_detections_whose_lengths_disagree_are_refused(change):
     fields = {"positions": [0.0] * 12, "labels": ["a"] * 4, "scores": [1.0] * 4, **change}
     with pytest.raises(InvalidRecordError, match="lengths disagree"):

@@ -11,14 +11,7 @@ from slam.common.config import Config, load_config
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.replay import replay
-from tests.helpers.short_drives import (
-    Entry,
-    change,
-    final_status,
-    keep_until,
-    records_of,
-    write_log,
-)
+from tests.helpers.short_drives import Entry, change, final_status, keep_until, records_of, write_log
 
 pytestmark = pytest.mark.slow
 

@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from logs.messages import (
-    DetectionAssociations,
-    LoopClosureRecord,
-    ObjectDetections,
-    Odometry,
-    Record,
-    Transform,
-)
+from logs.messages import DetectionAssociations, LoopClosureRecord, ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.final_map import FinalMap
@@ -46,11 +39,7 @@ def scaled(record: Record, scale: float) -> Record:
         case Transform():
             return replace(record, T_parent_child=scaled_pose(record.T_parent_child, scale))
         case ObjectDetections():
-            return replace(
-                record,
-                positions=record.positions * scale,
-                covariances=record.covariances * scale**2,
-            )
+            return replace(record, positions=record.positions * scale, covariances=record.covariances * scale**2)
         case _:
             return record
 

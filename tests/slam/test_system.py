@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from logs.messages import (
-    DetectionTruth,
-    GroundTruthPose,
-    ObjectMapRecord,
-    SlamPose,
-    Transform,
-)
+from logs.messages import DetectionTruth, GroundTruthPose, ObjectMapRecord, SlamPose, Transform
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import transform_from_xyz_yaw
@@ -19,14 +13,7 @@ from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.final_map import FinalMap
 from slam.system import Slam
-from tests.helpers.short_drives import (
-    Entry,
-    block_world,
-    keep_until,
-    map_in_memory,
-    odometry_of,
-    run,
-)
+from tests.helpers.short_drives import Entry, block_world, keep_until, map_in_memory, odometry_of, run
 
 pytestmark = pytest.mark.slow
 

@@ -20,10 +20,7 @@ def lidar_on(mount: str) -> tuple[Transform, ...]:
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        (
-            {"frame_id": "/lidar", "transforms": (*lidar_on("mount"), Transform(0, "base_link", "mount", np.eye(4)))},
-            "",
-        ),
+        ({"frame_id": "/lidar", "transforms": (*lidar_on("mount"), Transform(0, "base_link", "mount", np.eye(4)))}, ""),
         ({"frame_id": "odom"}, ""),  # an Odometry message is an edge
         ({"frame_id": "camera"}, "is in the frame camera, which no transform connects with base_link"),
         (

@@ -60,8 +60,7 @@ def test_observed_positions_are_means_by_information_of_own_observations_only():
     graph.alias_landmarks({6: 5})
     mean = (3.0 * near + far) / 4.0
     np.testing.assert_allclose(
-        graph.observed_positions(np.array([6, 5, 77])),
-        [*apply(T, np.array([other, mean])), [np.nan] * 3],
+        graph.observed_positions(np.array([6, 5, 77])), [*apply(T, np.array([other, mean])), [np.nan] * 3]
     )
     assert np.isnan(graph.observed_positions(np.array([77, 78]))).all()
 

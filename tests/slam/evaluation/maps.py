@@ -21,12 +21,7 @@ def object_map(
     classes = [vocabulary.index(label) for label in labels]
     record = ObjectMapRecord.of_objects(ids, placed, classes, vocabulary, sigma_m=1.0, observations=5)
     seen_ns = record.first_seen_ns if first_seen_ns is None else first_seen_ns
-    return replace(
-        record,
-        states=states or record.states,
-        first_seen_ns=seen_ns,
-        last_seen_ns=seen_ns,
-    )
+    return replace(record, states=states or record.states, first_seen_ns=seen_ns, last_seen_ns=seen_ns)
 
 
 def frames(

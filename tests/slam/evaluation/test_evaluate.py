@@ -26,10 +26,7 @@ from tests.slam.evaluation.results import at_json, graph
 
 COUNT = 400
 NOTHING = pytest.approx(0.0, abs=1e-9)
-PARTS = {
-    *("trajectory", "odometry", "online", "associations", "landmarks"),
-    *("closures", "relocalization"),
-}
+PARTS = {*("trajectory", "odometry", "online", "associations", "landmarks"), *("closures", "relocalization")}
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
 
 

@@ -75,13 +75,7 @@ def same_bytes(folder: Path, other: Path) -> bool:
 def test_every_log_is_accounted_for(mapped: tuple[Path, Fleet]) -> None:
     report = fleet_report(mapped[1])
     status = {log["log"]: log["status"] for log in report["logs"]}
-    assert status == {
-        "a": "joined",
-        "b": "joined",
-        "other": "alone",
-        "again": "repeated",
-        "broken": "not mapped",
-    }
+    assert status == {"a": "joined", "b": "joined", "other": "alone", "again": "repeated", "broken": "not mapped"}
     assert all(log["reason"] for log in report["logs"] if log["status"] != "joined")
     assert [part["logs"] for part in report["parts"]] == [2]
 

@@ -49,12 +49,7 @@ class Bench:
     def add(self, positions: ArrayLike, *, confirmed: bool = True) -> IntArray:
         """Landmarks at ``positions`` (N, 3) m, local frame."""
         rows = add_landmarks(
-            self.map,
-            np.array(positions),
-            sigma_m=SIGMA_M,
-            second=self.x,
-            travel_m=self.x,
-            confirmed=confirmed,
+            self.map, np.array(positions), sigma_m=SIGMA_M, second=self.x, travel_m=self.x, confirmed=confirmed
         )
         self.active.add(rows)
         return rows

@@ -47,11 +47,7 @@ class Bench:
         return self.mapper.add_odometry(pose)
 
     def locate(
-        self,
-        seconds: float,
-        objects: FloatArray = OBJECTS,
-        labels: tuple[str, ...] = LABELS,
-        **detected: Any,
+        self, seconds: float, objects: FloatArray = OBJECTS, labels: tuple[str, ...] = LABELS, **detected: Any
     ) -> tuple[Tracked, OdometryPose]:
         pose = self.track.at(round(seconds * 1e9))
         assert pose is not None

@@ -8,12 +8,7 @@ import pytest
 
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
-from slam.localization.continuity_monitor import (
-    FALSE_MATCH_PROBABILITY,
-    PRIOR_EXPECTED,
-    ContinuityMonitor,
-    Visibility,
-)
+from slam.localization.continuity_monitor import FALSE_MATCH_PROBABILITY, PRIOR_EXPECTED, ContinuityMonitor, Visibility
 from slam.object_map.landmarks import LANDMARK, LandmarkState
 from slam.odometry.keyframe import Keyframe
 from tests.helpers.poses import keyframe_at, pose_at

@@ -38,10 +38,7 @@ def mapped(
 
 
 def found(
-    landmarks: list[Seen],
-    tentative: tuple[int, ...] = (),
-    step: FloatArray = SURE,
-    config: ObjectCalibration = OBJECTS,
+    landmarks: list[Seen], tentative: tuple[int, ...] = (), step: FloatArray = SURE, config: ObjectCalibration = OBJECTS
 ) -> list[tuple[int, int]]:
     object_map, graph = mapped([*landmarks, *FAR], tentative, step)
     assert fuse_landmarks(object_map, graph, config) == len(object_map.aliases)

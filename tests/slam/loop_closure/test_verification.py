@@ -120,8 +120,7 @@ def test_the_graph_tells_where_landmarks_are_that_have_moved_in_the_local_map(mo
     T_map_local = pose_at(3.0, -2.0, yaw=0.7)
     # The graph has its own frame, in which the keyframe is where the landmarks were when it saw them.
     scene.verifier = scene.make_verifier(
-        pose=lambda number: T_map_local @ body(number),
-        observed_positions=lambda rows: apply(T_map_local, seen[rows]),
+        pose=lambda number: T_map_local @ body(number), observed_positions=lambda rows: apply(T_map_local, seen[rows])
     )
     T_moved = pose_at(moved_m, -0.5 * moved_m, yaw=0.02 * moved_m)
     scene.landmarks.reference = replace(scene.landmarks.reference, positions=apply(T_moved, seen))

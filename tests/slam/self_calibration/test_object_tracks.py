@@ -8,13 +8,7 @@ import pytest
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
 from slam.self_calibration import object_tracks
-from slam.self_calibration.object_tracks import (
-    MISSED_SCANS,
-    ObjectTracks,
-    SurveyScan,
-    detectability_of,
-    follow_objects,
-)
+from slam.self_calibration.object_tracks import MISSED_SCANS, ObjectTracks, SurveyScan, detectability_of, follow_objects
 from tests.helpers.poses import pose_at
 from tests.helpers.surveyed_drives import SurveyedDrive
 

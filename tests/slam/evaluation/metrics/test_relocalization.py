@@ -11,11 +11,7 @@ from slam.common.arrays import FloatArray
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries
-from slam.evaluation.metrics.relocalization import (
-    MEASURES,
-    Method,
-    evaluate_relocalization,
-)
+from slam.evaluation.metrics.relocalization import MEASURES, Method, evaluate_relocalization
 from tests.helpers.poses import pose_at
 from tests.slam.evaluation.loops import at_ns, closure, there_and_back
 

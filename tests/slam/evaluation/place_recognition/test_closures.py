@@ -138,12 +138,7 @@ def test_figures(records: list[LoopClosureRecord], truth: PoseSeries, expected: 
 
 @pytest.mark.parametrize(
     ("shift_m", "turn_deg", "is_true"),
-    [
-        (4.0 + 1e-6, 0.0, False),
-        (-4.0, 9.9999, True),
-        (0.0, -9.9999, True),
-        (0.0, 10.0001, False),
-    ],
+    [(4.0 + 1e-6, 0.0, False), (-4.0, 9.9999, True), (0.0, -9.9999, True), (0.0, 10.0001, False)],
 )
 def test_closure_thresholds_are_inclusive(shift_m: float, turn_deg: float, is_true: bool) -> None:
     record = closure(20, 4, truth=STRAIGHT, shift_m=shift_m, turn_rad=float(np.deg2rad(turn_deg)))
