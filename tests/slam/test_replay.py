@@ -19,6 +19,7 @@ from logs.messages import (
     SlamPose,
     StatusRecord,
     TrajectoryRecord,
+    Transform,
 )
 from logs.reader import LogReader
 from slam.common.config import Config
@@ -39,6 +40,7 @@ from tests.helpers.short_drives import (
     run,
     write_log,
 )
+from tests.tools import runs
 
 KINDS = {
     "/slam/pose": SlamPose,
@@ -161,6 +163,12 @@ def test_the_input_is_not_overwritten(noisy_drive, tmp_path):
         with pytest.raises(LogError, match="overwrite the input"):
             replay(source, output, Config())
     assert source.read_bytes() == before
+
+
+def test_transform_that_comes_last_is_known_from_the_beginning(tmp_path):
+    late = Transform(3 * 10**9, "base_link", "lidar", np.eye(4))
+    source = runs.write_drive(tmp_path / "in.mcap", transforms=(late,), frame_id="lidar")
+    assert replay(source, tmp_path / "out.mcap", Config(calibrate=False)).counters["detections_used"] == 30
 
 
 def test_progress_rises_from_zero_to_one(noisy_replay):

@@ -90,10 +90,14 @@ def test_a_loop_is_named():
 
 
 def seen_by_body(frame_id: str, at, config=DetectionCalibration(), **T: np.ndarray):  # noqa: B008
-    """Where a detection ``at`` (3,) is in the frame of the body, with these frames."""
+    """Where a detection ``at`` (3,) is in the frame of the body, with these frames, which are so at its stamp only."""
+    known = SensorFrames()
+    for names, transform in T.items():
+        for stamp_ns, off_m in ((0, 9.0), (10, 0.0), (20, -7.0)):
+            known.add(Transform(stamp_ns, *names.split("__"), transform @ pose_at(off_m)))
     detections = detections_of(at, stamp_ns=10, frame_id=frame_id)
     odometry = Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link")
-    T_body_sensor = find_sensor(frames(**T), detections, odometry, T_ODOM_BODY, config)
+    T_body_sensor = find_sensor(known, detections, odometry, T_ODOM_BODY, config)
     return None if T_body_sensor is None else apply(T_body_sensor, detections.positions)
 
 
