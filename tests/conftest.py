@@ -69,7 +69,9 @@ class Replayed:
 @pytest.fixture(scope="session")
 def noisy_replay(noisy_log: Path) -> Replayed:
     output, progress = noisy_log.with_name("out.mcap"), list[float]()
-    return Replayed(output, replay(noisy_log, output, Config(), progress=progress.append), progress)
+    return Replayed(
+        output, replay(noisy_log, output, Config(), copy=["/detections"], progress=progress.append), progress
+    )
 
 
 @pytest.fixture(scope="session")

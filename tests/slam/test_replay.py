@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from logs.digest import file_sha256
-from logs.errors import LogError
+from logs.errors import LogError, TopicSelectionError
 from logs.importers.imported_log import write_drive
 from logs.importers.text_log import read_text_log
 from logs.messages import (
@@ -90,8 +90,8 @@ def test_keyframes_of_the_graph_lie_on_the_trajectory(noisy_output):
     np.testing.assert_allclose(trajectory.T_map_body[rows], graph.T_map_body, atol=1e-9)
 
 
-def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
-    copied = ("/odom", "/ground_truth", "/ground_truth/detections", "/ground_truth/objects")
+def test_odometry_truth_and_chosen_topics_are_copied_bit_for_bit(noisy_log, noisy_output, tmp_path):
+    copied = ("/odom", "/detections", "/ground_truth", "/ground_truth/detections", "/ground_truth/objects")
 
     def content(path):
         return [
@@ -102,6 +102,8 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
 
     assert {topic for topic, *_ in content(noisy_output)} == set(copied)
     assert content(noisy_output) == content(noisy_log)
+    with pytest.raises(TopicSelectionError, match="no topic /camera to copy"):
+        replay(noisy_log, tmp_path / "out.mcap", Config(), copy=["/camera"])
 
 
 def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):

@@ -1,13 +1,10 @@
 """What viewers hold of a drive."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from logs.errors import TopicSelectionError
 from logs.reader import LogReader
 from slam.common.config import Config
 from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, LANDMARKS, PATH, SUBMAP
@@ -15,16 +12,6 @@ from slam.library import read_map
 from slam.replay import replay
 from tests.helpers.loop_drives import one_block, replay_drive
 from tests.helpers.short_drives import drive, write_log
-
-CONFIG = Config(calibrate=False)
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("display")
-    source = write_log(folder / "drive.mcap", drive())
-    replay(source, folder / "map.mcap", CONFIG)
-    return source, folder / "map.mcap"
 
 
 def points_of(cloud: PointCloud) -> np.ndarray:
@@ -34,12 +21,14 @@ def points_of(cloud: PointCloud) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_viewer_holds_more_of_the_map_as_the_drive_goes_and_all_at_the_end(logs):
-    with LogReader(logs[1]) as reader:
+def test_viewer_holds_more_of_the_map_as_the_drive_goes_and_all_at_the_end(tmp_path):
+    mapped = tmp_path / "map.mcap"
+    replay(write_log(tmp_path / "drive.mcap", drive()), mapped, Config(calibrate=False))
+    with LogReader(mapped) as reader:
         clouds = [points_of(PointCloud.FromString(raw.data)) for raw in reader.messages([LANDMARK_POINTS])]
         paths = [SceneUpdate.FromString(raw.data).entities[0].lines[0].points for raw in reader.messages([PATH])]
         (markers,) = reader.messages([LANDMARKS])
-    final = read_map(logs[1])
+    final = read_map(mapped)
     confirmed = final.positions[[state == "confirmed" for state in final.states]]
     assert len(clouds) > 10
     assert 0 < len(clouds[len(clouds) // 2]) < len(clouds[-1])
@@ -64,15 +53,3 @@ def test_messages_hold_submap_path_and_closures(tmp_path):
     path, lines = (SceneUpdate.FromString(raw.data).entities[0].lines for raw in (paths[-1], closures[-1]))
     assert len(path) == 1
     assert len(lines) == outcome.closures["accepted_count"] > 0
-
-
-@pytest.mark.slow
-def test_chosen_topics_are_copied(logs, tmp_path):
-    source, _ = logs
-    with pytest.raises(TopicSelectionError, match="no topic /camera to copy"):
-        replay(source, tmp_path / "out.mcap", CONFIG, copy=["/camera"])
-    replay(source, tmp_path / "out.mcap", CONFIG, copy=["/detections"])
-    with LogReader(source) as first, LogReader(tmp_path / "out.mcap") as second:
-        copied = [raw.data for raw in second.messages(["/detections"])]
-        assert copied == [raw.data for raw in first.messages(["/detections"])]
-    assert copied
