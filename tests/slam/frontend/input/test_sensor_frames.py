@@ -93,8 +93,9 @@ def seen_by_body(frame_id: str, at, config=DetectionCalibration(), **T: np.ndarr
     """Where a detection ``at`` (3,) is in the frame of the body, with these frames, which are so at its stamp only."""
     known = SensorFrames()
     for names, transform in T.items():
+        parent, child = names.split("__")
         for stamp_ns, off_m in ((0, 9.0), (10, 0.0), (20, -7.0)):
-            known.add(Transform(stamp_ns, *names.split("__"), transform @ pose_at(off_m)))
+            known.add(Transform(stamp_ns, parent, child, transform @ pose_at(off_m)))
     detections = detections_of(at, stamp_ns=10, frame_id=frame_id)
     odometry = Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link")
     T_body_sensor = find_sensor(known, detections, odometry, T_ODOM_BODY, config)
