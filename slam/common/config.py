@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, StringConstraints
 
 from logs.container.limits import ReadingLimits
@@ -40,6 +41,10 @@ class LocalizationConfig(Branch):
     """
     failures_per_km: float = Field(default=1e-3, gt=0)
     """undetected failures of the odometry per kilometre [1/km]"""
+
+    def failure_probability(self, travel_m: float) -> float:
+        """Probability that the odometry failed unnoticed on some travel, a metre at least."""
+        return float(-np.expm1(-self.failures_per_km * max(travel_m, 1.0) / 1000.0))
 
 
 class LoopClosureConfig(Branch):

@@ -23,7 +23,6 @@ from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import apply, gravity_frame, invert, polar_cells
-from slam.localization.pose_prior import failure_probability
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
@@ -53,7 +52,7 @@ class ContinuityMonitor:
 
     def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
         self._memory_m = 2.0 * sensor_range_m
-        self._log_prior = np.log(failure_probability(config.failures_per_km, self._memory_m))
+        self._log_prior = np.log(config.failure_probability(self._memory_m))
         self._least_llr = -logit(config.error_probability) - self._log_prior
         self.kidnapping_probability = 0.0
         """Posterior probability of the likeliest kidnapping at the last keyframe."""

@@ -2,7 +2,7 @@
 
 Each candidate k is a pose in an earlier traversal, with the log-likelihood ratios of the landmarks around the robot
 (same place against somewhere new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior
-(:mod:`slam.localization.pose_prior`). Its posterior odds against "somewhere new" are
+(:class:`slam.loop_closure.verification.PosePrior`). Its posterior odds against "somewhere new" are
 
     log o_k = log pi_k + sum_i LLR_ki,        p_k = o_k / (n_k + sum_k o_k),
 

@@ -30,7 +30,7 @@ class Candidate:
     ``log_likelihood_ratios`` (N,): LLR_i of the landmarks of the query, of which ``log_likelihood_ratio`` is the sum;
     ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
-    see :mod:`slam.localization.pose_prior`.
+    see :class:`slam.loop_closure.verification.PosePrior`.
     ``place``: what proposed it.
     ``posterior_log_odds``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed.
     """

@@ -21,7 +21,6 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.geometry import gravity_frame, invert
 from slam.localization.continuity_monitor import ContinuityMonitor
-from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Verified
@@ -181,7 +180,7 @@ class LoopCloser:
         is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
             landmarks["first_seen_travel_m"] <= query.keyframe.odometry.travel_m - self._sensor_range_m
         )
-        failed = failure_probability(self._config.localization.failures_per_km, self._sensor_range_m)
+        failed = self._config.localization.failure_probability(self._sensor_range_m)
         return bool(changed_log_likelihood_ratio(ratios[~is_old]) < np.log(failed))
 
     def _is_elsewhere(self, predicted: Predicted, candidate: Candidate) -> bool:

@@ -10,7 +10,6 @@ import pytest
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, gravity_frame, invert, yaw_rad
-from slam.localization.pose_prior import failure_probability
 from slam.loop_closure import verification
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
@@ -291,4 +290,4 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(since):
         assert prior.sigma_m == pytest.approx(np.hypot(SLIP_INFLATION * sigma_m, landmark_sigma_m))
         assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))
         travel_m = STREET[-1].odometry.travel_m - STEP_M * since
-        assert prior.failure_probability == failure_probability(CONFIG.localization.failures_per_km, travel_m)
+        assert prior.failure_probability == CONFIG.localization.failure_probability(travel_m)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam.localization.pose_prior import PosePrior
+from slam.loop_closure.verification import PosePrior
 from tests.helpers.poses import pose_at
 
 COVARIANCE = np.diag([1e-4, 1e-4, 0.02**2, 0.2**2, 0.2**2, 0.1**2])
