@@ -19,8 +19,7 @@ from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import StampClocks
 from slam.live_slam import LiveSlam
 from slam.localization.prior_map import PriorMap
-from slam.log_mapper import LogMapper
-from slam.output_log import OutputLog
+from slam.log_mapper import LogMapper, OutputLog
 
 
 def map_live(

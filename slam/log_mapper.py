@@ -5,17 +5,43 @@ from __future__ import annotations
 import time
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from logs.messages import GeodeticFix, Record
+from logs.messages import (
+    DetectionAssociations,
+    FrameTree,
+    GeodeticFix,
+    LocalizationRecord,
+    LogMessage,
+    LoopClosureRecord,
+    Record,
+    SlamPose,
+    StatusRecord,
+    Transform,
+)
 from logs.reader import LogItem
+from logs.writer import LogWriter
+from slam.common.georeference import Georeference
+from slam.display.map_topics import FRAMES, LANDMARKS, LOG, MAP_FRAME, Message
 from slam.final_map import FinalMap
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.stamp_clocks import StampClocks
 from slam.live_slam import LiveSlam
-from slam.output_log import OutputLog
+from slam.localization.state import State
+from slam.object_map.map_io import make_markers
+
+LOCATION = "/slam/location"
+
+_TOPICS: Mapping[type[Record], str] = {
+    SlamPose: "/slam/pose",
+    DetectionAssociations: "/slam/associations",
+    StatusRecord: "/slam/status",
+    LocalizationRecord: "/slam/localization",
+    LoopClosureRecord: "/slam/closures",
+}
 
 
 class LogMapper:
@@ -64,3 +90,80 @@ class LogMapper:
             self.log.write_updates(self.slam.process(record), log_time_ns)
             if (snapshot := self.slam.snapshot()) is not None:
                 self.log.write_messages(snapshot, log_time_ns)
+
+
+class OutputLog:
+    """Writes the updates of the estimator at the log times of the input.
+
+    ``writer``: None where nothing is to be written. ``view`` is called with topic, record and log time of all of it;
+    ``georeference``: where on earth the map is, if that is known; ``tracked`` counts the poses in the map.
+    """
+
+    def __init__(
+        self,
+        writer: LogWriter | None,
+        view: Callable[[str, Record, int], None] | None,
+        georeference: Georeference | None,
+    ) -> None:
+        self._writer = writer
+        self._frames: dict[str, Transform] = {}  # by the child
+        self._view = view
+        self._georeference = georeference
+        self.tracked = 0
+
+    def write_updates(self, updates: Iterable[Record], log_time_ns: int) -> None:
+        """Write the updates by one record of the input."""
+        for update in updates:
+            if type(update) in _TOPICS:
+                self._write(_TOPICS[type(update)], update, log_time_ns)
+            self.write_messages(self._shown(update), log_time_ns)
+            if isinstance(update, SlamPose):
+                self.tracked += 1
+                if self._georeference is not None:
+                    self._write(LOCATION, _location(update, self._georeference), log_time_ns)
+
+    def write_messages(self, messages: Iterable[Message], log_time_ns: int) -> None:
+        """Write records, each to its topic."""
+        for topic, message in messages:
+            self._write(topic, message, log_time_ns)
+
+    def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
+        """Write the results of the drive; ``georeference``: as it is known now."""
+        if georeference is not None and self._writer is not None:
+            self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
+        self._write("/slam/trajectory_stamped", final.trajectory, log_time_ns)
+        self._write("/slam/map", final.object_map, log_time_ns)
+        self._write(LANDMARKS, make_markers(final.object_map), log_time_ns)
+        self._write("/slam/graph", final.graph, log_time_ns)
+        self.write_updates([final.status], log_time_ns)
+        self.write_messages(final.snapshot, log_time_ns)
+
+    def _shown(self, update: Record) -> Iterator[Message]:
+        """Messages for viewers about an update: texts, and all frames that are known, so that they need no other."""
+        if isinstance(update, Transform):
+            if update.child_frame_id != update.parent_frame_id:  # as of an odometry in the frame of the map
+                self._frames[update.child_frame_id] = update
+            if all(each.parent_frame_id != update.child_frame_id for each in self._frames.values()):  # the body
+                frames = tuple(replace(each, stamp_ns=update.stamp_ns) for each in self._frames.values())
+                yield FRAMES, FrameTree(update.stamp_ns, frames)
+        elif isinstance(update, StatusRecord):
+            if update.state == State.LOST:
+                self._frames = {
+                    child: each for child, each in self._frames.items() if each.parent_frame_id != MAP_FRAME
+                }
+            yield LOG, LogMessage(update.stamp_ns, update.level, f"{update.state.lower()}: {update.message}")
+        elif isinstance(update, LoopClosureRecord) and update.inserted:
+            text = f"loop closed: keyframe {update.query_keyframe_id} with {update.reference_keyframe_id}"
+            yield LOG, LogMessage(update.stamp_ns, "info", text)
+
+    def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
+        if self._writer is not None:
+            self._writer.write(topic, record, log_time_ns)
+        if self._view is not None:
+            self._view(topic, record, log_time_ns)
+
+
+def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
+    """The geodetic position of a pose in the map."""
+    latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
+    return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)

@@ -26,9 +26,8 @@ from slam.live_slam import LiveSlam
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
-from slam.log_mapper import LogMapper
+from slam.log_mapper import LogMapper, OutputLog
 from slam.object_map.map_io import METADATA
-from slam.output_log import OutputLog
 from slam.place_recognition.initial_pose import InitialPose
 from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import settings_of

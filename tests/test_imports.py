@@ -80,7 +80,7 @@ LAYERS = (
     {"loop_closure"},
     {"display", "scan_localization", "trajectory_check"},
     {"final_map", "assessment", "graph_condenser"},
-    {"system", "output_log", "prepared_log"},
+    {"system", "prepared_log"},
     {"provenance"},
     {"live_slam"},
     {"log_mapper"},

@@ -14,9 +14,8 @@ from logs.messages import FactorGraphRecord
 from slam.backend.covariance.marginals import compute_marginals, offset_covariances
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.editable_graph import EditableGraph
-from slam.backend.factors import PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation
+from slam.backend.factors import PRIOR_SIGMA_RAD, Edge, EdgeKind, Observation, summed
 from slam.backend.graph_record import make_graph_record
-from slam.backend.observation_sums import summed
 from slam.backend.solver import Optimization, gtsam_errors
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError

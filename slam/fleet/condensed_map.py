@@ -13,9 +13,8 @@ import numpy as np
 import pandas as pd
 
 from logs.messages import FactorGraphRecord
-from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.factors import Edge, EdgeKind, Observation, sum_observations
 from slam.backend.graph_record import make_graph_record
-from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import SUBMAP_RANGES, Config
 from slam.common.geometry import apply_each, covariance_in_axes, gravity_frame, invert

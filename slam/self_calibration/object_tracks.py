@@ -17,7 +17,6 @@ from scipy.spatial import cKDTree
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import unit_vectors, yaw_rad
-from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
 """A track continues with a detection nearer than this share of the distance to the next object of its class."""
@@ -37,6 +36,9 @@ and how large it may be.
 """
 ROUNDING = 1e-12
 """Squares that are a smaller share of what they are compared with are rounding."""
+ROUNDS, CONVERGED = 200, 1e-6
+LEAST = 1e-6
+"""Probabilities stay that far from 0 and 1."""
 MAX_DISTANCES = 2**20
 """Held at a time, 8 MB, however many objects a scan has."""
 
@@ -168,6 +170,50 @@ def _existence(tracks: ObjectTracks) -> FloatArray:
     closeness[first] = 0.0  # a track begins there
     links = (np.bincount(row) - 1).astype(np.float64)
     return existence_probabilities(links, np.bincount(row, closeness).astype(np.float64))[row]
+
+
+def existence_probabilities(links: FloatArray, closeness: FloatArray) -> FloatArray:
+    """Probability (T,) that a track is of an object, and not of false detections that are near each other by chance,
+    from its ``links`` (T,) and the sum of their w (T,).
+
+    Where detections lie at random, the nearest one within a room around the end of a track is at a squared distance
+    that is even over the room: w = -log(distance^2 / room^2) has an exponential distribution of mean 1. What continues
+    the track of an object is nearer: of mean 1 / a > 1. A track by chance continues with a probability q, that of an
+    object with p. The likelihoods of a track with n links are
+
+        chance: q^n (1 - q) exp(-sum w)          object: p^n (1 - p) a^n exp(-a sum w)
+
+    and expectation maximisation finds p, q, a and the share of objects from all tracks of a log (Dempster, Laird and
+    Rubin, J. Royal Statistical Society B, 1977): the existence probability of integrated tracking (Musicki, Evans and
+    Stankovic, IEEE Trans. Automatic Control, 1994), with clutter that is estimated from the log. No length and no noise
+    is known.
+    """
+    share, p, q, a = 0.5, 0.9, 0.3, 0.3
+    objects, before = np.full(len(links), share), -np.inf
+    if not len(links):
+        return objects
+    for _ in range(ROUNDS):
+        of_object = np.log(share) + links * np.log(p * a) + np.log1p(-p) - a * closeness
+        by_chance = np.log1p(-share) + links * np.log(q) + np.log1p(-q) - closeness
+        likelihood = np.logaddexp(of_object, by_chance)
+        objects = np.exp(of_object - likelihood)
+        mean = likelihood.mean()
+        if abs(mean - before) < CONVERGED:
+            break
+        before = mean
+        share, p, q = _probability(objects.mean()), _goes_on(links, objects), _goes_on(links, 1.0 - objects)
+        q = min(p, q)
+        a = float(np.clip(objects @ links / max(float(objects @ closeness), LEAST), LEAST, 1.0))
+    return objects
+
+
+def _goes_on(links: FloatArray, weights: FloatArray) -> float:
+    """Probability that a track continues, of tracks with weights (T,)."""
+    return _probability(float(weights @ links) / max(float(weights @ (links + 1)), LEAST))
+
+
+def _probability(value: float) -> float:
+    return float(np.clip(value, LEAST, 1.0 - LEAST))
 
 
 def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:

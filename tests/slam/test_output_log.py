@@ -3,7 +3,7 @@
 import numpy as np
 
 from logs.messages import LoopClosureRecord, Record, StatusRecord, Transform
-from slam.output_log import OutputLog
+from slam.log_mapper import OutputLog
 
 
 class Viewed:

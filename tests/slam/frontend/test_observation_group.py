@@ -8,7 +8,7 @@ import pytest
 from slam.backend.factors import Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
-from slam.frontend.observation_group import MAX_ADDED_VARIANCE, ObservationGroup
+from slam.frontend.pending_observations import MAX_ADDED_VARIANCE, ObservationGroup
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
 from tests.helpers.poses import keyframe_at, pose_at

@@ -19,8 +19,8 @@ from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import read_records
 from slam.formats.trajectories import write_geodetic
 from slam.localization.gnss import GnssPrior, find_georeference
+from slam.log_mapper import LOCATION
 from slam.object_map.map_io import load_map
-from slam.output_log import LOCATION
 from slam.place_recognition.initial_pose import GATE_SIGMAS
 from slam.replay import replay
 from tests.helpers.ros2_logs import encoded, header

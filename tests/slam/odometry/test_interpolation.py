@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from slam.odometry.interpolation import interpolate_between_keyframes
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
-from slam.odometry.interpolation import interpolate_between_keyframes
+from slam.final_map import interpolate_between_keyframes
 from tests.helpers.poses import motion_by, pose_at
 from tests.logs.examples import random_transform
 from tests.slam.evaluation.drives import stamps, winding_path

@@ -12,9 +12,8 @@ from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
 from slam.self_calibration.corrections import TERMS, Change
-from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
-from slam.self_calibration.survey import Survey
+from slam.self_calibration.survey import LabelNoise, Survey
 from slam.self_calibration.variance_components import ComponentEstimate
 from tests.helpers.surveyed_drives import NO_NOISE, SurveyedDrive, summary_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.self_calibration.centroid_bias import centroid_biases, without_bias
+from slam.self_calibration.corrections import centroid_biases, without_bias
 from slam.self_calibration.object_tracks import ObjectTracks
 from tests.helpers.surveyed_drives import tracks_of
 

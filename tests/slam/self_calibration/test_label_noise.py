@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slam.common.calibration import ObjectCalibration
-from slam.self_calibration.label_noise import estimate_label_noise
 from slam.self_calibration.object_tracks import SurveyScan, follow_objects
+from slam.self_calibration.survey import estimate_label_noise
 from tests.helpers.poses import pose_at
 
 CLASSES = 4

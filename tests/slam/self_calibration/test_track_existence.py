@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.self_calibration.object_tracks import SurveyScan, follow_objects, objects_among
-from slam.self_calibration.track_existence import existence_probabilities
+from slam.self_calibration.object_tracks import SurveyScan, existence_probabilities, follow_objects, objects_among
 from slam.self_calibration.variance_components import estimate_components
 from tests.helpers.surveyed_drives import SurveyedDrive
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
+from slam.assessment import explain
 from slam.common.calibration import Calibration
 from slam.trajectory_check.judgement import TrajectoryCheck
-from slam.trajectory_check.reasons import explain
 
 CHECK = TrajectoryCheck({"odometry": 0.5, "online": -0.6, "final": -0.8}, "odometry", 1000)
 
