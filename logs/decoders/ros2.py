@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from logs.decoders import ros2_clouds as clouds
+import numpy as np
+
+from logs.clouds.labelled_cloud import LabelledCloud, labelled_cloud
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
 from logs.decoders.parts import (
@@ -19,9 +21,13 @@ from logs.decoders.parts import (
     place_of,
     pose_decoder,
 )
-from logs.messages import Transform
+from logs.errors import DatasetError
+from logs.messages import LabelledScan, Transform
 from logs.topics import RecordKind
-from logs.validation import transform_of
+from logs.validation import Refusal, transform_of
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""Of the numbers of points."""
 
 
 def _tf(message: Any, context: Context) -> Records:
@@ -30,6 +36,31 @@ def _tf(message: Any, context: Context) -> Records:
         for t in message.transforms
     )
     return frame_records(transforms, context.kind)
+
+
+def labelled_scan(message: Any, context: Context) -> Records:
+    """The record of a sensor_msgs/msg/PointCloud2 whose points have a class, and perhaps an instance; those without
+    finite coordinates are left out.
+    """
+    place = place_of(message, context)
+    point_step = int(message.point_step)
+    if message.height * message.width == 0:
+        return (LabelledScan(*place, LabelledCloud(np.zeros((0, 3)), np.zeros(0, np.int64))),)
+    if point_step < 1:
+        raise Refusal("lengths disagree", f"points of {point_step} bytes")
+    order = ">" if message.is_bigendian else "<"
+    numbers = [field for field in message.fields if field.count == 1 and field.datatype in _TYPES]
+    fields = {field.name: (order + _TYPES[field.datatype], field.offset) for field in numbers}
+    try:
+        formats, offsets = zip(*fields.values(), strict=True) if fields else ((), ())
+        kind = np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": point_step})
+    except (ValueError, TypeError) as error:
+        raise Refusal("fields of the points are invalid", str(error)) from error
+    points = images.image_rows(message, int(message.row_step), int(message.width) * point_step).view(kind).ravel()
+    try:
+        return (LabelledScan(*place, labelled_cloud({name: points[name] for name in fields}, "cloud").finite()),)
+    except DatasetError as error:
+        raise Refusal("cloud without labels", str(error)) from error
 
 
 AUTOWARE = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
@@ -49,7 +80,7 @@ DECODERS = {
     "visualization_msgs/msg/MarkerArray": MessageDecoder(DETECTIONS, objects.markers),
     "vision_msgs/msg/Detection2DArray": MessageDecoder(DETECTIONS, images.detections_2d),
     "apriltag_msgs/msg/AprilTagDetectionArray": MessageDecoder(DETECTIONS, images.tags),
-    "sensor_msgs/msg/PointCloud2": MessageDecoder(DETECTIONS, clouds.labelled_scan),
+    "sensor_msgs/msg/PointCloud2": MessageDecoder(DETECTIONS, labelled_scan),
     "sensor_msgs/msg/CameraInfo": MessageDecoder((RecordKind.CAMERA_INFO,), images.camera_info),
     "sensor_msgs/msg/Image": MessageDecoder((RecordKind.DEPTH,), images.depth_image),
 }

@@ -94,8 +94,9 @@ class Verifier:
         seen, met = query.submap.rows[registration.pairs[:, 0]], submap.rows[registration.pairs[:, 1]]
         exists = np.broadcast_to(query.submap.existence, len(query.submap))[registration.pairs[:, 0]] == 1.0
         # The query's tilt is the odometry's; the registration is upright.
-        T_local_body = T_local_query @ query.T_gravity_body
-        in_body = covariance_in_axes(covariance + self._shared_covariance, query.T_gravity_body[:3, :3])
+        T_gravity_body = query.T_gravity_body
+        T_local_body = T_local_query @ T_gravity_body
+        in_body = covariance_in_axes(covariance + self._shared_covariance, T_gravity_body[:3, :3])
         return Candidate(
             query=query.keyframe,
             reference=reference,

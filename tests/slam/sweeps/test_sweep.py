@@ -13,8 +13,7 @@ from slam.common.config import Config
 from slam.common.config_tree import load_tree
 from slam.common.errors import ConfigurationError, EvaluationError
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
-from slam.sweeps.result_folder import ResultFolder
-from slam.sweeps.sweep import DEFAULT_DEGRADATIONS, EVERY_FAULT, Sweep, plan_sweep, run_sweep
+from slam.sweeps.sweep import DEFAULT_DEGRADATIONS, EVERY_FAULT, ResultFolder, Sweep, plan_sweep, run_sweep
 from tests.helpers.short_drives import change, keep_until, write_log
 
 DEGRADATIONS = ("", "dropout=0.3", "keep_label=unicorn")
