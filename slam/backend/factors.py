@@ -6,7 +6,8 @@ GTSAM's order: rotation, then translation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -16,6 +17,7 @@ from logs.records import frozen
 from slam.backend.edge_kind import EdgeKind as EdgeKind
 from slam.common.arrays import FloatArray, IntArray, least_eigenvalues
 from slam.common.errors import FactorGraphError
+from slam.common.geometry import adjoint, invert
 
 PRIOR_SIGMA_RAD = 1e-4
 CLOSURE_KERNEL_WIDTH = 1.0
@@ -185,3 +187,59 @@ def _checked_covariances(covariances: FloatArray, name_of: Callable[[int], str])
 
 def _name(observation: Observation) -> str:
     return f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
+
+
+class AttachedKeyframes:
+    """Keyframes that are not variables of the graph, as each moves rigidly with another one, its anchor: rewrites their
+    factors as factors of anchors.
+    """
+
+    def __init__(self) -> None:
+        self.anchors: dict[int, int] = {}
+        """The anchor of each attached keyframe."""
+        self.transforms: dict[int, FloatArray] = {}
+        """The pose (4, 4) of each in the frame of its anchor."""
+        self.covariances: dict[int, FloatArray] = {}
+        """Of the pose (6, 6) of each attached keyframe, as it was when it was attached."""
+
+    def attach(
+        self, anchors: Mapping[int, int], covariances: Mapping[int, FloatArray], pose: Callable[[int], FloatArray]
+    ) -> None:
+        """Attach keyframes to their anchors, which stay variables, as their poses (4, 4) in the map are now, with
+        ``covariances`` (6, 6).
+        """
+        self.covariances |= covariances
+        self.transforms |= {each: invert(pose(anchor)) @ pose(each) for each, anchor in anchors.items()}
+        self.anchors |= anchors
+
+    def edge(self, edge: Edge) -> Edge:
+        """The same constraint between anchors; covariances are about the axes of the keyframe that it leads to."""
+        T_from_to, covariance = edge.T_from_to, edge.covariance
+        start, end = edge.from_keyframe, edge.to_keyframe
+        if start in self.anchors:
+            T_from_to = self.transforms[start] @ T_from_to
+        if end in self.anchors:
+            Ad = adjoint(self.transforms[end])
+            covariance = Ad @ covariance @ Ad.T
+            T_from_to = T_from_to @ invert(self.transforms[end])
+        return Edge(self.anchors.get(start, start), self.anchors.get(end, end), T_from_to, covariance, edge.kind)
+
+    def observation(self, observation: Observation) -> Observation:
+        """The same observation from the anchor."""
+        if observation.keyframe not in self.anchors:
+            return observation
+        T = self.transforms[observation.keyframe]
+        return replace(
+            observation,
+            keyframe=self.anchors[observation.keyframe],
+            position=T[:3, :3] @ observation.position + T[:3, 3],
+            covariance=T[:3, :3] @ observation.covariance @ T[:3, :3].T,
+        )
+
+    def rigid_edges(self, sigma_m: float) -> list[Edge]:
+        """An edge from the anchor of each to it, as stiff as the prior of the first keyframe."""
+        covariance = np.diag(np.repeat([PRIOR_SIGMA_RAD, sigma_m], 3) ** 2)
+        return [
+            Edge(anchor, keyframe, self.transforms[keyframe], covariance, EdgeKind.CONDENSED)
+            for keyframe, anchor in self.anchors.items()
+        ]

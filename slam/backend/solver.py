@@ -59,16 +59,14 @@ class Solver:
         for number, factor in factors.items():
             self.add(number, factor)
 
-    def holds(self, key: int) -> bool:
-        """Whether a factor is on a variable."""
-        return self._uses[key] > 0
-
     def insert(self, key: int, value: gtsam.Pose3 | FloatArray, prior: gtsam.NonlinearFactor | None = None) -> None:
-        """Add a variable, the pose of a keyframe or the position (3,) m of a landmark, with its initial value; one that
-        left since the last update stays where it was.
+        """Add a variable, the pose of a keyframe or the position (3,) m of a landmark, with its initial value, unless
+        there is a factor on it already; one that left since the last update stays where it was.
 
         ``prior``: a factor on it; that of a landmark leaves with it.
         """
+        if self._uses[key]:
+            return
         if prior is not None:
             self.add(-key, prior)
         if not (self.values().exists(key) if self._isam is None else self._isam.valueExists(key)):

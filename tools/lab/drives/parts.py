@@ -11,7 +11,7 @@ from unittest.mock import patch
 import numpy as np
 
 from logs.records import frozen
-from slam.backend.editable_graph import EditableGraph
+from slam.backend.factor_graph import EditableGraph
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drive
 
 _PREFIX = __name__.removesuffix("tools.lab.drives.parts")
@@ -48,9 +48,7 @@ PARTS: dict[str, Part] = {
     "propagation of closures": Part(("loop_closure.propagation_distance_m=0",)),
     "posterior: first candidate": Part(("localization.error_probability=0.999999",)),
     "loop closures": Part(("loop_closure.enabled=false",)),
-    "weight of landmarks": Part(
-        replaced={"slam.backend.editable_graph.EditableGraph.add_observations": _add_weightless}
-    ),
+    "weight of landmarks": Part(replaced={"slam.backend.factor_graph.EditableGraph.add_observations": _add_weightless}),
     "labels": Part(("calibration.objects.max_classes=1",)),
     "calibration": Part(("calibrate=false",)),
     "mode search in tracking": Part(
