@@ -20,6 +20,7 @@ from logs.messages import (
     ObjectDetections,
     Odometry,
     Record,
+    SlamPose,
     StatusRecord,
     Transform,
 )
@@ -27,10 +28,11 @@ from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.backend.tilt import hold_tilt
-from slam.common.arrays import IntArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.display.map_topics import Message
+from slam.common.geometry import invert
+from slam.display.map_topics import MAP_FRAME, Message
 from slam.display.snapshot import SnapshotSchedule, take_snapshot
 from slam.final_map import (
     FinalMap,
@@ -46,7 +48,6 @@ from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
 from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior
-from slam.localization.pose_output import PoseOutput
 from slam.localization.prior_map import PriorMap, restore_prior_map, with_heights_of
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
@@ -308,6 +309,38 @@ class Slam:
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
         }
         return StatusRecord(self._frontend.latest_ns, state.value, level, message, counters)
+
+
+class PoseOutput:
+    """Messages of the robot's pose. Their odometry is that of the messages, before corrections."""
+
+    def __init__(self) -> None:
+        self._T_map_odom = np.eye(4)
+        self._odom_frame = self._body_frame = ""
+
+    def follow(self, odometry: Odometry) -> None:
+        """Take the names of the body and the odometry frame from a message."""
+        self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
+
+    def place(self, pose: OdometryPose, T_map_body: FloatArray) -> None:
+        """From now on the odometry is placed so that the body is at ``T_map_body`` (4, 4) at ``pose``."""
+        self._T_map_odom = T_map_body @ invert(pose.T_odom_body)
+
+    def in_map(self, pose: OdometryPose) -> FloatArray:
+        """``T_map_body`` (4, 4) at a pose of the track."""
+        return self._T_map_odom @ pose.T_odom_body
+
+    def at(self, pose: OdometryPose, *, is_localized: bool) -> list[Record]:
+        """The pose in the odometry frame and, where the robot knows it, in the map."""
+        T_odom_body = invert(pose.T_odom_reported) @ pose.T_odom_body
+        records: list[Record] = [Transform(pose.stamp_ns, self._odom_frame, self._body_frame, T_odom_body)]
+        if is_localized:
+            records.append(SlamPose(pose.stamp_ns, self.in_map(pose)))
+        return records
+
+    def map_to_odom(self, pose: OdometryPose) -> Transform:
+        """The odometry frame in the map, at the time of ``pose``."""
+        return Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom @ pose.T_odom_reported)
 
 
 @contextmanager
