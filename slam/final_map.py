@@ -136,20 +136,22 @@ def interpolate_between_keyframes(
     return blend(T_before, T_after, fraction)
 
 
-def known_covariances(graph: FactorGraph, counters: Counter[str]) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
-    """Covariances of keyframes (K, 6, 6) and landmarks (L, 3, 3) m^2 of a graph; a map is worth having without them."""
+def known_covariances(graph: FactorGraph, counters: Counter[str]) -> tuple[FloatArray, FloatArray]:
+    """Covariances of keyframes (K, 6, 6) and landmarks (L, 3, 3) m^2 of a graph; a map is worth having without them:
+    then there are none.
+    """
     try:
         return graph.covariances()
     except FactorGraphError as error:
         logger.warning("the map has local covariances only: %s", error)
         counters["covariances_missing"] = len(graph.landmarks)
-        return None, None
+        return np.zeros((0, 6, 6)), np.zeros((0, 3, 3))
 
 
 def place_landmarks(
     object_map: ObjectMap,
     graph: FactorGraph,
-    covariances: FloatArray | None,
+    covariances: FloatArray,
     keyframes: Sequence[Keyframe],
     T_map_body: FloatArray,
     first_segment: int,
@@ -172,5 +174,5 @@ def place_landmarks(
     object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=around)
     in_graph = graph.landmarks
     object_map.assign(in_graph, position_map=graph.landmark_positions(in_graph))
-    if covariances is not None:
+    if len(covariances):
         object_map.assign(in_graph, covariance_map=covariances)

@@ -50,7 +50,7 @@ def test_a_graph_that_determines_too_little_has_no_covariances(monkeypatch: pyte
         raise FactorGraphError("underdetermined")
 
     monkeypatch.setattr(graph, "covariances", fail)
-    assert known_covariances(graph, counters) == (None, None)
+    assert [len(each) for each in known_covariances(graph, counters)] == [0, 0]
     assert counters["covariances_missing"] == 1
 
 
