@@ -67,7 +67,11 @@ class ContinuityMonitor:
     def update(self, keyframe: Keyframe, object_map: ObjectMap) -> float | None:
         """Add the newest keyframe; returns the travel [m] after which the robot was kidnapped, None if it was not."""
         pose = keyframe.odometry
-        rows = self._recent(pose, object_map)
+        rows = np.flatnonzero(
+            (object_map.rows["state"] == LandmarkState.CONFIRMED)
+            & (object_map.rows["segment"] == pose.segment)
+            & (object_map.rows["last_seen_travel_m"] > pose.travel_m - self._memory_m)
+        )
         landmarks = object_map.rows[rows]
         if self._steps and self._steps[-1].pose.segment != pose.segment:
             self._steps.clear()
@@ -96,15 +100,6 @@ class ContinuityMonitor:
         if llrs.max() <= 0.0:  # else it might learn from the kidnapping that landmarks are missed
             self._learn(landmarks, rows, in_view, seen)
         return None
-
-    def _recent(self, pose: OdometryPose, object_map: ObjectMap) -> IntArray:
-        """The confirmed landmarks of a pose's segment that were seen lately."""
-        landmarks = object_map.rows
-        return np.flatnonzero(
-            (landmarks["state"] == LandmarkState.CONFIRMED)
-            & (landmarks["segment"] == pose.segment)
-            & (landmarks["last_seen_travel_m"] > pose.travel_m - self._memory_m)
-        )
 
     def _sides(self, landmarks: NDArray[np.void], times_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """After and before each of S times, (2, S, N): the probability that a landmark, which is known from the other

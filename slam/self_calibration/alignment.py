@@ -12,11 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration
-from slam.common.geometry import transform_from_xyz_yaw, yaw_rad
+from slam.common.geometry import rotation_of, transform_from_xyz_yaw, yaw_rad
 from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, seen_by, spacing_of
 from slam.self_calibration.surveyed_log import SurveyedLog
 
@@ -110,7 +109,7 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         motions = transform_from_xyz_yaw(shares[0] * motions[:, :3, 3], shares[1] * yaw_rad(motions))
         motions[:, 2, 3] += values["climb_share"] * np.linalg.norm(motions[:, :2, 3], axis=1)
         T_body_sensor = np.eye(4)
-        T_body_sensor[:3, :3] = Rotation.from_rotvec([values[angle] for angle in ANGLES]).as_matrix()
+        T_body_sensor[:3, :3] = rotation_of(np.array([values[angle] for angle in ANGLES]))
         T_body_sensor[:2, 3] = pairs[number].spacing_m * np.array([values["x_spacings"], values["y_spacings"]])
         return pairs[number].log_distances(seen_by(T_body_sensor, motions))
 

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
-from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, travelled_m
+from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, rotation_of, travelled_m
 from slam.frontend.input.sensor_frames import corrected_mount
 from slam.self_calibration.alignment import ANGLES, find_alignment
 from slam.self_calibration.corrections import (
@@ -229,7 +228,7 @@ def _unknown(given: Calibration) -> list[str]:
 
 def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]:
     """What the angles and the climb of an alignment change their settings to."""
-    rotation = Rotation.from_rotvec([found.get(angle, 0.0) for angle in ANGLES]).as_matrix()
+    rotation = rotation_of(np.array([found.get(angle, 0.0) for angle in ANGLES]))
     mount = corrected_mount(np.eye(4), now.detection)[:3, :3]
     changed = _angles(rotation @ mount) if not found.keys().isdisjoint(ANGLES) else {}
     climb = {"odometry.climb": now.odometry.climb + found["climb_share"]} if "climb_share" in found else {}
