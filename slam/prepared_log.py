@@ -18,9 +18,8 @@ from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.map_topics import FRAMES
-from slam.frontend.input.input_records import InputRecords
+from slam.frontend.input.input_records import InputRecords, ScanObjects
 from slam.frontend.input.label_map import LabelMap
-from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, LoggingDelays, StampClocks
 from slam.self_calibration.calibration import CalibratedLog, calibrate

@@ -20,7 +20,6 @@ from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError, SlamError
 from slam.final_map import FinalMap
-from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.stamp_clocks import StampClocks
 from slam.live_slam import LiveSlam
 from slam.localization.gnss import find_georeference
@@ -134,7 +133,7 @@ def replay(
         *([str(prepared.drift)] if prepared.drift.rate else []),
         *map(str, clocks.steps),
         *_about_the_map(mapper, prior_map, final, config),
-        *_about_labels(prepared.labels),
+        *prepared.labels.notes(),
     )
     return _summarize(mapper, final, notes, prepared.last_ns - prepared.first_ns, started)
 
@@ -185,14 +184,6 @@ def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
             raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
     if METADATA in reader.metadata():
         raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
-
-
-def _about_labels(labels: LabelMap) -> list[str]:
-    """Names of the table of labels that the log does not have."""
-    return [
-        *(f"{name}: no detection has this class" for name in labels.unused()),
-        *(f"class {name} is read as {to}: they differ in case only" for name, to in labels.respelled().items()),
-    ]
 
 
 def _about_the_map(mapper: LogMapper, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:

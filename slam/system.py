@@ -59,7 +59,7 @@ from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
-from slam.trajectory_check.drive_check import DriveCheck
+from slam.trajectory_check.judgement import DriveCheck
 
 
 class Slam:

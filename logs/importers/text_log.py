@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from heapq import merge
 from pathlib import Path
 
-from logs.importers.centroids import read_centroids
-from logs.importers.detection_tables import DetectionTable, read_detections
+import numpy as np
+
+from logs.errors import DatasetError
+from logs.importers.detection_tables import BODY_FRAME, DetectionTable, read_detections
 from logs.importers.imported_log import DriveRecord
 from logs.importers.stamps import read_stamps
 from logs.importers.tables import read_table
 from logs.importers.text_files import read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
-from logs.messages import GroundTruthPose, Odometry
+from logs.messages import GroundTruthPose, IntArray, ObjectDetections, Odometry
 from logs.records import frozen
+
+LABELS = ("vehicle", "trunk", "pole")
+"""The classes in the order in which ``bow.txt`` of a folder of centroids counts them."""
 
 
 @frozen
@@ -82,3 +88,31 @@ def read_text_log(
             "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera",
         )
     return TextLog(path, found, trajectories.get("ground_truth"), names | digests, notes)
+
+
+def read_centroids(folder: Path, stamps_ns: IntArray) -> tuple[DetectionTable, str]:
+    """Objects clustered from the scans of a KITTI odometry sequence, in the files of GOSMatch: those of scans at
+    ``stamps_ns`` (N,), in the frame of the velodyne, and a SHA-256 of all files.
+
+    Args:
+        folder: with ``bow.txt``, the number of objects of each class a line, and ``centroids/NNNNNN.txt``, metres.
+        stamps_ns: of the scans.
+
+    Raises:
+        DatasetError: a file that is missing or wrong, or numbers of times, scans and centroids that differ.
+    """
+    bow = read_source_text(folder / "bow.txt")
+    counts = read_table(bow, LABELS).matrix().tolist()
+    if len(counts) != len(stamps_ns):
+        raise DatasetError(f"{bow.name} counts {len(counts)} scans, of {len(stamps_ns)} poses; give files of one drive")
+    digest = hashlib.sha256(bow.text.encode())
+    found = []
+    for scan, (stamp_ns, count) in enumerate(zip(stamps_ns.tolist(), counts, strict=True)):
+        file = read_source_text(folder / "centroids" / f"{scan:06d}.txt")
+        points = read_table(file, "xyz").matrix()
+        if min(count) < 0 or len(points) != sum(count):
+            raise DatasetError(f"{file.name} has {len(points)} centroids, but {bow.name} counts {count} for this scan")
+        labels = tuple(np.repeat(LABELS, [int(number) for number in count]).tolist())
+        found.append(ObjectDetections(stamp_ns, BODY_FRAME, points, labels, np.ones(len(points))))
+        digest.update(file.text.encode())
+    return DetectionTable(found), digest.hexdigest()

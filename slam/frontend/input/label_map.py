@@ -36,13 +36,19 @@ class LabelMap:
         names = tuple(self.name(label) for label in detections.labels)
         return detections if names == detections.labels else replace(detections, labels=names)
 
-    def unused(self) -> list[str]:
-        """The settings that named no class so far, "labels.drop: cars" each."""
-        return [
-            f"labels.{'drop' if target == DROPPED else 'rename'}: {name}"
+    def notes(self) -> list[str]:
+        """What a user should know: settings that named no class so far, and classes that are spelled in two ways."""
+        unused = [
+            f"labels.{'drop' if target == DROPPED else 'rename'}: {name}: no detection has this class"
             for name, target in self._rules.items()
             if name not in self._used
         ]
+        respelled = [
+            f"class {name} is read as {to}: they differ in case only"
+            for name, to in self._known.items()
+            if name != to and name.casefold() == to.casefold()
+        ]
+        return unused + respelled
 
     def name(self, label: str) -> str:
         """The name of a class in the map, ``DROPPED`` if it is left out."""
@@ -56,7 +62,3 @@ class LabelMap:
                     break
             name = self._known[label] = self._spellings.setdefault(name.casefold(), name)
         return name
-
-    def respelled(self) -> dict[str, str]:
-        """Names so far that differ from the spelling seen first in case only, with that spelling."""
-        return {name: to for name, to in self._known.items() if name != to and name.casefold() == to.casefold()}

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.centroids import read_centroids
-from logs.importers.text_log import read_text_log
+from logs.importers.text_log import read_centroids, read_text_log
 from logs.messages import ObjectDetections
 
 FILES = {

@@ -12,9 +12,8 @@ from slam.common.calibration import Calibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.tracker import Tracked
 from slam.odometry.pose import OdometryPose
-from slam.trajectory_check import drive_check
-from slam.trajectory_check.drive_check import DriveCheck
-from slam.trajectory_check.judgement import TrajectoryCheck
+from slam.trajectory_check import judgement
+from slam.trajectory_check.judgement import DriveCheck, TrajectoryCheck
 from tests.slam.trajectory_check.drives import RANGE_M, SIGMA_M, circle, drifting, scans_of
 
 CALIBRATION = Calibration().with_values({"detection.sensor_range_m": RANGE_M, "objects.landmark_sigma_m": SIGMA_M})
@@ -46,7 +45,7 @@ def judged(T_true: FloatArray, T_online: FloatArray, T_final: FloatArray, *, sca
 def test_long_drive_is_sampled_evenly_within_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     T = circle()
     most = sum(len(scan.positions) for scan in scans_of(T)) // 3
-    monkeypatch.setattr(drive_check, "MAX_DETECTIONS", most)
+    monkeypatch.setattr(judgement, "MAX_DETECTIONS", most)
     kept = checked(T, T, scans=len(T))._scans
     assert most // 3 < sum(len(scan.positions) for scan in kept) <= most
     assert set(np.diff([scan.stamp_ns for scan in kept]).tolist()) == {4}

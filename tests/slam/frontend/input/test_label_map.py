@@ -38,13 +38,17 @@ def test_names_that_differ_in_case_only_are_one_class() -> None:
     assert labels.apply(detections(("Car", "car", "CAR", "pole_1", "pole", "tree"))).labels == (
         *("Car", "Car", "Car", "Pole", "Pole", "tree"),
     )
-    assert labels.respelled() == {"car": "Car", "CAR": "Car", "pole": "Pole"}
+    assert [note for note in labels.notes() if "case only" in note] == [
+        f"class {name} is read as {to}: they differ in case only"
+        for name, to in (("car", "Car"), ("CAR", "Car"), ("pole", "Pole"))
+    ]
 
 
 def test_names_that_no_detection_has_are_told() -> None:
     labels = LabelMap(LabelsConfig(rename={"cars": "car", "van": "vehicle", "bus": "vehicle"}, drop=("person", "dog*")))
     labels.apply(detections())
-    assert labels.unused() == ["labels.drop: dog*", "labels.rename: cars", "labels.rename: bus"]
+    unused = ("labels.drop: dog*", "labels.rename: cars", "labels.rename: bus")
+    assert labels.notes() == [f"{setting}: no detection has this class" for setting in unused]
 
 
 def test_a_name_in_two_settings_is_refused() -> None:

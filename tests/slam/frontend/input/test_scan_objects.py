@@ -6,9 +6,8 @@ import pytest
 from logs.messages import LabelledScan, ObjectDetections, Transform
 from slam.common.config import Config
 from slam.common.geometry import make_transform
-from slam.frontend.input.input_records import InputRecords
+from slam.frontend.input.input_records import InputRecords, ScanObjects
 from slam.frontend.input.label_map import LabelMap
-from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
 from tests.logs.clouds.clouds import FAR, cloud, post
 
