@@ -23,22 +23,17 @@ class Matches:
 class VectorIndex:
     """Compares vectors by their Euclidean distance. Exhaustive search: one matrix product a query batch.
 
-    ``of_own_class``: only entries of the class of the query are its matches.
+    ``of_own_class``: only entries of the class of the query are its matches; ``radius_m``: how far neighbours count.
     """
 
     def __init__(self, descriptor: Descriptor, *, of_own_class: bool = True) -> None:
-        self._descriptor = descriptor
+        self._descriptor, self.radius_m = descriptor, descriptor.radius_m
         self._of_own_class = of_own_class
         self._vectors = np.zeros((0, 0), dtype=np.float32)
         self._labels = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
         return len(self._labels)
-
-    @property
-    def radius_m(self) -> float:
-        """How far neighbours count."""
-        return self._descriptor.radius_m
 
     @property
     def nbytes(self) -> int:

@@ -56,7 +56,8 @@ class EditableGraph:
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
         self._solver = Solver(sensor_range_m=sensor_range_m)
-        self._factors: dict[int, Factor] = {}
+        self.factors: dict[int, Factor] = {}
+        """The active ones, by their numbers."""
         self._numbers = count()
         self._keyframes: dict[int, None] = {}  # in the order in which they were added
         self._attached = AttachedKeyframes()
@@ -65,11 +66,6 @@ class EditableGraph:
         self._aliases: dict[int, int] = {}
         self._known: dict[int, gtsam.PriorFactorPoint3] = {}  # of landmarks of a prior map
         self._fixed_landmarks: set[int] = set()
-
-    @property
-    def factors(self) -> Mapping[int, Factor]:
-        """The active factors, by their numbers."""
-        return self._factors
 
     @property
     def keyframes(self) -> IntArray:
@@ -141,7 +137,7 @@ class EditableGraph:
         self.remove_factors(
             [
                 number
-                for number, each in self._factors.items()
+                for number, each in self.factors.items()
                 if (isinstance(each, Observation) and each.keyframe >= edge.to_keyframe)
                 or (isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY and each.to_keyframe == edge.to_keyframe)
             ]
@@ -152,7 +148,7 @@ class EditableGraph:
         """Remove factors, and landmarks without any other observation."""
         for number in numbers:
             self._solver.remove(number)
-            factor = self._factors.pop(number)
+            factor = self.factors.pop(number)
             if isinstance(factor, Observation):
                 del self._observations[factor.landmark][number]
                 if not self._observations[factor.landmark]:
@@ -221,7 +217,7 @@ class EditableGraph:
 
     def _number(self, record: Factor) -> int:
         number = next(self._numbers)
-        self._factors[number] = record
+        self.factors[number] = record
         return number
 
     def _insert(self, observations: Mapping[int, Observation]) -> None:
@@ -294,7 +290,7 @@ class FactorGraph(EditableGraph):
         They hold no information, and would pull at a segment that was moved far.
         """
         relaxed = dict[int, Edge]()
-        for number, factor in self._factors.items():
+        for number, factor in self.factors.items():
             if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
                 start, end = factor.from_keyframe, factor.to_keyframe
                 if (start in away) != (end in away):
@@ -318,14 +314,14 @@ class FactorGraph(EditableGraph):
         """Give the edges of these numbers other covariances (6, 6)."""
         changed = {
             number: replace(edge, covariance=covariances[number])
-            for number, edge in self._factors.items()
+            for number, edge in self.factors.items()
             if number in covariances and isinstance(edge, Edge)
         }
         self._replace_edges(changed, self._solver.values_with_new())
 
     def _replace_edges(self, edges: Mapping[int, Edge], values: gtsam.Values) -> None:
         """Put edges in the place of those of their numbers; the next update solves all from ``values``."""
-        self._factors |= edges
+        self.factors |= edges
         fixed = self._fixed_poses
         changed = {number: between_factor(edge, fixed.get(edge.from_keyframe)) for number, edge in edges.items()}
         self._solver.restart(changed, values)
@@ -343,7 +339,7 @@ class FactorGraph(EditableGraph):
         solver = self._solver
         try:
             with gtsam_errors("the estimation of the noise"):
-                self.replace_covariances(matched_covariances(self._factors, solver.factors, solver.values()))
+                self.replace_covariances(matched_covariances(self.factors, solver.factors, solver.values()))
         except FactorGraphError as error:
             logger.info("the noise stays as it is configured: %s", error)
         return self.optimize()
@@ -365,7 +361,7 @@ class FactorGraph(EditableGraph):
         covariances = dict(zip(self._keyframes, self.covariances()[0], strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
-        for number, factor in self._factors.items():
+        for number, factor in self.factors.items():
             match factor:
                 case Observation() if factor.keyframe in concerned:
                     observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
@@ -431,7 +427,7 @@ class FactorGraph(EditableGraph):
         self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None
     ) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
-        factors = [*self._factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
+        factors = [*self.factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
         record = make_graph_record(
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of
         )

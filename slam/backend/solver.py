@@ -43,17 +43,13 @@ class Solver:
         self._isam: gtsam.ISAM2 | None = None
         self._slots: dict[int, int] = {}  # places of the factors in iSAM2
         self._values: gtsam.Values | None = None  # of its estimate, unless not asked for yet
-        self._factors: dict[int, gtsam.NonlinearFactor] = {}
+        self.factors: dict[int, gtsam.NonlinearFactor] = {}
+        """All of them, by their numbers."""
         self.restart({}, gtsam.Values())
-
-    @property
-    def factors(self) -> Mapping[int, gtsam.NonlinearFactor]:
-        """All factors, by their numbers."""
-        return self._factors
 
     def restart(self, changed: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values) -> None:
         """Put some factors in the place of those of their numbers; the next update solves all from ``values``."""
-        factors, self._factors = {**self._factors, **changed}, {}
+        factors, self.factors = {**self.factors, **changed}, {}
         self._uses: Counter[int] = Counter()
         self._begin(None, values)
         for number, factor in factors.items():
@@ -74,19 +70,19 @@ class Solver:
 
     def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
         """Add a factor between variables that are held."""
-        self._factors[number] = self._added[number] = factor
+        self.factors[number] = self._added[number] = factor
         self._uses.update(factor.keys())
 
     def remove(self, number: int) -> None:
         """Remove a factor; a landmark leaves with its last one."""
-        factor = self._factors.pop(number)
+        factor = self.factors.pop(number)
         if self._added.pop(number, None) is None:
             self._removed.append(number)
         for key in factor.keys():  # noqa: SIM118 - a GTSAM factor is not a mapping
             self._uses[key] -= 1
             if gtsam.symbolChr(key) != ord("l"):
                 continue
-            if self._uses[key] == 1 and -key in self._factors:
+            if self._uses[key] == 1 and -key in self.factors:
                 self.remove(-key)
             elif not self._uses[key] and self._new_values.exists(key):
                 self._new_values.erase(key)
@@ -156,7 +152,7 @@ class Solver:
             return 2.0 * linear.eliminateMultifrontal().logDeterminant()
 
     def _graph(self) -> gtsam.NonlinearFactorGraph:
-        return graph_of(self._factors[number] for number in sorted(self._factors))
+        return graph_of(self.factors[number] for number in sorted(self.factors))
 
     def _begin(self, isam: gtsam.ISAM2 | None, values: gtsam.Values | None) -> None:
         """Begin with an estimate of all variables: ``values``, or those of iSAM2."""
@@ -180,7 +176,7 @@ class Solver:
         isam, graph = gtsam.ISAM2(parameters), self._graph()
         result = isam.update(graph, _values_of(graph, values))
         self._slots = {}
-        self._take(isam, sorted(self._factors), result)
+        self._take(isam, sorted(self.factors), result)
 
     def _take(self, isam: gtsam.ISAM2, numbers: list[int], result: gtsam.ISAM2Result) -> None:
         """Go on from the result of an update, which put factors with these numbers into iSAM2."""
@@ -203,20 +199,15 @@ def gtsam_errors(what: str) -> Iterator[None]:
     try:
         yield
     except (RuntimeError, ValueError, IndexError) as error:
-        raise FactorGraphError(f"{what} failed{_variable_in(str(error))}: {_first_line(error)}") from error
+        # GTSAM names variables by symbols, as x12 or l7.
+        found = re.search(r"\b([xl])(\d+)\b", str(error))
+        where = f" at {'keyframe' if found[1] == 'x' else 'landmark'} {found[2]}" if found else ""
+        raise FactorGraphError(f"{what} failed{where}: {_first_line(error)}") from error
 
 
 def _first_line(error: Exception) -> str:
     """The first line of the message of an exception."""
     return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
-
-
-def _variable_in(message: str) -> str:
-    """The keyframe or landmark that a GTSAM message names as a symbol, e.g. x12 or l7."""
-    found = re.search(r"\b([xl])(\d+)\b", message)
-    if found is None:
-        return ""
-    return f" at {'keyframe' if found[1] == 'x' else 'landmark'} {found[2]}"
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:

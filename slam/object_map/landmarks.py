@@ -85,12 +85,9 @@ class ClassBeliefs:
         self._config = config
         self._label_counts = np.zeros((64, 8))
         self._label_index: dict[str, int] = {}
-        self.unlisted = 0
-
-    @property
-    def vocabulary(self) -> tuple[str, ...]:
+        self.vocabulary: tuple[str, ...] = ()
         """Class names in the order in which they were first seen; the index of a label is its place here."""
-        return tuple(self._label_index)
+        self.unlisted = 0
 
     def indices(self, labels: tuple[str, ...]) -> IntArray:
         """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
@@ -98,6 +95,7 @@ class ClassBeliefs:
             # The last class that fits represents all later ones.
             is_listed = label in self._label_index or len(self._label_index) < self._config.max_classes - 1
             self._label_index.setdefault(label if is_listed else OTHER_CLASS, len(self._label_index))
+        self.vocabulary = tuple(self._label_index)
         if len(self._label_index) > self._label_counts.shape[1]:
             self.reserve(classes=2 * len(self._label_index))
         other = self._label_index.get(OTHER_CLASS, 0)
@@ -159,7 +157,8 @@ class ObjectMap:
         self._size = 0
         self._reasons: dict[int, str] = {}
         self._merges: list[tuple[int, int, int | None]] = []  # kept, dropped, and the factor of the closure, if any
-        self._canonical = np.arange(64)
+        self.canonical = np.zeros(0, dtype=np.int64)
+        """The row (L,) of the landmark that each row is in the map: its own, or that of what it was merged into."""
 
     def __len__(self) -> int:
         return self._size
@@ -190,8 +189,8 @@ class ObjectMap:
         if self._size > len(self._rows):
             capacity = max(self._size, 2 * len(self._rows))
             self._rows = np.append(self._rows, np.zeros(capacity - len(self._rows), dtype=LANDMARK))
-            self._canonical = np.append(self._canonical, np.arange(len(self._canonical), capacity))
             self.labels.reserve(rows=capacity)
+        self.canonical = np.concatenate([self.canonical, new])
         self.rows = self._rows[: self._size]
         self.rows.flags.writeable = False
         self.assign(
@@ -321,23 +320,18 @@ class ObjectMap:
             dropped: likewise.
             closure: the factor of the closure that matched the two, if one did.
         """
-        first, second = self._canonical[[kept, dropped]].tolist()
+        first, second = self.canonical[[kept, dropped]].tolist()
         if first != second:
-            self._canonical[self._canonical == second] = first
+            self.canonical[self.canonical == second] = first
             self._merges.append((kept, dropped, closure))
 
     def undo_merges(self, closures: Set[int]) -> None:
         """Undo the merges by closures with these factors."""
         merges, self._merges = self._merges, []
-        self._canonical = np.arange(len(self._canonical))
+        self.canonical = np.arange(self._size)
         for kept, dropped, closure in merges:
             if closure not in closures:
                 self.merge(kept, dropped, closure=closure)
-
-    @property
-    def canonical(self) -> IntArray:
-        """The row (L,) of the landmark that each row is in the map: its own, or that of what it was merged into."""
-        return self._canonical[: self._size]
 
     @property
     def aliases(self) -> dict[int, int]:
