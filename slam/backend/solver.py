@@ -123,7 +123,8 @@ class Solver:
                 else:
                     removed = [self._slots.pop(number) for number in self._removed]
                     result = isam.update(graph_of(self._added.values()), self._new_values, removed)
-                    self._take(isam, list(self._added), result)
+                    self._slots.update(zip(self._added, result.getNewFactorsIndices(), strict=True))
+                    self._begin(isam, None)
             except RuntimeError as error:
                 logger.info("the incremental update failed (%s); solving again with QR", _first_line(error))
                 # A failed update of iSAM2 has the new variables already.
@@ -175,12 +176,7 @@ class Solver:
         parameters.setFactorization(factorization)
         isam, graph = gtsam.ISAM2(parameters), self._graph()
         result = isam.update(graph, _values_of(graph, values))
-        self._slots = {}
-        self._take(isam, sorted(self.factors), result)
-
-    def _take(self, isam: gtsam.ISAM2, numbers: list[int], result: gtsam.ISAM2Result) -> None:
-        """Go on from the result of an update, which put factors with these numbers into iSAM2."""
-        self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
+        self._slots = dict(zip(sorted(self.factors), result.getNewFactorsIndices(), strict=True))
         self._begin(isam, None)
 
 

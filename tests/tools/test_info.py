@@ -10,7 +10,7 @@ from logs.messages import Transform
 from logs.summary import summarize
 from slam.place_recognition.imported_map import make_imported_map, save_imported_map
 from tests.tools.runs import Run, write_drive
-from tools.inspection.frames import find_faults, list_edges
+from tools.inspection.info import find_faults, list_edges
 
 
 def lidar_on(mount: str) -> tuple[Transform, ...]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from typing import TYPE_CHECKING, Annotated
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tools import console
 from tools.arguments import InputLog, Json, Settings, Topics, parse_topics
-from tools.inspection import frames, saved_map
 
 if TYPE_CHECKING:
     from logs.messages import LoopClosureRecord
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 REPLAYED = "dslam"
 """Metadata of a log that a replay wrote."""
+_MAP = "dslam_map"
+"""Metadata of a saved map."""
 
 
 def info(
@@ -49,8 +52,8 @@ def info(
     summary = summarize(log, parse_topics(topics), limits)
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     wanted = closures or keyframe is not None
-    about_map = summary.metadata.get(saved_map.METADATA)
-    saved = {} if about_map is None else saved_map.describe(log, about_map)
+    about_map = summary.metadata.get(_MAP)
+    saved = {} if about_map is None else _describe_map(log, about_map)
     if json:
         told = plain(summary) | {"selection": summary.selection.kinds, "duration_s": summary.duration_s}
         told |= {"map": saved} if saved else {}
@@ -63,7 +66,7 @@ def info(
         return
     if keyframe is None:
         head = f"{summary.path}: {summary.duration_s:.1f} s, {summary.size_bytes / 1e6:.2f} MB"
-        rows = _rows(summary) | (saved_map.rows(log, saved) if saved else {})
+        rows = _rows(summary) | (_rows_of_map(log, saved) if saved else {})
         console.show(head, "", console.table(_topics(summary), texts=("schema", "frame")), "", console.pairs(rows))
     if closures and keyframe is None:
         decisions = Counter((_decision(c.accepted), c.stage, _NUMBER.sub("#", c.reason)) for c in candidates)
@@ -87,8 +90,8 @@ def _rows(summary: LogSummary) -> dict[str, str]:
     uses = "\n".join(f"{topic} as {', '.join(kinds)}" for topic, kinds in summary.selection.kinds.items())
     listed = {
         "landmarks" if _is_map(summary) else "objects": _classes(summary),
-        "frames": "" if is_mapped else "\n".join(console.first(frames.list_edges(summary.topics))),
-        "not placed": "" if is_mapped else "\n".join(frames.find_faults(summary)),
+        "frames": "" if is_mapped else "\n".join(console.first(list_edges(summary.topics))),
+        "not placed": "" if is_mapped else "\n".join(find_faults(summary)),
         "gaps, order": "\n".join(f"{topic.topic}: {text}" for topic in measured if (text := _faults(topic))),
         "replay uses": uses,
         "no replay": "" if uses else _obstacle(summary),
@@ -104,7 +107,7 @@ def _rows(summary: LogSummary) -> dict[str, str]:
 
 
 def _is_map(summary: LogSummary) -> bool:
-    return REPLAYED in summary.metadata or saved_map.METADATA in summary.metadata
+    return REPLAYED in summary.metadata or _MAP in summary.metadata
 
 
 def _classes(summary: LogSummary) -> str:
@@ -125,7 +128,7 @@ def _classes(summary: LogSummary) -> str:
 
 
 def _obstacle(summary: LogSummary) -> str:
-    if saved_map.METADATA in summary.metadata:
+    if _MAP in summary.metadata:
         return "this is a saved map, not a drive; give it to replay or relocalize by --map"
     if REPLAYED in summary.metadata:
         return "this is the map of another log; replay that log"
@@ -179,3 +182,79 @@ def _number(value: float | None, spec: str = ".3g") -> str:
 
 def _decision(accepted: bool) -> str:
     return "accepted" if accepted else "rejected"
+
+
+def list_edges(topics: Sequence[TopicSummary]) -> list[str]:
+    """A line for each pair of frames that topics connect: parent, child, and the topics."""
+    topics_of = defaultdict[tuple[str, str], list[str]](list)
+    for topic in topics:
+        for edge in topic.frame_edges:
+            topics_of[edge].append(topic.topic)
+    return [f"{parent} -> {child}  ({', '.join(names)})" for (parent, child), names in sorted(topics_of.items())]
+
+
+def find_faults(summary: LogSummary) -> list[str]:
+    """Reasons why detections cannot be placed on the odometry: unconnected frames, and other clocks."""
+    from logs.topics import RecordKind
+
+    of_topic = {topic.topic: topic for topic in summary.topics}
+    odometry = [of_topic[name] for name in summary.selection.topics_of(RecordKind.ODOMETRY)]
+    detections = [of_topic[name] for name in summary.selection.topics_of(RecordKind.DETECTIONS)]
+    bodies = {child for topic in odometry for _, child in topic.frame_edges}
+    edges = [edge for topic in summary.topics for edge in topic.frame_edges]
+    placed = set(bodies)
+    while beside := {frame for edge in edges if not placed.isdisjoint(edge) for frame in edge} - placed:
+        placed |= beside
+    faults = [
+        f"{topic.topic} is in the frame {frame}, which no transform connects with {', '.join(sorted(bodies))}"
+        for topic in detections
+        for frame in topic.frames
+        if bodies and frame not in placed
+    ]
+    for topic in detections:
+        for other in odometry:
+            if topic.last_ns < other.first_ns or topic.first_ns > other.last_ns:
+                apart_s = max(topic.first_ns - other.last_ns, other.first_ns - topic.last_ns) * 1e-9
+                faults.append(f"{topic.topic} and {other.topic} are {apart_s:.1f} s apart: not on one clock")
+    return faults
+
+
+def _describe_map(path: Path, about: Mapping[str, str]) -> dict[str, Any]:
+    """The map for JSON: its summary, or why it cannot be used; ``about``: its metadata."""
+    import numpy as np
+
+    from slam.common.errors import SavedMapError
+    from slam.object_map.map_io import IMPORTED, load_map
+    from slam.object_map.map_summary import summarize_map
+
+    usable = {"usable": True, "fault": ""}
+    try:
+        if about.get("kind") != IMPORTED:
+            return usable | summarize_map(load_map(path))
+        from slam.place_recognition.imported_map import load_imported_map
+
+        imported = load_imported_map(path)
+    except SavedMapError as error:
+        return {"usable": False, "fault": str(error)}
+    width_m, height_m = np.ptp(imported.positions[:, :2], axis=0).tolist()
+    return usable | {
+        "kind": "imported",
+        "landmark_count": len(imported),
+        "sigma_m": imported.sigma_m,
+        "width_m": width_m,
+        "height_m": height_m,
+        "pair_count": len(imported.pairs),
+        "latitude_deg": imported.georeference and imported.georeference.latitude_deg,
+        "longitude_deg": imported.georeference and imported.georeference.longitude_deg,
+    }
+
+
+def _rows_of_map(path: Path, described: dict[str, Any]) -> dict[str, str]:
+    """What a saved map is, and the commands that use it."""
+    if not described["usable"]:
+        return {"saved map": f"cannot be used: {described['fault']}"}
+    return {
+        **console.texts({name: value for name, value in described.items() if type(value) in (int, float)}),
+        "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
+        "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
+    }
