@@ -29,9 +29,3 @@ def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClos
     return tuple(
         sorted(last.values(), key=lambda r: (r.stamp_ns, r.query_keyframe_id, r.reference_keyframe_id)),
     )
-
-
-def rank_stage(stage: str) -> int:
-    """Place of a stage in :class:`Stage`; one that is not known comes before all."""
-    stages: list[str] = list(Stage)
-    return stages.index(stage) if stage in stages else -1

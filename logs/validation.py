@@ -132,12 +132,6 @@ def rotation_errors(R: FloatArray) -> FloatArray:
         return np.where(np.isfinite(errors) & (np.linalg.det(R) > 0.0), errors, np.inf)
 
 
-def nearest_rotations(R: FloatArray) -> FloatArray:
-    """The rotations (N, 3, 3) next to matrices (N, 3, 3), by SVD."""
-    U, _, Vt = np.linalg.svd(R)
-    return np.asarray(U @ Vt)
-
-
 def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | None:
     """``P`` (n, n), symmetrised; None if all zero ("unknown"); None, counted, if not positive definite.
 

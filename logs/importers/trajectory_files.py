@@ -19,7 +19,6 @@ from logs.validation import (
     MAX_COORDINATE_M,
     QUATERNION_NORM_TOLERANCE,
     ROTATION_TOLERANCE,
-    nearest_rotations,
     rotation_errors,
 )
 
@@ -176,7 +175,8 @@ def _parse_poses(source: SourceText) -> FloatArray:
             f"{source.name}, line {table.lines[row]}: not a rotation (|R^T R - I| = {errors[row]:.3g}), or farther "
             f"away than {MAX_COORDINATE_M:g} m; expected a 3x4 pose, row-major"
         )
-    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
+    U, _, Vt = np.linalg.svd(T[:, :3, :3])
+    T[:, :3, :3] = U @ Vt  # the nearest rotations
     return T
 
 

@@ -21,8 +21,7 @@ from slam.common.config import Config
 from slam.common.geometry import apply_each, invert, squared_mahalanobis
 from slam.fleet.joins import Join
 from slam.fleet.part import Part, Visit, common_metadata
-from slam.loop_closure.landmark_fusion import fuse_across_drives
-from slam.object_map.landmarks import ObjectMap
+from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
 
 MAX_DEVIATIONS = 7.0
@@ -197,3 +196,64 @@ def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radiu
         position_map=graph.landmark_positions(landmarks),
         covariance_map=graph.covariances()[1],
     )
+
+
+def fuse_across_drives(object_map: ObjectMap, graph: FactorGraph, drives: IntArray, *, radius_m: float) -> int:
+    """Merge duplicate landmarks of many drives until there are none; returns how many were merged into another.
+
+    Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
+    ``radius_m`` in the plane, and no keyframe, or only those of the fewer drives that passed, observed both. The
+    older one stays where it is and is compared again, with the keyframes of both.
+
+    Args:
+        object_map: the landmarks.
+        graph: their positions, at its current estimate.
+        drives: (K,) number of the drive of each keyframe, by date.
+        radius_m: largest horizontal distance of duplicates [m].
+    """
+    merged = 0
+    while True:
+        observers = graph.observers()
+        rows = np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks)
+        nearest = _nearest_alike(graph.landmark_positions(rows), object_map.labels.classes(rows), radius_m)
+        before = merged
+        for index, other in enumerate(nearest.tolist()):
+            kept, dropped = rows[[index, other]].tolist()
+            is_mutual = index < other and nearest[other] == index
+            if is_mutual and _may_be_one(observers[kept], observers[dropped], drives):
+                object_map.merge(kept, dropped)
+                merged += 1
+        if merged == before:
+            return merged
+        graph.alias_landmarks(object_map.aliases)
+
+
+def _may_be_one(a: set[int], b: set[int], drives: IntArray) -> bool:
+    """Whether no keyframe observed both landmarks, or most drives that passed have one of them rather than both.
+
+    Only drives from the one before the first that has the rarer landmark to the one after the last count: an object
+    that came later than the one beside it was not there for the others to see.
+    """
+    if a.isdisjoint(b):
+        return True
+    rare, common = sorted(({int(drives[keyframe]) for keyframe in each} for each in (a, b)), key=len)
+    first = max((drive for drive in common if drive < min(rare)), default=min(rare))
+    last = min((drive for drive in common if drive > max(rare)), default=max(rare))
+    passed = [drive for drive in rare | common if first <= drive <= last]
+    return 2 * len(rare & common) < len(passed)
+
+
+def _nearest_alike(positions: FloatArray, classes: IntArray, radius_m: float) -> IntArray:
+    """Index (N,) of the nearest other landmark of the same class within the radius, -1 where there is none."""
+    nearest = np.full(len(positions), -1, dtype=np.int64)
+    pairs = cKDTree(positions[:, :2]).query_pairs(radius_m, output_type="ndarray").astype(np.int64)
+    # Heights are less exact, as the centre of a partly visible object moves up and down.
+    alike = (classes[pairs[:, 0]] == classes[pairs[:, 1]]) & (
+        np.abs(positions[pairs[:, 0], 2] - positions[pairs[:, 1], 2]) < radius_m / 0.7
+    )
+    pairs = np.concatenate([pairs[alike], pairs[alike][:, ::-1]])
+    apart_m = np.linalg.norm(positions[pairs[:, 0], :2] - positions[pairs[:, 1], :2], axis=1)
+    # The last assignment to an index counts, so the nearest comes last; ties go to the lower index.
+    order = np.lexsort((-pairs[:, 1], -apart_m))
+    nearest[pairs[order, 0]] = pairs[order, 1]
+    return nearest

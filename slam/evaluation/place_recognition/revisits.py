@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from logs.closures import rank_stage
+from logs.closures import Stage
 from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
@@ -70,7 +70,7 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     revisits = queries[queries["direction"] != ""]
     is_recalled = revisits["keyframe"].isin(true["query"][true["accepted"]])
     recalled, missed = revisits[is_recalled], revisits["keyframe"][~is_recalled]
-    farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: rank_stage(pair[1])))
+    farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: _rank_stage(pair[1])))
     ways = {
         name: (int((recalled["direction"] == name).sum()), int((revisits["direction"] == name).sum()))
         for name in DIRECTIONS
@@ -87,7 +87,7 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
 def count_stages(stages: Iterable[str]) -> dict[str, int]:
     """How often each stage occurs, in the order of the stages."""
     counts = Counter(stages)
-    return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (rank_stage(stage), stage))}
+    return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (_rank_stage(stage), stage))}
 
 
 def _thin(travelled_m: FloatArray, least_m: float) -> IntArray:
@@ -114,3 +114,9 @@ def _find_nearest_earlier(
     hits, first = np.unique(query[order], return_index=True)
     nearest[hits] = reference[order[first]]
     return nearest
+
+
+def _rank_stage(stage: str) -> int:
+    """Place of a stage in :class:`logs.closures.Stage`; one that is not known comes before all."""
+    stages: list[str] = list(Stage)
+    return stages.index(stage) if stage in stages else -1

@@ -7,7 +7,8 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
-from slam.loop_closure.landmark_fusion import fuse_across_drives, fuse_landmarks
+from slam.fleet.joint_map import fuse_across_drives
+from slam.loop_closure.landmark_fusion import fuse_landmarks
 from slam.object_map.landmarks import ObjectMap
 from tests.helpers.graphs import chained, observed_from, odometry_edges
 from tests.helpers.landmarks import add_landmarks
