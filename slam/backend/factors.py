@@ -1,7 +1,8 @@
 """Factors between keyframes and landmarks: records of our own, and the GTSAM factors that they become.
 
-Everything is checked here before GTSAM sees it, since GTSAM does not check that a rotation matrix is one. Noise in
-GTSAM's order: rotation, then translation.
+Records are summed up here, and rewritten where their keyframe moves with another one. Everything is checked before
+GTSAM sees it, since GTSAM does not check that a rotation matrix is one. Noise in GTSAM's order: rotation, then
+translation.
 """
 
 from __future__ import annotations
