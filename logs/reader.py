@@ -54,7 +54,8 @@ class LogReader:
         self.path = Path(path)
         self._limits = limits or ReadingLimits()
         self.files = find_files(self.path)
-        self._decoding_counters: Counter[str] = Counter()
+        self.decoding_counters: Counter[str] = Counter()
+        """What was left out by the latest pass over records alone."""
         self._reported = set[tuple[str, str]]()
         with ExitStack() as until_closed:
             self._open: list[McapFile] = [open_file(file, self._limits, until_closed) for file in self.files]
@@ -74,15 +75,10 @@ class LogReader:
         ``chunks_too_large`` (by the setting ``memory_mb``). Of the latest pass over messages: ``messages_without_time``
         (it is after the year 2116), and the counters of :class:`logs.decoders.decode.RecordDecoder`.
         """
-        counters = Counter(self._decoding_counters)
+        counters = Counter(self.decoding_counters)
         for file in self._open:
             counters.update(file.counters)
         return dict(sorted((+counters).items()))
-
-    @property
-    def decoding_counters(self) -> Counter[str]:
-        """What was left out by the latest pass over records alone."""
-        return +self._decoding_counters
 
     @property
     def size_bytes(self) -> int:
@@ -126,7 +122,7 @@ class LogReader:
         A message that no record may be made of is counted and comes without records.
         """
         decoder = RecordDecoder(self._limits, reported=self._reported)
-        self._decoding_counters = decoder.counters
+        self.decoding_counters = decoder.counters
         for raw in self.messages({*selection.topics, *copy}):
             kinds = selection.kinds.get(raw.topic, ())
             yield LogItem(raw, decoder.records(raw, kinds, selection.mappings.get(raw.topic)) if kinds else ())

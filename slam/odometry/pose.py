@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import field
 
 import numpy as np
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray
-from slam.common.geometry import blend
 
 
 @frozen
@@ -27,11 +26,3 @@ class OdometryPose:
     speed_mps: float
     T_odom_reported: FloatArray = field(default_factory=lambda: np.eye(4))
     corrected: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-
-def between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:
-    """The pose at a time between those of two poses of one segment."""
-    fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-    T = blend(before.T_odom_body, after.T_odom_body, fraction)
-    travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
-    return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)

@@ -14,8 +14,8 @@ from logs.messages import Odometry
 from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import rigid
-from slam.odometry.pose import OdometryPose, between
+from slam.common.geometry import blend, rigid
+from slam.odometry.pose import OdometryPose
 
 RECENT_STEPS = 10
 """The speed before a step is the greatest of that many steps, because a single one is noisy."""
@@ -154,7 +154,7 @@ class OdometryTrack:
             if pose.stamp_ns == stamp_ns:
                 return pose
             if pose.stamp_ns < stamp_ns:
-                return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
+                return None if after is None or after.segment != pose.segment else _between(pose, after, stamp_ns)
             after = pose
         return None
 
@@ -213,3 +213,11 @@ class OdometryTrack:
             )
         self._poses.append(pose)
         return pose
+
+
+def _between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:
+    """The pose at a time between those of two poses of one segment."""
+    fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    T = blend(before.T_odom_body, after.T_odom_body, fraction)
+    travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
+    return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)
