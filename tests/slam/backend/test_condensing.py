@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from slam.backend.factor_graph import AttachedKeyframes, FactorGraph
-from slam.backend.factors import Edge, Observation, between_factor
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import AttachedKeyframes, Edge, Observation, between_factor
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, relative
 from tests.helpers.graphs import chained, observed_from, odometry_edges
