@@ -57,13 +57,13 @@ class SurveyScan:
 
 
 def poses_of(scans: Sequence[SurveyScan]) -> FloatArray:
-    """``T_odom_body`` (K, 4, 4) of scans, one at least."""
-    return np.stack([scan.T_odom_body for scan in scans])
+    """``T_odom_body`` (K, 4, 4) of scans."""
+    return np.array([scan.T_odom_body for scan in scans]).reshape(-1, 4, 4)
 
 
 def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
     """Unwrapped headings (K,) rad of the body at scans."""
-    return np.unwrap(yaw_rad(poses_of(scans))) if scans else np.zeros(0)
+    return np.unwrap(yaw_rad(poses_of(scans)))
 
 
 def ranges_m(scans: Sequence[SurveyScan]) -> FloatArray:

@@ -131,21 +131,17 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
 
 def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_ns: int) -> BodyMotion:
     """By the odometry half an interval of the scans before and after each."""
+    positions, headings = poses_of(scans)[:, :3, 3], headings_of(scans)
     if len(scans) < 2:
-        positions = np.array([scan.T_odom_body[:3, 3] for scan in scans]).reshape(-1, 3)
-        return BodyMotion(positions, headings_of(scans), np.zeros((len(scans), 2)), np.zeros(len(scans)))
+        return BodyMotion(positions, headings, np.zeros((len(scans), 2)), np.zeros(len(scans)))
     at = np.array([scan.stamp_ns for scan in scans], dtype=np.int64) + delay_ns
     half = max(int(np.median(np.diff(at))), int(np.median(np.diff(stamps))), 1)
     before, after = np.maximum(at - half, stamps[0]), np.minimum(at + half, stamps[-1])
     T_before, T_after = interpolate(stamps, poses, before), interpolate(stamps, poses, after)
     seconds = np.maximum((after - before) * 1e-9, 1e-9)
     turned = (yaw_rad(T_after) - yaw_rad(T_before) + np.pi) % (2.0 * np.pi) - np.pi
-    return BodyMotion(
-        positions=poses_of(scans)[:, :3, 3],
-        headings=headings_of(scans),
-        velocities=(T_after - T_before)[:, :2, 3] / seconds[:, None],
-        turn_rates=turned / seconds,
-    )
+    velocities = (T_after - T_before)[:, :2, 3] / seconds[:, None]
+    return BodyMotion(positions, headings, velocities, turn_rates=turned / seconds)
 
 
 def _path_length(poses: FloatArray) -> float:
