@@ -24,7 +24,7 @@ from slam.common.geometry import apply_each, blend, invert
 from slam.display.map_topics import MAP_FRAME, Message
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.path import OdometryPath
+from slam.odometry.track import OdometryPath
 from slam.trajectory_check.judgement import TrajectoryCheck
 
 logger = logging.getLogger(__name__)

@@ -54,9 +54,8 @@ from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
-from slam.odometry.track import OdometryTrack
+from slam.odometry.track import OdometryPath, OdometryTrack
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
 from slam.trajectory_check.judgement import DriveCheck

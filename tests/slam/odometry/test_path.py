@@ -2,8 +2,8 @@ import tracemalloc
 
 import numpy as np
 
-from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
+from slam.odometry.track import OdometryPath
 from tests.helpers.poses import pose_at
 
 
