@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from slam.odometry.interpolation import interpolate_between_keyframes
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
