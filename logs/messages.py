@@ -263,7 +263,7 @@ class FactorGraphRecord:
     keyframe_ids (K,), keyframe_stamps_ns (K,), T_map_body (K, 4, 4); pose_covariances (K, 6, 6), the marginals of the
     poses, in the map whose frame the first keyframe holds; (0, 6, 6) where they are not known.
     edge_keyframe_ids (E, 2) as (from, to) with edge_transforms (E, 4, 4) = T_from_to, edge_covariances (E, 6, 6),
-    edge_kinds: "odometry" | "discontinuity" (of the odometry: no information) | "closure".
+    edge_kinds: "odometry" | "discontinuity" (of the odometry: no information) | "closure" | "gnss" | "condensed".
     observation_keyframe_ids (O,), observation_landmark_ids, observation_positions (O, 3) m in the body frame of the
     keyframe, observation_covariances (O, 3, 3) m^2; observation_redundancies (O,), by which those covariances were
     widened because so many observations share their errors, less than 1 where one sums up several keyframes, so that

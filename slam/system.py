@@ -22,6 +22,7 @@ from logs.messages import (
     Record,
     SlamPose,
     StatusRecord,
+    TrajectoryRecord,
     Transform,
 )
 from slam.assessment import assess, diagnose_uncorrected
@@ -47,7 +48,7 @@ from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
 from slam.graph_condenser import GraphCondenser
-from slam.localization.gnss import GnssPrior
+from slam.localization.gnss import GnssPrior, tie_to_fixes
 from slam.localization.prior_map import PriorMap, restore_prior_map, with_heights_of
 from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
@@ -98,6 +99,7 @@ class Slam:
         )
         georeference = None if prior_map is None or initial_pose is not None else prior_map.georeference
         self._gnss = None if georeference is None else GnssPrior(georeference)
+        self._geodetic_fixes: dict[int, GeodeticFix] = {}  # the latest at each keyframe
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
@@ -131,6 +133,7 @@ class Slam:
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
+            self._geodetic_fixes[len(self._mapper.keyframes)] = record
             if self._gnss is not None and self._path.latest is not None:
                 self._closer.initial_pose = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
@@ -175,6 +178,9 @@ class Slam:
             self._condenser.fuse_landmarks()
         if self._extends and self._first_keyframe:
             self._mapper.retire_gone(self._passed_landmarks())
+        if self._extends:
+            own, fixes = self._mapper.keyframes[self._first_keyframe :], [*self._geodetic_fixes.values()]
+            self.counters["gnss_fixes_used"] = tie_to_fixes(self._graph, own, self._trajectory, fixes)
         hold_tilt(self._graph)
         optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
@@ -196,7 +202,7 @@ class Slam:
         stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64)
         graph = self._graph.to_record(stamp_ns, stamps_ns, pose_covariances)
         object_map = self._object_map.to_record(stamp_ns)
-        trajectory = final_trajectory(self._path, own, T_map_body, stamp_ns)
+        trajectory = self._trajectory()
         check = self._check.judge(trajectory)
         doubts = assess(graph, object_map, self._config.calibration, self.counters, check)
         uncorrected = diagnose_uncorrected(graph, self.counters)
@@ -209,6 +215,12 @@ class Slam:
             status=self._status(self.state, message, level=level),
             trajectory_check=check,
         )
+
+    def _trajectory(self) -> TrajectoryRecord:
+        """All poses of the drive, by the graph as it is now."""
+        T_map_body = self._graph.poses()[self._first_keyframe :]
+        own = self._mapper.keyframes[self._first_keyframe :]
+        return final_trajectory(self._path, own, T_map_body, self._frontend.latest_ns)
 
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._output.follow(odometry)

@@ -28,6 +28,10 @@ def csv(
             help="CSV with a header, positions in the body frame; or a folder of GOSMatch (bow.txt and centroids/).",
         ),
     ],
+    gnss: Annotated[
+        Path | None,
+        typer.Option(metavar="TABLE", help="Fixes of satellites: CSV with stamp_s, latitude_deg, longitude_deg."),
+    ] = None,
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the body; for evaluation only.")
     ] = None,
@@ -41,19 +45,23 @@ def csv(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Text files: poses of the odometry, a table of detections, true poses. Files may be compressed with gzip.
+    """Text files: poses of the odometry, a table of detections, fixes of satellites, true poses.
+
+    Files may be compressed with gzip.
 
     Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ..., frame,
     object_id (the truth). Other columns are listed and ignored.
 
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
     """
-    check_outputs([output], [odometry, detections, ground_truth, times, calib])
+    check_outputs([output], [odometry, detections, gnss, ground_truth, times, calib])
     from logs.importers.imported_log import write_drive
     from logs.importers.text_log import read_text_log
     from tools import console
 
-    drive = read_text_log(odometry=odometry, detections=detections, ground_truth=ground_truth, times=times, calib=calib)
+    drive = read_text_log(
+        odometry=odometry, detections=detections, gnss=gnss, ground_truth=ground_truth, times=times, calib=calib
+    )
     summary = write_drive(output, drive.records(), drive.source)
     console.report(
         {

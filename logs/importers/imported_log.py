@@ -7,16 +7,17 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry
+from logs.messages import DetectionTruth, GeodeticFix, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry
 from logs.records import frozen
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
 from logs.writer import LogWriter
 
-DriveRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth | ObjectMapRecord
+DriveRecord = Odometry | ObjectDetections | GeodeticFix | GroundTruthPose | DetectionTruth | ObjectMapRecord
 
 TOPICS: dict[type[DriveRecord], str] = {
     Odometry: "/odom",
     ObjectDetections: "/detections",
+    GeodeticFix: "/fix",
     GroundTruthPose: GROUND_TRUTH_TOPIC,
     DetectionTruth: DETECTION_TRUTH_TOPIC,
     ObjectMapRecord: OBJECT_TRUTH_TOPIC,

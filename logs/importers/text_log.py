@@ -1,9 +1,9 @@
-"""A drive in plain text files: poses of the odometry, a table of detections and, for evaluation, the true poses."""
+"""A drive in plain text files: poses of the odometry, a table of detections, fixes of satellites, true poses."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from heapq import merge
 from pathlib import Path
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from logs.errors import DatasetError
 from logs.importers.detection_tables import BODY_FRAME, DetectionTable, read_detections
+from logs.importers.fix_tables import read_fixes
 from logs.importers.imported_log import DriveRecord
 from logs.importers.stamps import read_stamps
 from logs.importers.tables import read_table
 from logs.importers.text_files import read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
-from logs.messages import GroundTruthPose, IntArray, ObjectDetections, Odometry
+from logs.messages import GeodeticFix, GroundTruthPose, IntArray, ObjectDetections, Odometry
 from logs.records import frozen
 
 LABELS = ("vehicle", "trunk", "pole")
@@ -30,15 +31,17 @@ class TextLog:
     odometry: Trajectory
     detections: DetectionTable
     ground_truth: Trajectory | None
+    fixes: Sequence[GeodeticFix]
     source: dict[str, str]
     notes: tuple[str, ...]
 
     def records(self) -> Iterator[DriveRecord]:
-        """Everything in the order of the stamps; at one stamp odometry, detections, the true pose, the true objects."""
+        """Everything in the order of the stamps; at one stamp odometry, detections, fix, true pose, true objects."""
         truth = self.ground_truth.poses() if self.ground_truth is not None else ()
         streams: list[Iterable[DriveRecord]] = [
             (Odometry(stamp_ns, T) for stamp_ns, T in self.odometry.poses()),
             self.detections.records,
+            self.fixes,
             (GroundTruthPose(stamp_ns, T) for stamp_ns, T in truth),
         ]
         return merge(*streams, key=lambda record: record.stamp_ns)
@@ -48,6 +51,7 @@ def read_text_log(
     *,
     odometry: Path,
     detections: Path,
+    gnss: Path | None = None,
     ground_truth: Path | None = None,
     times: Path | None = None,
     calib: Path | None = None,
@@ -58,6 +62,7 @@ def read_text_log(
         odometry: poses of the body in a smooth frame; see :class:`TrajectoryFormat`.
         detections: CSV with a header, positions in the body frame; see :func:`read_detections`. Or a folder of
             centroids, one file for each pose; see :func:`read_centroids`.
+        gnss: CSV with a header; see :func:`read_fixes`.
         ground_truth: true poses of the body.
         times: seconds of each pose of the trajectories in KITTI's format.
         calib: KITTI's calibration, if those poses are of the left camera.
@@ -66,7 +71,8 @@ def read_text_log(
         DatasetError: a file is missing or wrong; names the file, the line, the column and the remedy.
     """
     table = None if detections.is_dir() else detections
-    paths = {"odometry": odometry, "ground_truth": ground_truth, "times": times, "calib": calib, "detections": table}
+    paths = {"odometry": odometry, "detections": table, "gnss": gnss}
+    paths |= {"ground_truth": ground_truth, "times": times, "calib": calib}
     sources = {role: read_source_text(path) for role, path in paths.items() if path is not None}
     times_ns = read_stamps(read_table(sources["times"], ["stamp_s"]), strictly=True) if "times" in sources else None
     trajectories = {
@@ -82,12 +88,13 @@ def read_text_log(
     else:
         found, digests["detections_sha256"] = read_centroids(detections, path.stamps_ns)
         names["detections"] = detections.resolve().name
+    fixes = read_fixes(read_table(sources["gnss"])) if "gnss" in sources else []
     notes = found.notes
     if path.format == TrajectoryFormat.KITTI and calib is None:
         notes += (
             "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera",
         )
-    return TextLog(path, found, trajectories.get("ground_truth"), names | digests, notes)
+    return TextLog(path, found, trajectories.get("ground_truth"), fixes, names | digests, notes)
 
 
 def read_centroids(folder: Path, stamps_ns: IntArray) -> tuple[DetectionTable, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
-from itertools import count
+from itertools import compress, count
 
 import gtsam
 import numpy as np
@@ -15,6 +15,8 @@ from logs.messages import FactorGraphRecord
 from slam.backend.covariance.marginals import compute_marginals, offset_covariances
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.factors import (
+    EARTH,
+    EARTH_KEY,
     OBSERVATION_KERNEL_WIDTH,
     PRIOR_SIGMA_RAD,
     AttachedKeyframes,
@@ -28,6 +30,7 @@ from slam.backend.factors import (
     observation_factors,
     prior_factor,
     summed,
+    upright_factor,
 )
 from slam.backend.graph_record import make_graph_record
 from slam.backend.solver import Optimization, Solver, gtsam_errors
@@ -102,6 +105,16 @@ class EditableGraph:
         placed_by = edge.T_from_to if T_from_to is None else T_from_to
         self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
         self.add_edge(edge)
+
+    def replace_fixes(self, T_map_earth: FloatArray, edges: Sequence[Edge]) -> None:
+        """Put edges from ``EARTH``, which is at about (4, 4), in the place of those so far."""
+        is_fix = [isinstance(each, Edge) and each.from_keyframe == EARTH for each in self.factors.values()]
+        self.remove_factors(list(compress(self.factors, is_fix)))
+        if edges:
+            pose = checked_pose(T_map_earth, "the frame of fixes")
+            self._solver.insert(EARTH_KEY, pose, upright_factor(pose))
+        for edge in edges:
+            self.add_edge(edge)
 
     def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
         """Announce landmarks of a prior map; each enters the graph when something is merged into it.
@@ -186,6 +199,8 @@ class EditableGraph:
             return self.pose(anchor, values) @ self._attached.transforms[keyframe]
         if keyframe in self._fixed_poses:
             return self._fixed_poses[keyframe]
+        if keyframe == EARTH:
+            return (self._solver.values() if values is None else values).atPose3(EARTH_KEY).matrix()
         return self._solver.pose(keyframe) if values is None else values.atPose3(X(keyframe)).matrix()
 
     def observed_positions(self, landmarks: IntArray) -> FloatArray:
@@ -427,8 +442,16 @@ class FactorGraph(EditableGraph):
         self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None
     ) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
-        factors = [*self.factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
+        factors = [*map(self._recorded, self.factors.values()), *self._attached.rigid_edges(self.prior_sigma_m)]
         record = make_graph_record(
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of
         )
         return record if pose_covariances is None else replace(record, pose_covariances=pose_covariances)
+
+    def _recorded(self, factor: Factor) -> Factor:
+        """A factor as logs have it: fixes are edges from the first keyframe, by where the graph has that on earth."""
+        if not isinstance(factor, Edge) or factor.from_keyframe != EARTH:
+            return factor
+        first = next(iter(self._keyframes))
+        T_first_earth = invert(self.pose(first)) @ self.pose(EARTH)
+        return replace(factor, from_keyframe=first, T_from_to=T_first_earth @ factor.T_from_to)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import E, L, X
 
 from logs.records import frozen
 from slam.backend.edge_kind import EdgeKind as EdgeKind
@@ -20,6 +20,8 @@ from slam.common.arrays import FloatArray, IntArray, least_eigenvalues
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import adjoint, invert
 
+EARTH, EARTH_KEY = -1, E(0)
+"""The frame of fixes, upright, from which edges lead as from a keyframe."""
 PRIOR_SIGMA_RAD = 1e-4
 CLOSURE_KERNEL_WIDTH = 1.0
 OBSERVATION_KERNEL_WIDTH = 1.5
@@ -60,6 +62,12 @@ def prior_factor(keyframe: int, pose: gtsam.Pose3, sigma_m: float) -> gtsam.Nonl
     return gtsam.PriorFactorPose3(X(keyframe), pose, noise)
 
 
+def upright_factor(pose: gtsam.Pose3) -> gtsam.NonlinearFactor:
+    """The GTSAM factor that holds the tilt of the frame of fixes, but neither its heading nor its position."""
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([PRIOR_SIGMA_RAD, PRIOR_SIGMA_RAD, *[1e6] * 4]))
+    return gtsam.PriorFactorPose3(EARTH_KEY, pose, noise)
+
+
 def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:
     """The GTSAM factor of the position (3,) m of a landmark of a prior map; ``sigmas_m`` (3,) of its coordinates."""
     if not np.all(np.isfinite(position)):
@@ -68,19 +76,20 @@ def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatAr
 
 
 def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge; closures are robust, the others are not.
+    """The GTSAM factor of an edge; those of closures and of fixes are robust, the others are not.
 
     ``T_map_from`` (4, 4): of a keyframe that is a constant.
     """
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     covariances = _checked_covariances(edge.covariance[None], lambda _: what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariances[0])
-    if edge.kind == EdgeKind.LOOP_CLOSURE:
+    if edge.kind in (EdgeKind.LOOP_CLOSURE, EdgeKind.GNSS):
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
     pose = checked_pose(edge.T_from_to, what)
     if T_map_from is not None:
         return gtsam.PriorFactorPose3(X(edge.to_keyframe), gtsam.Pose3(T_map_from).compose(pose), noise)
-    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
+    start = EARTH_KEY if edge.from_keyframe == EARTH else X(edge.from_keyframe)
+    return gtsam.BetweenFactorPose3(start, X(edge.to_keyframe), pose, noise)
 
 
 def observation_factors(

@@ -169,7 +169,8 @@ class Solver:
         beside landmarks that the robust kernel has all but switched off.
         """
         thresholds = gtsam.ISAM2ThresholdMap()  # by the sensor range
-        thresholds.insert(("x", np.repeat([RELINEARIZE_RAD, self._relinearize_m], 3)))
+        for poses in "xe":
+            thresholds.insert((poses, np.repeat([RELINEARIZE_RAD, self._relinearize_m], 3)))
         thresholds.insert(("l", np.repeat(self._relinearize_m, 3)))
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(thresholds)
@@ -184,8 +185,8 @@ def _values_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
     """The values of the variables of a graph alone."""
     kept = gtsam.Values()
     for key in graph.keyVector():
-        is_pose = gtsam.symbolChr(key) == ord("x")
-        kept.insert(key, values.atPose3(key) if is_pose else values.atPoint3(key))
+        is_point = gtsam.symbolChr(key) == ord("l")
+        kept.insert(key, values.atPoint3(key) if is_point else values.atPose3(key))
     return kept
 
 

@@ -15,11 +15,11 @@ from logs.closures import find_final_decisions
 from logs.container.json_text import plain
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import roll_pitch_yaw_deg
+from slam.common.geometry import make_transform, roll_pitch_yaw_deg
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
-from slam.evaluation.metrics.alignment import align_path, find_axes
+from slam.evaluation.metrics.alignment import align_path, find_axes, find_point
 from slam.evaluation.metrics.association import (
     count_detections,
     evaluate_associations,
@@ -40,6 +40,9 @@ NO_ESTIMATE = {
     "odometry": "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic",
     "online": "no /slam/pose in the log",
 }
+NO_ORIENTATIONS = "the truth has positions only; closures are judged with the orientations of the estimate"
+LEAST_TURN_RAD = np.deg2rad(10.0)
+"""A body that turns by less may well have a truth that does not turn."""
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 
 _Measured = TypeVar("_Measured")
@@ -70,11 +73,14 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
 
     paths = {"estimate": records.final_path, "odometry": records.odometry_path, "online": records.online_path}
     axes = _true_axes(records)
-    records = replace(records, true_path=records.true_path.turned(axes.T))
+    true_path, point_m = (records.true_path.turned(axes.T), None) if axes is not None else _true_body(records)
+    records = replace(records, true_path=true_path)
     trajectories = {
         name: measure("trajectory" if name == "estimate" else name, partial(_trajectory, records, protocol, name, path))
         for name, path in paths.items()
     }
+    if axes is None:
+        trajectories = {name: _without_rotation(errors) for name, errors in trajectories.items()}
     best = trajectories["estimate"] or trajectories["online"]
     T_world_map = best.T_world_map if best else None
     labelled = measure("associations", partial(_label_detections, records))
@@ -82,7 +88,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     landmarks = measure("landmarks", partial(_landmarks, records, protocol, labelled, matches, T_world_map))
     judged = _judge_closures(records, protocol)
     queries = measure("closures", partial(_find_revisits, records, judged, protocol))
-    calibration, missing = evaluate_calibration(records, matches, judged)
+    calibration, missing = ({}, NO_ORIENTATIONS) if axes is None else evaluate_calibration(records, matches, judged)
     if missing:
         unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
     if map_alignment is not None and not records.has_prior_map:
@@ -93,7 +99,8 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         undecided, fixes = relocalization["undecided_count"], relocalization["fix_count"]
         unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
     results = {
-        "trajectory": describe_trajectories(trajectories) | {"true_axes": _describe_turn(axes)},
+        "trajectory": describe_trajectories(trajectories)
+        | {"true_axes": None if axes is None else _describe_turn(axes), "true_point_m": point_m},
         "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
         "landmarks": landmarks or {},
         "closures": {} if judged is None else describe_closures(judged, protocol),
@@ -108,14 +115,39 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     return Evaluation(plain(results), **trajectories, closures=judged)
 
 
-def _true_axes(records: EvaluationRecords) -> FloatArray:
-    """The axes (3, 3) of the body of the truth, in those of the estimate."""
+def _true_axes(records: EvaluationRecords) -> FloatArray | None:
+    """The axes (3, 3) of the body of the truth, in those of the estimate; None where the truth has positions only: its
+    orientations are all the same although the body turns.
+    """
     with suppress(EvaluationError):
-        path = records.final_path or records.online_path
-        est, gt = synchronize(path, records.true_path)
-        R_world_map = align_path(est.positions, gt.positions)[:3, :3]
-        return find_axes(R_world_map @ est.T_world_body[:, :3, :3], gt.T_world_body[:, :3, :3])
+        R_est, R_gt = (poses.T_world_body[:, :3, :3] for poses in _aligned(records))
+        turned = np.einsum("ij,nij->n", R_est[0], R_est)  # 1 + 2 cos of the angle from the first orientation
+        if np.ptp(R_gt, axis=0).max() < 1e-9 and turned.min() < 1.0 + 2.0 * np.cos(LEAST_TURN_RAD):
+            return None
+        return find_axes(R_est, R_gt)
     return np.eye(3)
+
+
+def _true_body(records: EvaluationRecords) -> tuple[PoseSeries, list[float]]:
+    """The true poses by the positions of a point of the body, with the orientations of the estimate, and that point:
+    (2,) m ahead and left.
+    """
+    estimate, truth = _aligned(records)
+    point_m = find_point(estimate.T_world_body, truth.positions)
+    R = estimate.T_world_body[:, :3, :3]
+    return PoseSeries(truth.stamps_ns, make_transform(R, truth.positions - R @ point_m)), point_m[:2].tolist()
+
+
+def _aligned(records: EvaluationRecords) -> tuple[PoseSeries, PoseSeries]:
+    """The estimate in the world, and the truth at the same stamps.
+
+    Raises:
+        EvaluationError: they cannot be compared.
+    """
+    path = records.final_path or records.online_path
+    est, gt = synchronize(path, records.true_path)
+    T_world_map = align_path(est.positions, gt.positions)
+    return PoseSeries(est.stamps_ns, T_world_map @ est.T_world_body), gt
 
 
 def _describe_turn(R: FloatArray) -> str | None:
@@ -128,6 +160,10 @@ def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path:
     truth = records.true_path
     _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(truth) > 0})
     return evaluate_trajectory(path, truth, kidnapping_m=protocol.revisit_m)
+
+
+def _without_rotation(errors: TrajectoryErrors | None) -> TrajectoryErrors | None:
+    return None if errors is None else replace(errors, rpe_rotation_deg_per_100m=None)
 
 
 def _label_detections(records: EvaluationRecords) -> pd.DataFrame:

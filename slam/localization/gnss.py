@@ -1,17 +1,35 @@
-"""Fixes of satellites: where in a georeferenced map the robot may be, and where on earth a map lies."""
+"""Fixes of satellites: where in a georeferenced map the robot may be, where on earth a map lies, edges of the graph.
+
+The antenna is anywhere in the body: where it is follows from the fixes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.special import chdtri
 
 from logs.messages import GeodeticFix, TrajectoryRecord
-from slam.common.arrays import FloatArray
+from logs.records import frozen
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import EARTH, Edge, EdgeKind
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.common.georeference import Georeference
+from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import GATE_SIGMAS, InitialPose
+
+MAX_TURNS, SETTLED = 20, 0.1
+"""Fixes are laid on the map and move it until their variance changes by less than that share."""
+HEADINGS = 72
+"""Of which the likeliest is where the search for that of a map begins."""
+BY_CHANCE = 1e-3
+"""Probability of an antenna that is found elsewhere than at the origin of the body although it is there."""
+FREE_RAD, FREE_HEIGHT = np.pi, 100.0
+"""A fix tells no orientation, and no height: it has a standard deviation of so many times that in the plane."""
 
 
 class GnssPrior:
@@ -47,55 +65,157 @@ def _agree(a: InitialPose, b: InitialPose) -> bool:
     return float(np.linalg.norm(a.position - b.position)) <= reach_m
 
 
-def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) -> Georeference | None:
-    """Georeference of a trajectory: the heading and position that fit the fixes best.
+def find_georeference(trajectory: TrajectoryRecord, fixes: Sequence[GeodeticFix]) -> Georeference | None:
+    """Georeference of a trajectory: the heading and position that fit the fixes best; its origin is that of the map.
 
-    Least squares with Cauchy's loss (Holland and Welsch, 1977), the best of several headings to begin with. Fixes weigh
-    by their covariances; those without have the median variance of the others.
+    None for fewer than five fixes during the drive, or a path too short against their errors to determine the heading.
+    """
+    laid = _lay(trajectory, fixes)
+    return None if laid is None else laid.georeference
 
-    Returns:
-        The georeference, its origin that of the map; None for fewer than five fixes during the drive, or a path too
-        short against their errors to determine the heading.
+
+def tie_to_fixes(
+    graph: FactorGraph,
+    keyframes: Sequence[Keyframe],
+    trajectory: Callable[[], TrajectoryRecord],
+    fixes: Sequence[GeodeticFix],
+) -> int:
+    """Optimise the graph with an edge for each fix; returns how many fixes are used.
+
+    Fixes are laid on the trajectory, which tells the place of the antenna and their errors, and move it, in turns.
+    Their covariances only tell their relative weights. How large their errors are shows in what is left, and so does
+    whether they are alike over time: if they are a first-order autoregression with the correlation rho between
+    successive fixes, n of them are worth n (1 - rho) / (1 + rho) independent ones. In the first turn a drift of the map
+    counts as an error of the fixes, so that they have less weight than they are worth.
+
+    Args:
+        graph: with the keyframes of the drive.
+        keyframes: (K,) those.
+        trajectory: of the drive, by the graph as it is now.
+        fixes: of satellites.
+    """
+    variance, used = 0.0, 0
+    stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in keyframes])
+    for _ in range(MAX_TURNS):
+        laid = _lay(trajectory(), fixes)
+        if laid is None:
+            break
+        before, variance = variance, laid.variance()
+        rows = np.searchsorted(stamps_ns, laid.stamps_ns, side="right") - 1
+        ids = np.array([keyframes[row].id for row in rows.tolist()], dtype=np.int64)
+        T_map_body = graph.poses(ids)
+        T_map_body[:, :2, 3] += laid.residuals_m
+        T_earth_body = invert(laid.T_map_earth) @ T_map_body
+        variances = np.maximum(variance * laid.sigmas_m**2, graph.prior_sigma_m**2)
+        covariances = _covariances(T_earth_body[:, :3, :3], variances)
+        edges = [
+            Edge(EARTH, keyframe, T, covariance, EdgeKind.GNSS)
+            for keyframe, T, covariance in zip(ids.tolist(), T_earth_body, covariances, strict=True)
+            if keyframe != graph.keyframes[0]  # in logs, edges of fixes lead from there
+        ]
+        graph.replace_fixes(laid.T_map_earth, edges)
+        graph.optimize(roughly=True)
+        used = len(edges)
+        if abs(variance - before) <= SETTLED * variance:
+            break
+    return used
+
+
+def _covariances(R: FloatArray, variances: FloatArray) -> FloatArray:
+    """Covariances (N, 6, 6) of poses with orientations (N, 3, 3) of which the position in the plane is known, with
+    variances (N,) m^2.
+    """
+    covariances = np.zeros((len(R), 6, 6))
+    covariances[:, :3, :3] = FREE_RAD**2 * np.eye(3)
+    upright = np.diag([1.0, 1.0, FREE_HEIGHT**2])
+    covariances[:, 3:, 3:] = variances[:, None, None] * (np.swapaxes(R, 1, 2) @ upright @ R)
+    return covariances
+
+
+@frozen
+class LaidFixes:
+    """Fixes laid on a trajectory: their ``stamps_ns`` (N,), their claimed ``sigmas_m`` (N,), and ``residuals_m`` (N, 2)
+    by which they put the body elsewhere in the map. ``T_map_earth`` (4, 4): where east, north and up are in the map.
+    """
+
+    georeference: Georeference
+    T_map_earth: FloatArray
+    stamps_ns: IntArray
+    sigmas_m: FloatArray
+    residuals_m: FloatArray
+
+    def variance(self) -> float:
+        """Factor on the variances of the fixes by their residuals, and by how much these are alike over time."""
+        whitened = self.residuals_m / self.sigmas_m[:, None]
+        squares = np.einsum("ni,ni->n", whitened, whitened)
+        scale = float(np.median(squares)) / (2.0 * np.log(2.0))  # the median of chi-squared with two degrees of freedom
+        whitened = whitened / np.sqrt(scale + squares + 1e-300)[:, None]  # bounded, against outliers
+        correlation = (whitened[1:] * whitened[:-1]).sum() / max((whitened**2).sum(), 1e-300)
+        correlation = np.clip(correlation, 0.0, 1.0 - 1.0 / len(squares))
+        return float(scale * (1.0 + correlation) / (1.0 - correlation))
+
+
+def _lay(trajectory: TrajectoryRecord, fixes: Sequence[GeodeticFix]) -> LaidFixes | None:
+    """Fixes on a trajectory, by least squares with Cauchy's loss (Holland and Welsch, 1977), from the likeliest
+    of several headings; None where there are too few, or where the path is too short against their errors. The
+    antenna is at the origin of the body unless that is unlikely.
+
+    Fixes weigh by their covariances; those without have the median variance of the others.
     """
     first, last = (trajectory.stamps_ns[0], trajectory.stamps_ns[-1]) if len(trajectory.stamps_ns) else (0, -1)
     used = [fix for fix in fixes if first <= fix.stamp_ns <= last]
     if len(used) < 5:
         return None
-    seconds = np.array([(fix.stamp_ns - first) * 1e-9 for fix in used])
-    known_s = (trajectory.stamps_ns - first) * 1e-9
-    path = np.stack([np.interp(seconds, known_s, trajectory.T_map_body[:, axis, 3]) for axis in range(3)], axis=1)
-    geodetic = geodetic_places(used)
+    stamps_ns = np.array([fix.stamp_ns for fix in used], dtype=np.int64)
+    T_map_body = interpolate(trajectory.stamps_ns, trajectory.T_map_body, stamps_ns)
+    geodetic, sigmas_m = geodetic_places(used), _sigmas(used)
     start = Georeference(*np.median(geodetic, axis=0).tolist())
     places = start.to_map(geodetic)
-    sigmas = _sigmas(used)
-    xy, east_north = path[:, :2] @ [1.0, 1.0j], places[:, :2] @ [1.0, 1.0j]
-    turn, shift, error_m = _fit(xy, east_north, sigmas)
-    if np.std(xy) < 3.0 * error_m:
-        return None
-    height_m = np.median(places[:, 2] - path[:, 2])
-    origin = start.to_geodetic(np.array([[shift.real, shift.imag, height_m]]))[0]
-    return replace(Georeference(*origin.tolist()), yaw_rad=float(np.angle(turn)))
+    xy, east_north = (points[:, :2] @ [1.0, 1.0j] for points in (T_map_body[:, :3, 3], places))
+    headings = np.exp(1j * yaw_rad(T_map_body))
+    for arms in (headings, np.zeros_like(headings)):
+        motion, information = _fit(xy, arms, east_north, sigmas_m)
+        turn, shift, arm = np.exp(1j * motion[0]), complex(*motion[1:3]), complex(*motion[3:])
+        left = (east_north - shift) / turn - arms * arm - xy
+        height_m = np.median(places[:, 2] - T_map_body[:, 2, 3])
+        origin = start.to_geodetic(np.array([[shift.real, shift.imag, height_m]]))[0]
+        georeference = replace(Georeference(*origin.tolist()), yaw_rad=float(np.angle(turn)))
+        T_earth_map = transform_from_xyz_yaw(np.array([shift.real, shift.imag, 0.0]), georeference.yaw_rad)
+        laid = LaidFixes(
+            georeference, invert(T_earth_map), stamps_ns, sigmas_m, np.column_stack([left.real, left.imag])
+        )
+        marginal = np.linalg.inv(np.linalg.inv(information)[3:, 3:])
+        if motion[3:] @ marginal @ motion[3:] > laid.variance() * chdtri(2, BY_CHANCE):
+            break
+    return laid if np.std(xy) >= 3.0 * np.median(np.abs(left)) else None
 
 
-def _sigmas(fixes: list[GeodeticFix]) -> FloatArray:
+def _sigmas(fixes: Sequence[GeodeticFix]) -> FloatArray:
     """Standard deviation (N,) m of a coordinate in the plane."""
     variances = np.array([np.nan if f.covariance is None else 0.5 * np.trace(f.covariance[:2, :2]) for f in fixes])
     usual = np.nanmedian(variances) if np.isfinite(variances).any() else 1.0
     return np.sqrt(np.where(np.isnan(variances), usual, variances))
 
 
-def _fit(xy: np.ndarray, places: np.ndarray, sigmas: FloatArray) -> tuple[complex, complex, float]:
-    """Rotation and translation of points (N,), complex, onto others, and the median residual [m]."""
+def _fit(xy: np.ndarray, arms: np.ndarray, places: np.ndarray, sigmas_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The motion (5,) of points (N,), complex, onto others, and its information (5, 5).
+
+    It is a rotation [rad], a translation [m], and where the antenna is in the body, ahead and left [m], along ``arms``
+    (N,) of length 1.
+    """
 
     def residuals(motion: FloatArray) -> FloatArray:
-        yaw_rad, x, y = motion
-        off = (np.exp(1j * yaw_rad) * xy + x + 1j * y - places) / sigmas
-        return np.concatenate([off.real, off.imag])
+        yaw, x, y, ahead, left = motion
+        off = (np.exp(1j * yaw) * (xy + arms * (ahead + 1j * left)) + x + 1j * y - places) / sigmas_m
+        # The origin of the body, where nothing tells.
+        return np.concatenate([off.real, off.imag, 1e-3 * motion[3:] / sigmas_m.min()])
 
-    fits = []
-    for yaw_rad in np.linspace(-np.pi, np.pi, 12, endpoint=False):
-        off = places - np.exp(1j * yaw_rad) * xy
-        fits.append(least_squares(residuals, [yaw_rad, np.median(off.real), np.median(off.imag)], loss="cauchy"))
-    yaw_rad, x, y = min(fits, key=lambda fit: fit.cost).x
-    turn, shift = np.exp(1j * yaw_rad), complex(x, y)
-    return turn, shift, np.median(np.abs(places - turn * xy - shift))
+    def guess(yaw: float) -> FloatArray:
+        off = places - np.exp(1j * yaw) * xy
+        return np.array([yaw, np.median(off.real), np.median(off.imag), 0.0, 0.0])
+
+    guesses = map(guess, np.linspace(-np.pi, np.pi, HEADINGS, endpoint=False))
+    start = min(guesses, key=lambda motion: np.log1p(residuals(motion) ** 2).sum())
+    best = least_squares(residuals, start, loss="cauchy")
+    jacobian = np.asarray(best.jac)
+    return best.x, jacobian.T @ jacobian

@@ -46,7 +46,9 @@ def matched_covariances(
         edges = {
             number: each
             for number, each in records.items()
-            if isinstance(each, Edge) and (each.kind == EdgeKind.LOOP_CLOSURE) is is_closure
+            if isinstance(each, Edge)
+            and each.kind != EdgeKind.GNSS
+            and (each.kind == EdgeKind.LOOP_CLOSURE) is is_closure
         }
         rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
         found = variance_factors(jacobian, residuals, rows, 1 if is_closure else STRETCH_STEPS)

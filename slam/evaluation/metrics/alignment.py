@@ -64,6 +64,20 @@ def find_axes(R_est: FloatArray, R_gt: FloatArray) -> FloatArray:
     return turns[best] if traces[best] > 1.0 + np.sqrt(2.0) else np.eye(3)
 
 
+def find_point(T_world_body: FloatArray, points: FloatArray) -> FloatArray:
+    """Offset (3,) m, in the plane of a body at (N, 4, 4), of the point of it that has the true positions (N, 3) m.
+
+    By least squares together with the heading and the position of the world, which are nearly right.
+    """
+    xy, design = T_world_body[:, :2, 3], np.zeros((len(points), 2, 5))
+    centred = xy - xy.mean(axis=0)
+    design[:, 0, 0], design[:, 1, 0] = -centred[:, 1], centred[:, 0]
+    design[:, :, 1:3] = np.eye(2)
+    design[:, :, 3:] = T_world_body[:, :2, :2]
+    found = np.linalg.lstsq(design.reshape(-1, 5), (points[:, :2] - xy).ravel(), rcond=None)[0]
+    return np.array([*found[3:], 0.0])
+
+
 def _is_one_point(spread_m: float) -> bool:
     return spread_m < 1e-6
 

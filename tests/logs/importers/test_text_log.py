@@ -9,7 +9,7 @@ import pytest
 from logs.errors import DatasetError
 from logs.importers.imported_log import write_drive
 from logs.importers.text_log import TextLog, read_text_log
-from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry
+from logs.messages import DetectionTruth, GeodeticFix, GroundTruthPose, ObjectDetections, Odometry
 from tests.logs.importers.text_drives import DETECTIONS, TUM, TextDrive
 
 
@@ -31,6 +31,24 @@ def test_records_in_order_of_time(drive: TextDrive) -> None:
     assert (records[1].labels, records[1].frame_id) == (("pole", "tree"), "base_link")
     np.testing.assert_array_equal(records[1].positions, [[1, 2, 3], [4, 5, 6]])
     assert records[2].object_ids == ("7", "")
+
+
+def test_fixes_of_satellites(drive: TextDrive) -> None:
+    drive.write("fixes.csv", "stamp_s,lat,lon,altitude_m,sigma_m\n100.0,60.1,24.9,12,2\n100.2,60.2,24.8,,\n")
+    fixes = [record for record in read(drive, gnss="fixes.csv").records() if isinstance(record, GeodeticFix)]
+    assert [(fix.stamp_ns, fix.latitude_deg, fix.longitude_deg, fix.altitude_m) for fix in fixes] == [
+        (100_000_000_000, 60.1, 24.9, 12.0),
+        (100_200_000_000, 60.2, 24.8, 0.0),
+    ]
+    np.testing.assert_array_equal(fixes[0].covariance, 4.0 * np.eye(3))
+    assert fixes[1].covariance is None
+
+
+@pytest.mark.parametrize("row", ["100.0,90.5,24.9", "100.0,60.1,-181", "100.0,,24.9"])
+def test_fixes_outside_of_the_earth_are_refused(drive: TextDrive, row: str) -> None:
+    drive.write("fixes.csv", f"stamp_s,latitude_deg,longitude_deg\n{row}\n")
+    with pytest.raises(DatasetError, match=r"fixes\.csv, line 2, column l\w+_deg"):
+        read(drive, gnss="fixes.csv")
 
 
 def test_source_has_names_without_folders(drive: TextDrive) -> None:

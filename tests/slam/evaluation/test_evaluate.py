@@ -15,7 +15,7 @@ from logs.messages import (
     Transform,
 )
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records, read_records
 from slam.evaluation.report.picture import compose_picture
@@ -110,6 +110,35 @@ def test_truth_of_a_body_with_other_axes() -> None:
     assert at_json(same, "trajectory.true_axes") is None
     assert at_json(result, "closures.precision") == at_json(same, "closures.precision") == 0.5
     assert at_json(result, "trajectory.rpe_rotation_deg_per_100m") == pytest.approx(0.0, abs=1e-6)
+
+
+def test_truth_of_the_positions_of_an_antenna() -> None:
+    antenna_m = np.array([3.0, -0.5, 1.2])
+    log = [
+        (topic, replace(record, T_world_body=make_transform(np.eye(3), apply(record.T_world_body, antenna_m[None])[0])))
+        if isinstance(record, GroundTruthPose)
+        else (topic, record)
+        for topic, record in made_log()
+    ]
+    result, same = evaluate(collect_records(log)), evaluate(collect_records(made_log()))
+    assert at_json(result, "trajectory.true_point_m") == pytest.approx([3.0, -0.5], abs=0.05)
+    assert at_json(same, "trajectory.true_point_m") is None
+    assert at_json(result, "trajectory.ate_m") == pytest.approx(0.0, abs=0.02)
+    assert at_json(result, "trajectory.rpe_rotation_deg_per_100m") is None
+    assert at_json(result, "closures.precision") == at_json(same, "closures.precision") == 0.5
+    assert result.unavailable["calibration"].startswith("the truth has positions only")
+
+
+def test_truth_of_a_body_that_never_turns() -> None:
+    log = [
+        (topic, replace(record, T_world_body=make_transform(np.eye(3), record.T_world_body[:3, 3])))
+        if isinstance(record, GroundTruthPose)
+        else (topic, replace(record, T_map_body=make_transform(np.eye(3), record.T_map_body[:, :3, 3])))
+        if isinstance(record, TrajectoryRecord)
+        else (topic, record)
+        for topic, record in made_log()
+    ]
+    assert at_json(evaluate(collect_records(log)), "trajectory.true_point_m") is None
 
 
 def test_unmeasured_parts_are_empty_with_reason() -> None:

@@ -13,14 +13,19 @@ from logs.messages import FloatArray, GeodeticFix, TrajectoryRecord
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.writer import LogWriter
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import read_records
+from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.formats.trajectories import write_geodetic
-from slam.localization.gnss import GnssPrior, find_georeference
+from slam.localization.gnss import GnssPrior, LaidFixes, find_georeference, tie_to_fixes
 from slam.log_mapper import LOCATION
 from slam.object_map.map_io import load_map
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
 from slam.place_recognition.initial_pose import GATE_SIGMAS
 from slam.replay import replay
 from tests.helpers.ros2_logs import encoded, header
@@ -172,3 +177,75 @@ def test_a_saved_map_with_a_place_on_earth_locates_later_drives(tmp_path: Path) 
         replay(source, tmp_path / "second.mcap", Config(), prior_map=prior_map, extend=False)
         with LogReader(tmp_path / "second.mcap") as reader:
             assert (LOCATION in {info.topic for info in reader.topics()}) == is_located
+
+
+def ate_m(graph: FactorGraph, true: FloatArray) -> float:
+    positions = graph.poses()[:, :3, 3]
+    off = apply(align_yaw_translation(positions, true[:, :3, 3]), positions) - true[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+class TestEdgesOfFixes:
+    """A drive around a square whose odometry turns too much, with an antenna 2 m ahead and 1 m left of the body."""
+
+    SIDE, STEPS = 25, 200
+
+    def true_poses(self) -> FloatArray:
+        yaw = 0.5 * np.pi * (np.arange(self.STEPS) // self.SIDE)
+        steps = 2.0 * np.stack([np.cos(yaw), np.sin(yaw), np.zeros(self.STEPS)], axis=1)
+        return transform_from_xyz_yaw(np.cumsum(steps, axis=0) - steps[0], yaw)
+
+    def graph(self, true: FloatArray) -> tuple[FactorGraph, list[Keyframe]]:
+        graph, keyframes, covariance = FactorGraph(), list[Keyframe](), np.diag([1e-4] * 3 + [1e-3] * 3)
+        graph.add_keyframe(0, true[0])
+        turn = transform_from_xyz_yaw(np.zeros(3), 0.003)
+        for i, T in enumerate(true):
+            keyframes.append(Keyframe(i, OdometryPose(i * SECOND, T, 2.0 * i, 0, 2.0), T))
+            if i:
+                step = invert(true[i - 1]) @ T @ turn
+                graph.add_next_keyframe(Edge(i - 1, i, step, covariance, EdgeKind.ODOMETRY))
+        return graph, keyframes
+
+    def error_m(self, errors_m: FloatArray, *, covariance: FloatArray | None = None) -> tuple[float, float]:
+        """RMS errors of the keyframes, aligned, without and with fixes that are ``errors_m`` (N, 2) off."""
+        true = self.true_poses()
+        graph, keyframes = self.graph(true)
+        graph.update()
+        before = ate_m(graph, true)
+        antenna = apply(true, np.array([[2.0, 1.0, 0.0]]))[:, 0]
+        antenna[:, :2] += errors_m
+        fixes = [
+            GeodeticFix(i * SECOND, "gnss", latitude, longitude, altitude_m, covariance)
+            for i, (latitude, longitude, altitude_m) in enumerate(TRUE.to_geodetic(antenna).tolist())
+        ]
+        stamps_ns = SECOND * np.arange(len(true), dtype=np.int64)
+        used = tie_to_fixes(graph, keyframes, lambda: TrajectoryRecord(0, "map", stamps_ns, graph.poses()), fixes)
+        assert used == len(true) - 1
+        return before, ate_m(graph, true)
+
+    def test_exact_fixes_hold_the_whole_drive(self) -> None:
+        assert self.error_m(np.zeros((self.STEPS, 2)))[1] < 0.1
+
+    @pytest.mark.parametrize("covariance", [None, 1e-4 * np.eye(3)])
+    def test_fixes_of_an_antenna_correct_the_drift_whatever_they_claim(self, covariance: FloatArray | None) -> None:
+        noise = np.random.default_rng(4).normal(0.0, 0.5, (self.STEPS, 2))
+        before, after = self.error_m(noise, covariance=covariance)
+        assert before > 4.0
+        assert after < 0.3
+
+    def test_outliers_do_not_move_the_map(self) -> None:
+        noise = np.random.default_rng(4).normal(0.0, 0.5, (self.STEPS, 2))
+        noise[::5] += [30.0, -40.0]
+        assert self.error_m(noise)[1] < 0.3
+
+
+def test_fixes_whose_errors_last_weigh_less() -> None:
+    rng = np.random.default_rng(5)
+    white = rng.normal(0.0, 2.0, (2000, 2))
+    lasting = np.zeros((2000, 2))
+    for i in range(1, len(lasting)):
+        lasting[i] = 0.9 * lasting[i - 1] + np.sqrt(1.0 - 0.9**2) * white[i]
+    stamps_ns, sigmas_m = np.arange(2000, dtype=np.int64), np.ones(2000)
+    variances = [LaidFixes(TRUE, np.eye(4), stamps_ns, sigmas_m, errors_m).variance() for errors_m in (white, lasting)]
+    assert variances[0] == pytest.approx(4.0, rel=0.2)
+    assert variances[1] == pytest.approx(4.0 * 1.9 / 0.1, rel=0.4)
