@@ -73,7 +73,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
 
     paths = {"estimate": records.final_path, "odometry": records.odometry_path, "online": records.online_path}
     axes = _true_axes(records)
-    true_path, point_m = (records.true_path.turned(axes.T), None) if axes is not None else _true_body(records)
+    true_path, point_m = _true_body(records) if axes is None else (records.true_path.turned(axes.T), (None, None))
     records = replace(records, true_path=true_path)
     trajectories = {
         name: measure("trajectory" if name == "estimate" else name, partial(_trajectory, records, protocol, name, path))
@@ -100,7 +100,11 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
     results = {
         "trajectory": describe_trajectories(trajectories)
-        | {"true_axes": None if axes is None else _describe_turn(axes), "true_point_m": point_m},
+        | {
+            "true_axes": None if axes is None else _describe_turn(axes),
+            "true_point_ahead_m": point_m[0],
+            "true_point_left_m": point_m[1],
+        },
         "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
         "landmarks": landmarks or {},
         "closures": {} if judged is None else describe_closures(judged, protocol),
@@ -128,14 +132,14 @@ def _true_axes(records: EvaluationRecords) -> FloatArray | None:
     return np.eye(3)
 
 
-def _true_body(records: EvaluationRecords) -> tuple[PoseSeries, list[float]]:
-    """The true poses by the positions of a point of the body, with the orientations of the estimate, and that point:
-    (2,) m ahead and left.
+def _true_body(records: EvaluationRecords) -> tuple[PoseSeries, FloatArray]:
+    """The true poses by the positions of a point of the body, with the orientations of the estimate, and that point
+    (3,) m.
     """
     estimate, truth = _aligned(records)
     point_m = find_point(estimate.T_world_body, truth.positions)
     R = estimate.T_world_body[:, :3, :3]
-    return PoseSeries(truth.stamps_ns, make_transform(R, truth.positions - R @ point_m)), point_m[:2].tolist()
+    return PoseSeries(truth.stamps_ns, make_transform(R, truth.positions - R @ point_m)), point_m
 
 
 def _aligned(records: EvaluationRecords) -> tuple[PoseSeries, PoseSeries]:

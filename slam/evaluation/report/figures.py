@@ -17,8 +17,8 @@ SUMMARY = {
         ", online {trajectory[online_ate_m]:.3f} m",
         "; {trajectory[estimate][pose_count]:d} poses over {trajectory[estimate][length_m]:.0f} m",
         "; axes of the true body turned by {trajectory[true_axes]:s}",
-        "; the truth has positions only, of a point {trajectory[true_point_m][0]:.2f} m ahead",
-        " and {trajectory[true_point_m][1]:.2f} m left of the body",
+        "; the truth has positions only, of a point {trajectory[true_point_ahead_m]:.2f} m ahead",
+        " and {trajectory[true_point_left_m]:.2f} m left of the body",
     ),
     "landmarks": (
         "{landmarks[confirmed_count]:d} confirmed",

@@ -121,8 +121,9 @@ def test_truth_of_the_positions_of_an_antenna() -> None:
         for topic, record in made_log()
     ]
     result, same = evaluate(collect_records(log)), evaluate(collect_records(made_log()))
-    assert at_json(result, "trajectory.true_point_m") == pytest.approx([3.0, -0.5], abs=0.05)
-    assert at_json(same, "trajectory.true_point_m") is None
+    assert at_json(result, "trajectory.true_point_ahead_m") == pytest.approx(3.0, abs=0.05)
+    assert at_json(result, "trajectory.true_point_left_m") == pytest.approx(-0.5, abs=0.05)
+    assert at_json(same, "trajectory.true_point_ahead_m") is None
     assert at_json(result, "trajectory.ate_m") == pytest.approx(0.0, abs=0.02)
     assert at_json(result, "trajectory.rpe_rotation_deg_per_100m") is None
     assert at_json(result, "closures.precision") == at_json(same, "closures.precision") == 0.5
@@ -138,7 +139,7 @@ def test_truth_of_a_body_that_never_turns() -> None:
         else (topic, record)
         for topic, record in made_log()
     ]
-    assert at_json(evaluate(collect_records(log)), "trajectory.true_point_m") is None
+    assert at_json(evaluate(collect_records(log)), "trajectory.true_point_ahead_m") is None
 
 
 def test_unmeasured_parts_are_empty_with_reason() -> None:
