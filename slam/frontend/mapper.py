@@ -36,12 +36,12 @@ CONFIRM_FRACTION, DETECTED_SHARE = 0.4, 0.5
 """Least share of the scans since its first observation in which it was observed, and of those in which an object is
 detected: each of several sensors may miss it.
 """
-CONFIRM_AGE_S = 1.0
-"""Least time from its first to its last observation: a passing object is gone by then."""
 MISSED_RANGES, MISSED_SCANS = 0.5, 20
 """A tentative landmark unseen for that travel in sensor ranges, or for more scans, retires."""
 MOVING_RANGES_PER_S, MOVING_RANGES, MOVING_OBSERVATIONS = 1.0 / 30.0, 1.0 / 12.0, 5
-"""An object moves if it is faster than that and has moved so far, both in sensor ranges, in so many observations."""
+"""An object moves if it is faster than that and has moved so far, both in sensor ranges, in so many observations; it is
+confirmed once its speed and the standard deviation of it are below.
+"""
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 BREAK_SIGMA_RAD = 1.0
@@ -213,8 +213,7 @@ class Mapper:
             & exists
             & enough
             & steady
-            & (speeds <= MOVING_RANGES_PER_S * range_m)
-            & (seconds >= CONFIRM_AGE_S)
+            & (np.maximum(speeds, noise_mps) <= MOVING_RANGES_PER_S * range_m)
         ]
         self._map.confirm(confirmed)
 

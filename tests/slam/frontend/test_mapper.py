@@ -28,8 +28,8 @@ LABELS = ("tree", "lamp", "tree", "bench")
 
 @pytest.fixture
 def young(monkeypatch):
-    """Landmarks are confirmed without having been seen for long."""
-    monkeypatch.setattr("slam.frontend.mapper.CONFIRM_AGE_S", 0.0)
+    """Landmarks are confirmed although little is known of their speeds."""
+    monkeypatch.setattr("slam.frontend.mapper.MOVING_RANGES_PER_S", np.inf)
 
 
 class Bench:
@@ -113,11 +113,11 @@ def test_landmark_is_confirmed_by_enough_sightings_and_then_enters_the_graph_wit
     np.testing.assert_allclose(bench.observations()[0].covariance, 0.1**2 * np.eye(3), atol=1e-9)
 
 
-def test_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
+def test_landmark_is_not_confirmed_before_its_speed_is_known_to_a_metre_per_second():
     bench = Bench()
-    bench.drive(10)
-    assert bench.states() == [LandmarkState.TENTATIVE] * 4
-    bench.drive(1, start=10)
+    for i in range(8):
+        assert all(state == LandmarkState.TENTATIVE for state in bench.states())
+        bench.drive(1, start=i, objects=OBJECTS + 1e-6 * i, sigma_m=0.6)  # in the end 1.13 and 0.93 m/s
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
