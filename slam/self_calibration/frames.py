@@ -64,9 +64,11 @@ def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
 
 def is_unit_right(scans: Sequence[SurveyScan]) -> bool:
     """Whether the travel of the odometry brings scans (K), in the order of their stamps, nearer to one another than its
-    inverse does.
+    inverse does, and there is no more evidence for the next octaves.
     """
-    return is_positive(_evidence(scans, spacing_of(scans)))
+    spacing_m = spacing_of(scans)
+    half, found, double = (_evidence(scans, spacing_m, factor) for factor in (0.5, 1.0, 2.0))
+    return is_positive(found) and bool(np.sum(found) >= max(np.sum(half), np.sum(double)))
 
 
 def find_unit(scans: Sequence[SurveyScan]) -> float:
