@@ -5,8 +5,8 @@ version, the date and what the commands print. ``README.md`` beside the pages li
 from these blocks. A block that was run before with the same commands is not run again, unless it is named.
 
 The block ``demo`` tells whether the estimator has changed: it keeps its date while its figures stay the same, within
-10 %, and then the date of the change before. ``--stale`` fails if its figures are others than recorded, or if a block
-is older than the change before the last one. Its output stands in the quick start, too.
+10 %, and then the date of the change before; changes of one day are one. ``--stale`` fails if its figures are others
+than recorded, or if a block is older than the change before the last one. Its output stands in the quick start, too.
 """
 
 from __future__ import annotations
@@ -136,7 +136,9 @@ def write_output(block: Block, printed: str) -> None:
     date, printed = f"{datetime.now(tz=UTC).date()}", printed.strip()
     if block.name == DEMO and block.output:
         last, *earlier = _DATE.findall(block.output.splitlines()[0])
-        date = f"{date}, before {last}" if have_changed(block.output, printed) else ", before ".join([last, *earlier])
+        if have_changed(block.output, printed):
+            last, *earlier = date, *[day for day in (last, *earlier) if day != date][:1]
+        date = ", before ".join([last, *earlier])
     shown = printed if "\n| ---" in printed else f"```text\n{printed}\n```"
     head = f"Version {version('descriptellation-slam')}, {date}:\n\n"
     begin = f"<!-- output of {block.name} -->\n"

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -146,6 +147,19 @@ def test_outputs_older_than_the_change_before_the_last_are_stale(results: dict[s
     assert results["stale_blocks"]([*blocks, demo]) == ["2026-02-28"]
     assert not results["have_changed"](demo.output, figures.replace("441", "445"))
     assert results["have_changed"](demo.output, figures.replace("0.086", "0.186"))
+
+
+def test_changes_of_one_day_are_one(results: dict[str, Any], tmp_path: Path) -> None:
+    page, today = tmp_path / "drives.md", datetime.now(tz=UTC).date()
+    results["write_output"].__globals__["QUICK_START"] = page
+    for last, before in (
+        (f"{today}, before 2026-03-01", "2026-03-01"),
+        ("2026-05-01, before 2026-03-01", "2026-05-01"),
+    ):
+        output = f"Version 0.1.0, {last}:\n\n```text\nATE 0.086 m\n```\n"
+        page.write_text(f"```\nx\n```\n\n<!-- output of demo -->\n{output}<!-- end -->\n", encoding="utf-8")
+        results["write_output"](results["Block"](page, "demo", "x\n", output), "ATE 0.186 m")
+        assert f", {today}, before {before}:\n\n```text\nATE 0.186 m" in page.read_text(encoding="utf-8")
 
 
 def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
