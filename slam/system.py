@@ -29,7 +29,7 @@ from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
 from slam.backend.tilt import hold_tilt
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert
@@ -101,6 +101,8 @@ class Slam:
         self._gnss = None if georeference is None else GnssPrior(georeference)
         self._geodetic_fixes: dict[int, GeodeticFix] = {}  # the latest at each keyframe
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
+        self.fixes: Sequence[Fix] = self._localization.fixes
+        """The relocalizations so far."""
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
         self._check = DriveCheck(config.calibration)
@@ -122,11 +124,6 @@ class Slam:
     def state(self) -> State:
         """The localization state of the robot."""
         return self._localization.state
-
-    @property
-    def fixes(self) -> Sequence[Fix]:
-        """The relocalizations so far."""
-        return self._localization.fixes
 
     def process(self, record: Record) -> list[Record]:
         """Process the next record in the order of the log; returns what is new."""
@@ -176,22 +173,22 @@ class Slam:
         self._mapper.close_keyframe()
         if self._extends:
             self._condenser.fuse_landmarks()
-        if self._extends and self._first_keyframe:
-            self._mapper.retire_gone(self._passed_landmarks())
-        if self._extends:
-            own, fixes = self._mapper.keyframes[self._first_keyframe :], [*self._geodetic_fixes.values()]
-            self.counters["gnss_fixes_used"] = tie_to_fixes(self._graph, own, self._trajectory, fixes)
+            if self._first_keyframe:
+                self._retire_gone()
+            if fixes := [*self._geodetic_fixes.values()]:
+                own = self._mapper.keyframes[self._first_keyframe :]
+                self.counters["gnss_fixes_used"] = tie_to_fixes(self._graph, own, self._trajectory, fixes)
         hold_tilt(self._graph)
         optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return optimization
 
-    def _passed_landmarks(self) -> IntArray:
-        """Those of the prior map that this drive passed, where it closed loops."""
+    def _retire_gone(self) -> None:
+        """Retire landmarks of the prior map that this drive passed, where it closed loops, and did not see."""
         closures = self._closer.closures
         near = sorted(closures.localized_keyframes() & closures.closed.keys())
         places = self._graph.poses(np.array(near, dtype=np.int64))[:, :3, 3]
-        return find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m)
+        self._mapper.retire_gone(find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m))
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
@@ -218,9 +215,9 @@ class Slam:
 
     def _trajectory(self) -> TrajectoryRecord:
         """All poses of the drive, by the graph as it is now."""
-        T_map_body = self._graph.poses()[self._first_keyframe :]
-        own = self._mapper.keyframes[self._first_keyframe :]
-        return final_trajectory(self._path, own, T_map_body, self._frontend.latest_ns)
+        own = slice(self._first_keyframe, None)
+        poses = self._graph.poses()[own]
+        return final_trajectory(self._path, self._mapper.keyframes[own], poses, self._frontend.latest_ns)
 
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._output.follow(odometry)
@@ -267,12 +264,7 @@ class Slam:
         if self._extends:
             self._condenser.update()
         self.counters["keyframes"] += 1
-        accepted = [closure for closure in closures if closure.accepted]
-        in_prior_map = [closure for closure in accepted if closure.reference_keyframe_id < self._first_keyframe]
-        self.counters["keyframes_recognised"] += len(in_prior_map)
-        self.counters["closures_accepted"] += len(accepted)
-        self.counters["closures_retrieved"] += sum(closure.seed_query_keyframe_id is None for closure in accepted)
-        self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
+        self.counters.update(_counted(closures, self._first_keyframe))
         if len(self._mapper.keyframes) == self._first_keyframe + 1:
             updates.append(self._status(self.state, "first odometry", level="info"))
         return updates
@@ -352,6 +344,17 @@ class PoseOutput:
     def map_to_odom(self, pose: OdometryPose) -> Transform:
         """The odometry frame in the map, at the time of ``pose``."""
         return Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom @ pose.T_odom_reported)
+
+
+def _counted(closures: Sequence[LoopClosureRecord], first_keyframe: int) -> dict[str, int]:
+    """Numbers of closures at a keyframe; those before the first one of this drive are of the prior map."""
+    accepted = [closure for closure in closures if closure.accepted]
+    return {
+        "keyframes_recognised": sum(closure.reference_keyframe_id < first_keyframe for closure in accepted),
+        "closures_accepted": len(accepted),
+        "closures_retrieved": sum(closure.seed_query_keyframe_id is None for closure in accepted),
+        "closures_inserted": sum(closure.inserted for closure in closures),
+    }
 
 
 @contextmanager

@@ -41,8 +41,6 @@ NO_ESTIMATE = {
     "online": "no /slam/pose in the log",
 }
 NO_ORIENTATIONS = "the truth has positions only; closures are judged with the orientations of the estimate"
-LEAST_TURN_RAD = np.deg2rad(10.0)
-"""A body that turns by less may well have a truth that does not turn."""
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 
 _Measured = TypeVar("_Measured")
@@ -72,7 +70,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
             return None
 
     paths = {"estimate": records.final_path, "odometry": records.odometry_path, "online": records.online_path}
-    axes = _true_axes(records)
+    axes = _true_axes(records, protocol)
     true_path, point_m = _true_body(records) if axes is None else (records.true_path.turned(axes.T), (None, None))
     records = replace(records, true_path=true_path)
     trajectories = {
@@ -119,14 +117,16 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     return Evaluation(plain(results), **trajectories, closures=judged)
 
 
-def _true_axes(records: EvaluationRecords) -> FloatArray | None:
+def _true_axes(records: EvaluationRecords, protocol: Protocol) -> FloatArray | None:
     """The axes (3, 3) of the body of the truth, in those of the estimate; None where the truth has positions only: its
-    orientations are all the same although the body turns.
+    orientations are all the same although the body turns by more than a closure may be off.
     """
     with suppress(EvaluationError):
         R_est, R_gt = (poses.T_world_body[:, :3, :3] for poses in _aligned(records))
         turned = np.einsum("ij,nij->n", R_est[0], R_est)  # 1 + 2 cos of the angle from the first orientation
-        if np.ptp(R_gt, axis=0).max() < 1e-9 and turned.min() < 1.0 + 2.0 * np.cos(LEAST_TURN_RAD):
+        if np.ptp(R_gt, axis=0).max() < 1e-9 and turned.min() < 1.0 + 2.0 * np.cos(
+            np.deg2rad(protocol.closure_rotation_deg)
+        ):
             return None
         return find_axes(R_est, R_gt)
     return np.eye(3)

@@ -17,19 +17,12 @@ from logs.records import frozen
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import EARTH, Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import GeometryError
 from slam.common.geometry import interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.common.georeference import Georeference
+from slam.frontend.data_association import DECIDED
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.initial_pose import GATE_SIGMAS, InitialPose
-
-MAX_TURNS, SETTLED = 20, 0.1
-"""Fixes are laid on the map and move it until their variance changes by less than that share."""
-HEADINGS = 72
-"""Of which the likeliest is where the search for that of a map begins."""
-BY_CHANCE = 1e-3
-"""Probability of an antenna that is found elsewhere than at the origin of the body although it is there."""
-FREE_RAD, FREE_HEIGHT = np.pi, 100.0
-"""A fix tells no orientation, and no height: it has a standard deviation of so many times that in the plane."""
 
 
 class GnssPrior:
@@ -94,12 +87,9 @@ def tie_to_fixes(
         trajectory: of the drive, by the graph as it is now.
         fixes: of satellites.
     """
-    variance, used = 0.0, 0
+    variance, used = np.inf, 0
     stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in keyframes])
-    for _ in range(MAX_TURNS):
-        laid = _lay(trajectory(), fixes)
-        if laid is None:
-            break
+    while (laid := _lay(trajectory(), fixes)) is not None:
         before, variance = variance, laid.variance()
         rows = np.searchsorted(stamps_ns, laid.stamps_ns, side="right") - 1
         ids = np.array([keyframes[row].id for row in rows.tolist()], dtype=np.int64)
@@ -116,7 +106,7 @@ def tie_to_fixes(
         graph.replace_fixes(laid.T_map_earth, edges)
         graph.optimize(roughly=True)
         used = len(edges)
-        if abs(variance - before) <= SETTLED * variance:
+        if variance > 0.9 * before:  # it falls no more
             break
     return used
 
@@ -126,8 +116,8 @@ def _covariances(R: FloatArray, variances: FloatArray) -> FloatArray:
     variances (N,) m^2.
     """
     covariances = np.zeros((len(R), 6, 6))
-    covariances[:, :3, :3] = FREE_RAD**2 * np.eye(3)
-    upright = np.diag([1.0, 1.0, FREE_HEIGHT**2])
+    covariances[:, :3, :3] = np.pi**2 * np.eye(3)  # a fix tells no orientation
+    upright = np.diag([1.0, 1.0, 1e4])  # nor a height
     covariances[:, 3:, 3:] = variances[:, None, None] * (np.swapaxes(R, 1, 2) @ upright @ R)
     return covariances
 
@@ -169,7 +159,10 @@ def _lay(trajectory: TrajectoryRecord, fixes: Sequence[GeodeticFix]) -> LaidFixe
     stamps_ns = np.array([fix.stamp_ns for fix in used], dtype=np.int64)
     T_map_body = interpolate(trajectory.stamps_ns, trajectory.T_map_body, stamps_ns)
     geodetic, sigmas_m = geodetic_places(used), _sigmas(used)
-    start = Georeference(*np.median(geodetic, axis=0).tolist())
+    try:
+        start = Georeference(*np.median(geodetic, axis=0).tolist())
+    except GeometryError:  # at a pole
+        return None
     places = start.to_map(geodetic)
     xy, east_north = (points[:, :2] @ [1.0, 1.0j] for points in (T_map_body[:, :3, 3], places))
     headings = np.exp(1j * yaw_rad(T_map_body))
@@ -185,7 +178,7 @@ def _lay(trajectory: TrajectoryRecord, fixes: Sequence[GeodeticFix]) -> LaidFixe
             georeference, invert(T_earth_map), stamps_ns, sigmas_m, np.column_stack([left.real, left.imag])
         )
         marginal = np.linalg.inv(np.linalg.inv(information)[3:, 3:])
-        if motion[3:] @ marginal @ motion[3:] > laid.variance() * chdtri(2, BY_CHANCE):
+        if motion[3:] @ marginal @ motion[3:] > laid.variance() * chdtri(2, 1.0 - DECIDED):
             break
     return laid if np.std(xy) >= 3.0 * np.median(np.abs(left)) else None
 
@@ -214,7 +207,7 @@ def _fit(xy: np.ndarray, arms: np.ndarray, places: np.ndarray, sigmas_m: FloatAr
         off = places - np.exp(1j * yaw) * xy
         return np.array([yaw, np.median(off.real), np.median(off.imag), 0.0, 0.0])
 
-    guesses = map(guess, np.linspace(-np.pi, np.pi, HEADINGS, endpoint=False))
+    guesses = map(guess, np.linspace(-np.pi, np.pi, 72, endpoint=False))
     start = min(guesses, key=lambda motion: np.log1p(residuals(motion) ** 2).sum())
     best = least_squares(residuals, start, loss="cauchy")
     jacobian = np.asarray(best.jac)
