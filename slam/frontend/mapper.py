@@ -40,7 +40,7 @@ MISSED_RANGES, MISSED_SCANS = 0.5, 20
 """A tentative landmark unseen for that travel in sensor ranges, or for more scans, retires."""
 MOVING_RANGES_PER_S, MOVING_RANGES, MOVING_OBSERVATIONS = 1.0 / 30.0, 1.0 / 12.0, 5
 """An object moves if it is faster than that and has moved so far, both in sensor ranges, in so many observations; it is
-confirmed once its speed and the standard deviation of it are below.
+confirmed once its speed and two standard deviations of it are below.
 """
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
@@ -209,7 +209,7 @@ class Mapper:
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= self._confirm_fraction * scans
         confirmed = seen[
-            tentative & exists & enough & steady & (np.maximum(speeds, noise_mps) <= MOVING_RANGES_PER_S * range_m)
+            tentative & exists & enough & steady & (np.maximum(speeds, 2.0 * noise_mps) <= MOVING_RANGES_PER_S * range_m)
         ]
         self._map.confirm(confirmed)
 

@@ -113,11 +113,11 @@ def test_landmark_is_confirmed_by_enough_sightings_and_then_enters_the_graph_wit
     np.testing.assert_allclose(bench.observations()[0].covariance, 0.1**2 * np.eye(3), atol=1e-9)
 
 
-def test_landmark_is_not_confirmed_before_its_speed_is_known_to_a_metre_per_second():
+def test_landmark_is_not_confirmed_before_its_speed_is_known_to_half_a_metre_per_second():
     bench = Bench()
-    for i in range(8):
+    for i in range(13):
         assert all(state == LandmarkState.TENTATIVE for state in bench.states())
-        bench.drive(1, start=i, objects=OBJECTS + 1e-6 * i, sigma_m=0.6)  # in the end 1.13 and 0.93 m/s
+        bench.drive(1, start=i, objects=OBJECTS + 1e-6 * i, sigma_m=0.6)  # in the end 0.502 and 0.445 m/s
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
@@ -224,8 +224,8 @@ def test_landmark_that_turns_out_to_move_leaves_the_graph():
     """It creeps at 0.9 m/s, below the limit, and then goes at 1.6 m/s."""
     scans = np.arange(120)
     vehicle_m = 9.0 + 0.09 * scans + 0.07 * np.maximum(scans - 15, 0)
-    assert drive_past_a_vehicle(vehicle_m[:15], step_m=0.1, sigma_m=1.0).graph.landmarks.tolist() == [0, 1, 2, 3, 4]
-    bench = drive_past_a_vehicle(vehicle_m, step_m=0.1, sigma_m=1.0)
+    assert drive_past_a_vehicle(vehicle_m[:15], step_m=0.1, sigma_m=0.5).graph.landmarks.tolist() == [0, 1, 2, 3, 4]
+    bench = drive_past_a_vehicle(vehicle_m, step_m=0.1, sigma_m=0.5)
     assert bench.reasons() == ["", "", "", "", "moving"]
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
