@@ -209,7 +209,11 @@ class Mapper:
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= self._confirm_fraction * scans
         confirmed = seen[
-            tentative & exists & enough & steady & (np.maximum(speeds, 2.0 * noise_mps) <= MOVING_RANGES_PER_S * range_m)
+            tentative
+            & exists
+            & enough
+            & steady
+            & (np.maximum(speeds, 2.0 * noise_mps) <= MOVING_RANGES_PER_S * range_m)
         ]
         self._map.confirm(confirmed)
 
