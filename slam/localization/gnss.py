@@ -177,8 +177,7 @@ def _lay(trajectory: TrajectoryRecord, fixes: Sequence[GeodeticFix]) -> LaidFixe
         laid = LaidFixes(
             georeference, invert(T_earth_map), stamps_ns, sigmas_m, np.column_stack([left.real, left.imag])
         )
-        marginal = np.linalg.inv(np.linalg.inv(information)[3:, 3:])
-        if motion[3:] @ marginal @ motion[3:] > laid.variance() * chdtri(2, 1.0 - DECIDED):
+        if motion[3:] @ information @ motion[3:] > laid.variance() * chdtri(2, 1.0 - DECIDED):
             break
     return laid if np.std(xy) >= 3.0 * np.median(np.abs(left)) else None
 
@@ -186,15 +185,14 @@ def _lay(trajectory: TrajectoryRecord, fixes: Sequence[GeodeticFix]) -> LaidFixe
 def _sigmas(fixes: Sequence[GeodeticFix]) -> FloatArray:
     """Standard deviation (N,) m of a coordinate in the plane."""
     variances = np.array([np.nan if f.covariance is None else 0.5 * np.trace(f.covariance[:2, :2]) for f in fixes])
-    usual = np.nanmedian(variances) if np.isfinite(variances).any() else 1.0
-    return np.sqrt(np.where(np.isnan(variances), usual, variances))
+    is_known = variances > 0.0
+    usual = np.median(variances[is_known]) if is_known.any() else 1.0
+    return np.sqrt(np.where(is_known, variances, usual))
 
 
 def _fit(xy: np.ndarray, arms: np.ndarray, places: np.ndarray, sigmas_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The motion (5,) of points (N,), complex, onto others, and its information (5, 5).
-
-    It is a rotation [rad], a translation [m], and where the antenna is in the body, ahead and left [m], along ``arms``
-    (N,) of length 1.
+    """The motion (5,) of points (N,), complex, onto others: a rotation [rad], a translation [m], and where the antenna
+    is in the body, ahead and left [m], along ``arms`` (N,) of length 1; and the information (2, 2) of that place.
     """
 
     def residuals(motion: FloatArray) -> FloatArray:
@@ -210,5 +208,6 @@ def _fit(xy: np.ndarray, arms: np.ndarray, places: np.ndarray, sigmas_m: FloatAr
     guesses = map(guess, np.linspace(-np.pi, np.pi, 72, endpoint=False))
     start = min(guesses, key=lambda motion: np.log1p(residuals(motion) ** 2).sum())
     best = least_squares(residuals, start, loss="cauchy")
-    jacobian = np.asarray(best.jac)
-    return best.x, jacobian.T @ jacobian
+    others, own = np.split(np.asarray(best.jac), [3], axis=1)
+    own = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
+    return best.x, own.T @ own

@@ -9,7 +9,7 @@ import pytest
 
 from logs.decoders.decode import decode
 from logs.errors import InvalidRecordError
-from logs.messages import FloatArray, GeodeticFix, TrajectoryRecord
+from logs.messages import FloatArray, GeodeticFix, Odometry, TrajectoryRecord
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.writer import LogWriter
@@ -28,6 +28,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.initial_pose import GATE_SIGMAS
 from slam.replay import replay
+from slam.system import Slam
 from tests.helpers.ros2_logs import encoded, header
 from tests.helpers.short_drives import Entry, drive, write_log
 
@@ -149,6 +150,33 @@ def with_fixes(entries: list[Entry]) -> list[Entry]:
     fixes = far_off(fixes_of(np.array([pose.T_world_body[:3, 3] for _, _, pose in poses]), 0.3), 0.2)
     made = [("/fix", at, replace(fix, stamp_ns=pose.stamp_ns)) for fix, (_, at, pose) in zip(fixes, poses, strict=True)]
     return sorted([*entries, *made], key=lambda entry: entry[1])
+
+
+def test_a_robot_that_stands_has_no_heading_on_earth() -> None:
+    standing = replace(path(), T_map_body=np.tile(np.eye(4), (200, 1, 1)))
+    assert find_georeference(standing, fixes_of(np.zeros((200, 3)))) is None
+
+
+def test_covariances_of_zeros_are_unknown() -> None:
+    unknown = [replace(fix, covariance=np.zeros((3, 3))) for fix in fixes_of(POSITIONS)]
+    assert off_m(find_georeference(path(), unknown)).max() < 1.0
+
+
+def test_fixes_at_a_pole_tell_nothing() -> None:
+    assert find_georeference(path(), [replace(fix, latitude_deg=90.0) for fix in fixes_of(POSITIONS)]) is None
+
+
+def test_fixes_of_a_drive_are_edges_of_its_graph_from_the_first_keyframe() -> None:
+    slam = Slam(Config())
+    for _, _, record in with_fixes(drive()):
+        if isinstance(record, Odometry | GeodeticFix):
+            slam.process(record)
+    graph = slam.finish().graph
+    starts = [
+        start for (start, _), kind in zip(graph.edge_keyframe_ids, graph.edge_kinds, strict=True) if kind == "gnss"
+    ]
+    assert slam.counters["gnss_fixes_used"] == len(starts) > 5
+    assert set(starts) == {graph.keyframe_ids[0]}
 
 
 @pytest.mark.slow
