@@ -3,8 +3,6 @@
 They are looked up when they are first used, so that importing this costs nothing.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from importlib.metadata import version

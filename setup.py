@@ -5,8 +5,6 @@ packages have too. Setuptools can place ``slam`` at ``dslam.slam``, but leaves t
 they are changed here. An editable install imports the folders as they are.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The array types that signatures name; shapes, units and frames stand in the docstrings."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

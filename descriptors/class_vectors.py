@@ -1,7 +1,5 @@
 """A fixed vector for each class name, so that descriptors have one length for any vocabulary."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Constellations: an object and its neighbours, many of them in one batch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,7 +29,7 @@ class Constellations:
     def __len__(self) -> int:
         return len(self.centre_labels)
 
-    def __getitem__(self, rows: IntArray) -> Constellations:
+    def __getitem__(self, rows: IntArray) -> "Constellations":
         """Those of the given numbers (K,), in that order."""
         counts = np.diff(self.offsets)[rows]
         offsets = np.concatenate([[0], np.cumsum(counts)])

@@ -1,7 +1,5 @@
 """What a descriptor is."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from descriptors.arrays import Float32Array

@@ -1,7 +1,5 @@
 """What can go wrong with descriptors; they know nothing of SLAM, so they have their own root."""
 
-from __future__ import annotations
-
 
 class DescriptorError(Exception):
     """A constellation that cannot be described, or a descriptor that does not exist."""

@@ -1,7 +1,5 @@
 """Which entries of an index a constellation may be: nearest neighbours in descriptor space."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

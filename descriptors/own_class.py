@@ -1,7 +1,5 @@
 """A descriptor of one's own: a class as ``module:Class``, from the current folder or an installed package."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from numbers import Real

@@ -1,7 +1,5 @@
 """A descriptor without information: the lower bound of a comparison."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from descriptors.arrays import Float32Array

@@ -1,7 +1,5 @@
 """Which descriptors there are, and the index that each is looked up in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

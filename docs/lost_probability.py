@@ -3,8 +3,6 @@
 The maps are of drives with at most one kidnapping, a step of more than 5 m of the ground truth.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

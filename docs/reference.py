@@ -1,7 +1,5 @@
 """Hooks of the site: reference pages made from the code; links to files outside docs/ become names of these files."""
 
-from __future__ import annotations
-
 import posixpath
 import re
 import sys

@@ -3,8 +3,6 @@
 ``dslam benchmark robots FOLDER`` maps them. The seed of a drive is its name.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ The block ``demo`` tells whether the estimator has changed: it keeps its date wh
 than recorded, or if a block is older than the change before the last one. Its output stands in the quick start, too.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

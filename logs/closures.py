@@ -1,7 +1,5 @@
 """The final decision about each loop-closure candidate of a log."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from enum import StrEnum
 

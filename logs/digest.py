@@ -1,7 +1,5 @@
 """SHA-256, to name in an output what it was made from."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """``dslam.*`` messages <-> records: one table of the shapes of their arrays serves both directions."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import Counter

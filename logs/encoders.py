@@ -1,7 +1,5 @@
 """Records -> protobuf messages: Foxglove's schemas where one exists, else ``dslam.*``. The mirror of ``decoders``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

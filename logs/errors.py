@@ -1,7 +1,5 @@
 """What can go wrong with a log. One root, so that a caller catches one thing."""
 
-from __future__ import annotations
-
 
 class LogError(Exception):
     """A log cannot be used; the message says what, where and what to do. ``exit code 2`` on the command line."""

@@ -12,8 +12,6 @@ Odometry, detections, transforms and true poses refuse other shapes, types and m
 (``InvalidRecordError``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import field
 from typing import Any
@@ -188,7 +186,7 @@ class ObjectMapRecord:
         frame_id: str = "map",
         sigma_m: float = 0.0,
         observations: int = 0,
-    ) -> ObjectMapRecord:
+    ) -> "ObjectMapRecord":
         """Objects (N,) of known ``classes`` (N,), rows of the vocabulary, as confirmed landmarks seen at that stamp.
 
         ``sigma_m``: standard deviation of the positions (N, 3) on each axis; ``observations``: of each object.

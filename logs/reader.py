@@ -1,7 +1,5 @@
 """Reads a log: an MCAP file or a rosbag2 folder, in the order of log time and in bounded memory."""
 
-from __future__ import annotations
-
 import hashlib
 import heapq
 from collections import Counter, defaultdict
@@ -61,7 +59,7 @@ class LogReader:
             self._open: list[McapFile] = [open_file(file, self._limits, until_closed) for file in self.files]
             self._until_closed = until_closed.pop_all()
 
-    def __enter__(self) -> LogReader:
+    def __enter__(self) -> "LogReader":
         return self
 
     def __exit__(self, *error: object) -> None:

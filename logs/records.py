@@ -3,8 +3,6 @@
 Positions and scores that are not finite pass: such objects are left out, as those of a log.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 

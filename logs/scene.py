@@ -1,7 +1,5 @@
 """The map as viewers draw it: objects and lines as foxglove.SceneUpdate, points as foxglove.PointCloud."""
 
-from __future__ import annotations
-
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive

@@ -1,7 +1,5 @@
 """Which topic of a log plays which part."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -54,7 +52,7 @@ class Selection:
     mappings: Mapping[str, FieldMapping] = field(default_factory=dict)
 
     @staticmethod
-    def of(topics: Mapping[str, str]) -> Selection:
+    def of(topics: Mapping[str, str]) -> "Selection":
         """From topic -> kind, for example ``{"/slam/closures": "loop_closures"}``."""
         return Selection({topic: (RecordKind(kind),) for topic, kind in topics.items()})
 
@@ -63,11 +61,11 @@ class Selection:
         """The selected topics, sorted."""
         return tuple(sorted(self.kinds))
 
-    def only(self, kind: RecordKind) -> Selection:
+    def only(self, kind: RecordKind) -> "Selection":
         """The topics that play the part ``kind``, in that part alone."""
         return Selection(dict.fromkeys(self.topics_of(kind), (kind,)), self.mappings)
 
-    def without(self, *gone: RecordKind) -> Selection:
+    def without(self, *gone: RecordKind) -> "Selection":
         """The same without these parts."""
         rest = {topic: tuple(kind for kind in kinds if kind not in gone) for topic, kinds in self.kinds.items()}
         return Selection({topic: kinds for topic, kinds in rest.items() if kinds}, self.mappings)

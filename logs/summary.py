@@ -1,7 +1,5 @@
 """What a log holds and what is wrong with it, from one pass over all of it."""
 
-from __future__ import annotations
-
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The nouns of a log file as this project sees it: raw messages, topics, and the kinds of records they decode to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

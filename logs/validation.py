@@ -1,7 +1,5 @@
 """The border between what a file says and what a record may hold: finite numbers, rotations, usable covariances."""
 
-from __future__ import annotations
-
 import math
 import operator
 from collections import Counter

@@ -1,7 +1,5 @@
 """Writes a log: records in, an MCAP file out that is either whole under its name, or partial under NAME.part."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
@@ -59,7 +57,7 @@ class LogWriter:
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
         self._channel_ids: dict[tuple[object, ...], int] = {}
 
-    def __enter__(self) -> LogWriter:
+    def __enter__(self) -> "LogWriter":
         return self
 
     def __exit__(

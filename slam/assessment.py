@@ -1,7 +1,5 @@
 """Reasons to doubt a finished map, for people: the share of the way without landmarks, and moving objects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The results of a drive, once all is optimised."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Sequence

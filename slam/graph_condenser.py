@@ -5,8 +5,6 @@ observations from there go to the keyframe of the second traversal, and landmark
 stays as it is: its keyframes hold the shape of the map, and a keyframe attached to one counts as known relative to it.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Functions of the library beside :func:`slam.replay.replay`: maps, and results of a log as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Maps a robot while it drives: each message gives estimates immediately."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from pathlib import Path

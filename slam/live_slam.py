@@ -1,7 +1,5 @@
 """Maps a drive of a robot without calibration from the past records alone."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -170,7 +168,7 @@ class LiveSlam:
             self._successor = _Successor(self._build(calibration.config), calibration)
             self._successor.slam.counters[CALIBRATIONS] = self._slam.counters[CALIBRATIONS] + 1
 
-    def _succeed(self, successor: _Successor) -> list[Record]:
+    def _succeed(self, successor: "_Successor") -> list[Record]:
         self._slam, self.calibration, self._successor = successor.slam, successor.calibration, None
         if self._detections >= MAX_DETECTIONS:
             self._is_estimating, self._records = False, []

@@ -1,7 +1,5 @@
 """The messages of a log, from a file or as they come: through the estimator into the output."""
 
-from __future__ import annotations
-
 import time
 from array import array
 from collections import Counter
@@ -50,7 +48,7 @@ class LogMapper:
     ``fixes``: those of a satellite receiver.
     """
 
-    def __init__(self, slam: LiveSlam, inputs: InputRecords, clocks: StampClocks, log: OutputLog) -> None:
+    def __init__(self, slam: LiveSlam, inputs: InputRecords, clocks: StampClocks, log: "OutputLog") -> None:
         self.slam = slam
         self.log = log
         self.clocks = clocks

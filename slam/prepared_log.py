@@ -1,7 +1,5 @@
 """Preparation of a log: its topics and frames, and the settings that are estimated from it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Provenance of an output, as metadata: enough to reproduce it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -20,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def settings_of(
-    config: Config, calibration: CalibratedLog, prior_map: PriorMap | None, *, extend: bool
+    config: Config, calibration: "CalibratedLog", prior_map: "PriorMap | None", *, extend: bool
 ) -> dict[str, str]:
     """The version, the settings as given and as estimated, and the map, as text and JSON."""
     about = {

@@ -1,7 +1,5 @@
 """Replay: reader -> Slam -> writer, in one pass over the log."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections import Counter

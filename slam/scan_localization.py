@@ -5,8 +5,6 @@ and :class:`Acceptance` accepts the likeliest of them once its posterior probabi
 prior is uniform over the map, and the alternatives are the other candidates and "not in the map".
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

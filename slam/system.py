@@ -3,8 +3,6 @@
 ``Slam.process`` is where to begin reading.
 """
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ A terminal is not always one: streams may be closed, full, or of an encoding wit
 ends the process gets one line, also while modules are imported.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Options that several commands share."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence
@@ -69,7 +67,7 @@ def parse_topics(pairs: Sequence[str] | None) -> dict[str, str]:
     return topics
 
 
-def parse_origin(text: str) -> Georeference:
+def parse_origin(text: str) -> "Georeference":
     """The place on earth that "LAT,LON[,ALT[,YAW]]" names, degrees and metres."""
     from slam.common.georeference import Georeference
 

@@ -1,7 +1,5 @@
 """``dslam``: the command line. Commands parse, call one library function and print; only here are errors caught."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import sys

@@ -1,7 +1,5 @@
 """Output to the terminal: results to standard output, progress to standard error."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """dslam live."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -82,7 +80,7 @@ def live(
     console.report(figures, as_json=json)
 
 
-def _at_speed(reader: LogReader, config: Config, topics: dict[str, str], speed: float) -> Iterator[LogItem]:
+def _at_speed(reader: "LogReader", config: "Config", topics: dict[str, str], speed: float) -> "Iterator[LogItem]":
     """The messages of a log, each not before its time."""
     import time
 

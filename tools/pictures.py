@@ -1,7 +1,5 @@
 """Pictures of drives and maps from above, for commands that have --picture or --save."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 

@@ -1,7 +1,5 @@
 """dslam relocalize."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
@@ -100,7 +98,7 @@ def relocalize(
         raise typer.Exit(1)
 
 
-def _parsed_prior(near: str | None) -> InitialPose | None:
+def _parsed_prior(near: str | None) -> "InitialPose | None":
     import numpy as np
 
     from slam.common.errors import InputDataError

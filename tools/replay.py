@@ -1,7 +1,5 @@
 """dslam replay."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -102,7 +100,7 @@ def replay(
     )
 
 
-def describe(summary: ReplaySummary) -> dict[str, str]:
+def describe(summary: "ReplaySummary") -> dict[str, str]:
     """How a replay went, for people."""
     counters = Counter(summary.counters)
     condensed = counters["keyframes_condensed"]

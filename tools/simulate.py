@@ -1,7 +1,5 @@
 """dslam simulate."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -50,7 +48,7 @@ def simulate(
     console.report({**made, **asdict(summary)}, as_json=json)
 
 
-def load_or_generate(objects: Path | None, trajectory: Path | None, *, seed: int) -> World:
+def load_or_generate(objects: Path | None, trajectory: Path | None, *, seed: int) -> "World":
     """The world in two CSV files, or the generated town with a seed.
 
     Raises:

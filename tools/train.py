@@ -1,7 +1,5 @@
 """dslam train."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -79,7 +77,7 @@ def train(
     console.report(figures, as_json=json)
 
 
-def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) -> ContrastTraining:
+def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) -> "ContrastTraining":
     """How a network is trained. Weights that are trained already are trained further in smaller steps, and with more
     validation maps, as the differences between epochs are small.
     """
@@ -97,7 +95,7 @@ def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) ->
     return config if epochs is None else replace(config, epochs=epochs)
 
 
-def _load_map(path: Path) -> TrainingMap:
+def _load_map(path: Path) -> "TrainingMap":
     """The objects of a CSV file, of a map of any kind, or of the final map in a log."""
     import numpy as np
 

@@ -5,8 +5,6 @@ Zhu et al., GOSMatch: Graph-of-Semantics Matching for Detecting Loop Closures in
 Descriptellation paper (Section IV-C) the constellation of each object takes the place of the scan here.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from descriptors.arrays import Float32Array

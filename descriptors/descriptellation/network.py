@@ -7,8 +7,6 @@ The paper joins objects that are nearer than the mean distance of two objects of
 of a constellation in all maps but the smallest, so all constellations are complete graphs here.
 """
 
-from __future__ import annotations
-
 import torch
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass

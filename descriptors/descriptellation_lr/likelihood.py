@@ -1,7 +1,5 @@
 """The learned likelihood ratio by numpy alone, so that a replay needs no torch."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

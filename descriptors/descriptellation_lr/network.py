@@ -1,7 +1,5 @@
 """The likelihood ratio as a network of torch, for training; ``likelihood`` evaluates it by numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

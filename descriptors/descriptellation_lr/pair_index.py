@@ -6,8 +6,6 @@ SIGMOD 1997). Many pairs that are added first are sorted by class and length: a 
 those that have its classes and its length.
 """
 
-from __future__ import annotations
-
 import mmap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -83,7 +81,7 @@ class PairIndex:
         ends: UintArray,
         lengths: Float32Array,
         classes: UintArray,
-    ) -> PairIndex:
+    ) -> "PairIndex":
         """The index with the arrays of one that was made at once.
 
         Raises:
@@ -188,7 +186,7 @@ class PairIndex:
         queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
         return PairMatches(queries[best], entries[best], nats[best])
 
-    def _ask(self, pairs: Pairs, labels: IntArray, noise: FloatArray) -> _Asked:
+    def _ask(self, pairs: Pairs, labels: IntArray, noise: FloatArray) -> "_Asked":
         """What the pairs of a query ask of the index, with a noise (N,) of each object in spacings."""
         sigmas = np.sqrt(np.mean(noise[pairs.ends] ** 2, axis=1))
         hits, misses = self.likelihood.worths(pairs, sigmas)
@@ -222,7 +220,7 @@ class PairIndex:
             return pairs
         return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self.likelihood.architecture)
 
-    def _windows(self, asked: _Asked) -> Iterator[tuple[IntArray, IntArray, Words]]:
+    def _windows(self, asked: "_Asked") -> Iterator[tuple[IntArray, IntArray, Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
 
         Rows (B,) of the query, the first word (B,) of each, and a mask (B, W) of the pairs from there on: of rows with
@@ -248,7 +246,7 @@ class PairIndex:
             is_like &= (asked.low[:, None] <= self.lengths[of_tail]) & (self.lengths[of_tail] <= asked.high[:, None])
             yield np.arange(len(asked.classes)), np.full(len(asked.classes), tail), _packed(is_like)
 
-    def _columns(self, asked: _Asked, rows: IntArray, firsts: IntArray, width: int) -> list[list[Words]]:
+    def _columns(self, asked: "_Asked", rows: IntArray, firsts: IntArray, width: int) -> list[list[Words]]:
         """Words (B, W) of the cells that rows of the query ask for, by the bits of their steps."""
         windows = sliding_window_view(self.words, width, axis=1)
         levels = list[list[Words]]()

@@ -6,8 +6,6 @@ in spacings, the median distance of an object of the map to its nearest neighbou
 look alike.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

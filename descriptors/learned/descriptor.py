@@ -1,7 +1,5 @@
 """A descriptor made by a trained network."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

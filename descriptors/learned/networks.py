@@ -1,7 +1,5 @@
 """Networks by their architectures: those that ship, and a user's own module as ``file:Class``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

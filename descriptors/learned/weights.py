@@ -3,8 +3,6 @@
 They are read by numpy alone, so that a replay needs no torch.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

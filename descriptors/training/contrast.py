@@ -4,8 +4,6 @@ The negatives are other objects of the same class, those of the same street amon
 new views of it. Oord et al., Representation Learning with Contrastive Predictive Coding, 2018, equation 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Maps to train on: simulated streets, forests and patterns, and pieces of real maps that are given."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

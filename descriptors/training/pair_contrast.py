@@ -5,8 +5,6 @@ which are fewer in a map of this size.
 Oord et al., Representation Learning with Contrastive Predictive Coding, 2018, equation 4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The trainer of all networks: steps, validation, and the best weights."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import os

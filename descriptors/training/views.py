@@ -1,7 +1,5 @@
 """What a robot sees of a map on a short stretch: part of it, not exactly, and some things that are not there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

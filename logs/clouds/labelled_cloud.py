@@ -1,7 +1,5 @@
 """A point cloud of which each point has a class, and perhaps an instance."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,7 +39,7 @@ class LabelledCloud:
                 f"a cloud of {counts[0]} points has {', '.join(map(str, counts[1:]))} labels; give one for each point"
             )
 
-    def finite(self) -> LabelledCloud:
+    def finite(self) -> "LabelledCloud":
         """The cloud without the points that have NaN or Inf: beams that hit nothing."""
         is_finite = np.isfinite(self.positions).all(axis=1)
         if is_finite.all():

@@ -1,7 +1,5 @@
 """Labelled points -> objects: instances, or clusters of each class, each with its centre, extent and covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

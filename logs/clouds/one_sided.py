@@ -9,8 +9,6 @@ of it is: without a correction for the spacing of the points it would seem the n
 way of the sensor the shorter.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What JSON may hold."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic_core import to_jsonable_python

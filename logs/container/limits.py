@@ -1,7 +1,5 @@
 """Limits on the memory that a file may take."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple, dataclass
 
@@ -27,7 +25,7 @@ class ReadingLimits:
     objects: int = 5000
     name_length: int = 1000
 
-    def scaled(self, factor: float) -> ReadingLimits:
+    def scaled(self, factor: float) -> "ReadingLimits":
         """Limits that are all so many times as large, one at least."""
         return ReadingLimits(*(max(round(factor * limit), 1) for limit in astuple(self)))
 

@@ -1,7 +1,5 @@
 """Names from a log, as they may be shown."""
 
-from __future__ import annotations
-
 import re
 
 # Control characters but tabs and ends of lines, and those that turn the direction of text around.

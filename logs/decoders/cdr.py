@@ -1,7 +1,5 @@
 """Bytes of ROS 2 (CDR) -> messages, by the definition in the log: ``ros2msg`` or ``ros2idl``."""
 
-from __future__ import annotations
-
 import re
 import struct
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Messages of a log -> records, with a count of what was not fit to be one."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Collection

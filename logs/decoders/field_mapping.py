@@ -6,8 +6,6 @@ each part of a detection the field that holds it: ``position`` (x, y and z in it
 ``header``, as ROS has it, else the log time and the body.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -29,7 +27,7 @@ class FieldMapping:
     fields: Mapping[str, str]
 
     @staticmethod
-    def parse(text: str) -> FieldMapping:
+    def parse(text: str) -> "FieldMapping":
         """The mapping that ``text`` describes.
 
         Raises:

@@ -1,7 +1,5 @@
 """What the encodings share: poses, frames, fixes and detections, once their numbers are out of the message."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -9,8 +9,6 @@ In JSON, fields have the names of the schema or those of protobuf's JSON. A time
 Foxglove writes it, or text as in RFC 3339; bytes are base64.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import defaultdict

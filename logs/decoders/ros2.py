@@ -1,7 +1,5 @@
 """Messages of ROS 2, read by the definitions that the log itself carries."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -10,8 +10,6 @@ that is empty, of the array's.
   marker's text, else its namespace.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from typing import Any
 

@@ -5,8 +5,6 @@
 * sensor_msgs/msg/CameraInfo, and sensor_msgs/msg/Image with depth: 16UC1 in millimetres or 32FC1 in metres.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

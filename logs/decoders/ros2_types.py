@@ -5,8 +5,6 @@ itself come from the library ``rosbags``. The layouts of perception messages, of
 itself, are written down here; they are those of the releases for ROS 2 Humble.
 """
 
-from __future__ import annotations
-
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 

@@ -1,7 +1,5 @@
 """Detections from a table of named columns: one row an object, the rows of one stamp a scan."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

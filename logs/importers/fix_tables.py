@@ -1,7 +1,5 @@
 """Fixes of a satellite receiver from a table of named columns."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.importers.stamps import read_stamps

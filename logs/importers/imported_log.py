@@ -1,7 +1,5 @@
 """Logs of whole drives as importers and the simulator write them: records on topics, and where they came from."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path

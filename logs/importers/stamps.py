@@ -1,7 +1,5 @@
 """Times in text files, in one of several units, exact to the nanosecond."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from decimal import Decimal

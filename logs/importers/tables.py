@@ -1,7 +1,5 @@
 """Rows under named columns; faults are reported with their line and column."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

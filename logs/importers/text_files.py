@@ -1,7 +1,5 @@
 """Foreign text files; faults are reported with their file and line."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import zlib

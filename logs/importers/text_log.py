@@ -1,7 +1,5 @@
 """A drive in plain text files: poses of the odometry, a table of detections, fixes of satellites, true poses."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from heapq import merge

@@ -1,7 +1,5 @@
 """Trajectories in text files: TUM, KITTI, and tables with named columns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from enum import StrEnum

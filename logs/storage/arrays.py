@@ -1,7 +1,5 @@
 """Arrays attached to an MCAP file, in NumPy's file format, mapped into memory."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Collection

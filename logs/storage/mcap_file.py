@@ -1,7 +1,5 @@
 """One MCAP file, whole or damaged, in the order of log time and in bounded memory."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Collection, Iterator, Mapping
 from itertools import zip_longest

@@ -3,8 +3,6 @@
 Damage anywhere costs no more than the block that it lies in: a chunk, or a run of records outside of chunks.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import struct

@@ -1,7 +1,5 @@
 """Opens the files of a log; their format is recognised by their first bytes, not by their name."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Giving a finished file its name."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Opening files of a disk, and nothing else: a pipe may wait for ever, and a device never end."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -1,7 +1,5 @@
 """Messages of a log as a stream of bytes, from standard input or a socket: each after its length as a varint."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Kinds of edges between keyframes; reading a map needs them, but not the solver."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

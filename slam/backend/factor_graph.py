@@ -1,7 +1,5 @@
 """The factor graph: poses of keyframes, positions of landmarks, and the factors between them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace

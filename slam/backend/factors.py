@@ -5,8 +5,6 @@ GTSAM sees it, since GTSAM does not check that a rotation matrix is one. Noise i
 translation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

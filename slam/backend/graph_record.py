@@ -1,7 +1,5 @@
 """Conversion of the factor graph to a record of a log and back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The solver: iSAM2 during the drive, Levenberg-Marquardt over everything at its end."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections import Counter

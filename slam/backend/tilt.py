@@ -11,8 +11,6 @@ with H the information of all variables and f a factor on the standard deviation
 least one that is not contradicted is used, so that a drive near the level of significance is near both solutions.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The array types that signatures name, and what of arrays needs NumPy alone; shapes and units stand in docstrings."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

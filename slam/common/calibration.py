@@ -4,8 +4,6 @@ Lengths of the program that are not here are fractions of ``detection.sensor_ran
 those of a car with a sensor range of 30 m.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from operator import attrgetter
 
@@ -152,7 +150,7 @@ class Calibration(Branch):
     evidence: dict[str, float] = Field(default={})
     """amount of data: scans, detections, travel and tracked pairs of detections"""
 
-    def with_values(self, values: Mapping[str, float]) -> Calibration:
+    def with_values(self, values: Mapping[str, float]) -> "Calibration":
         """The same with other values of some dotted keys, like "odometry.yaw_sigma"; they are not checked."""
         branches: dict[str, dict[str, float]] = {}
         for key, value in values.items():

@@ -4,8 +4,6 @@ The properties of a robot's sensors are not settings but the calibration, which 
 as it is not given. The effective tree is written into every output log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -114,11 +112,11 @@ class Config(Branch):
         given = self.loop_closure.propagation_distance_m
         return SUBMAP_RANGES * self.sensor_range_m if given is None else given
 
-    def calibrated(self, values: Mapping[str, float]) -> Config:
+    def calibrated(self, values: Mapping[str, float]) -> "Config":
         """The same with other values of some dotted keys of the calibration, like "odometry.yaw_sigma"."""
         return self.model_copy(update={"calibration": self.calibration.with_values(values)})
 
-    def closing(self, **values: Any) -> Config:
+    def closing(self, **values: Any) -> "Config":
         """The same with other values of some settings of loop closures."""
         return self.model_copy(update={"loop_closure": self.loop_closure.model_copy(update=values)})
 

@@ -1,7 +1,5 @@
 """Trees of settings, as frozen pydantic models: read from TOML and flags, written as TOML, and compared."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """Errors of the estimator. One root; logs have their own, because they know nothing of SLAM."""
 
-from __future__ import annotations
-
 
 class SlamError(Exception):
     """Root of the estimator's errors; the message holds the values and the remedy."""

@@ -4,8 +4,6 @@
 equal.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 

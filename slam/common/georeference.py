@@ -4,8 +4,6 @@ x and y are those of the tangent plane (east and north, turned by the heading of
 the ellipsoid; z is the height above that of the origin. So a map of 100 km is distorted by less than 1e-4.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 
@@ -57,7 +55,7 @@ class Georeference:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str) -> Georeference:
+    def from_json(cls, text: str) -> "Georeference":
         """Read what :meth:`to_json` wrote.
 
         Raises:

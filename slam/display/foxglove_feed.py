@@ -1,7 +1,5 @@
 """Publishes estimates for Foxglove over a WebSocket during the drive."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import foxglove

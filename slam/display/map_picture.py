@@ -1,7 +1,5 @@
 """One picture of a map from above: trajectories, landmarks by class, loop closures."""
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Topics for viewers."""
 
-from __future__ import annotations
-
 from logs.messages import Record
 
 MAP_FRAME, FRAMES, LOG = "map", "/tf", "/slam/log"

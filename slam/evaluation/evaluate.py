@@ -1,7 +1,5 @@
 """From the records of a log to an evaluation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Requirements on an evaluation: "trajectory.ate_m<=4.0"."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import operator

@@ -1,7 +1,5 @@
 """The result of an evaluation: figures for JSON, and data for pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What changed where a fleet drove: objects that appeared, went or moved, with probability and dates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime

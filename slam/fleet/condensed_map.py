@@ -5,8 +5,6 @@ keeps its shape: the observations of a landmark from a cell become one, by the s
 drives there are, the graph is as large as their area.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

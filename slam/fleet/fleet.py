@@ -1,7 +1,5 @@
 """A fleet: logs in, one map out. What is done stays in the folder, by what it was made from, and is not done again."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace

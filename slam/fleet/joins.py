@@ -3,8 +3,6 @@
 One index has all earlier maps, so the time of a query does not grow with their number.
 """
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """One map of several: their places optimised with the joins, landmarks fused, and all of it optimised together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress

@@ -1,7 +1,5 @@
 """The logs of a fleet, by their content."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

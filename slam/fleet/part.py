@@ -5,8 +5,6 @@ the sum of their observations. A folded part is joined with later sessions as a 
 grows with the area of the city and not with the number of nights.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -12,8 +12,6 @@ landmarks of few among many sessions are not reported as changes. The hazard, to
 by expectation maximisation, so that a fleet in which nothing changes reports no changes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report of a fleet: where each log joined, or why it did not; the same bytes for the same fleet."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

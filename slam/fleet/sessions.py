@@ -1,7 +1,5 @@
 """Logs, each mapped by itself in a process of its own: a session is a function of its log and the settings."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The graph of a map as g2o text."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Landmarks for other programs: a table (CSV), and places on earth (GeoJSON)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trajectories in the text formats of other programs: TUM, KITTI, and a table of places on earth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

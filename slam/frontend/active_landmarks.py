@@ -3,8 +3,6 @@
 All of them are in the EKF of :mod:`slam.frontend.local_map`; those that are confirmed correct the robot's pose.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -7,8 +7,6 @@ paths (Jonker and Volgenant 1987), on a sparse matrix if they are many, so that 
 no more than its neighbourhoods.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 
@@ -70,7 +68,7 @@ class Assignment:
         """(D,) whether the detection has a landmark."""
         return self.landmark_rows >= 0
 
-    def of(self, count: int) -> Assignment:
+    def of(self, count: int) -> "Assignment":
         """That of the first detections."""
         return replace(
             self, landmark_rows=self.landmark_rows[:count], log_likelihood_ratios=self.log_likelihood_ratios[:count]

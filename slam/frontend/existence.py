@@ -11,8 +11,6 @@ tracking: Musicki, Evans and Stankovic, IEEE Trans. Automatic Control, 1994; sco
 Design and Analysis of Modern Tracking Systems, 1999, ch. 6.)
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln

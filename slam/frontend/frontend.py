@@ -4,8 +4,6 @@ A pose of the odometry is handed out once a scan after it has been placed, which
 long.
 """
 
-from __future__ import annotations
-
 import logging
 from bisect import bisect_right, insort
 from collections import Counter, deque

@@ -17,8 +17,6 @@ with V the left Jacobian of the rotation. Then
 Source: Barrau and Bonnabel, An EKF-SLAM algorithm with consistency properties, 2015; Zhang et al., IEEE RA-L 2017.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_triangular
 

@@ -4,8 +4,6 @@ Each scan is associated with the landmarks around the robot (odometry frame); ea
 the last one to the factor graph (map frame).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Observations on their way from the scans into the factor graph."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import replace

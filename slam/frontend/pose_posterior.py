@@ -16,8 +16,6 @@ update of xi with it; the best ones are refined with all pairs in their gates. C
 others compatible with it (joint compatibility: Neira and Tardos, IEEE T-RA 2001).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import field
 from itertools import combinations

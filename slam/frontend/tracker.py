@@ -7,8 +7,6 @@ used. Their prior is a mixture: the odometry is right, or it errs by as much as 
 around.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

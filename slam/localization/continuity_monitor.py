@@ -11,8 +11,6 @@ estimated from the drive so far, that a landmark in view is seen; and P_F that a
 The kidnapping is noticed once its posterior odds, with the rate of failures of the odometry as their prior, are high.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -3,8 +3,6 @@
 The antenna is anywhere in the body: where it is follows from the fixes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

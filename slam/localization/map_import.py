@@ -1,7 +1,5 @@
 """From the objects of a source to an imported map: positions in a plane, and its georeference."""
 
-from __future__ import annotations
-
 from importlib.metadata import version
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A prior map as segment 0 of the odometry: relocalization in it is a closure across a discontinuity."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.reader import LogReader

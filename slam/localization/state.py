@@ -1,7 +1,5 @@
 """Localization state of the robot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -5,8 +5,6 @@ from some sources and as (north, east) from others, as geodesists write them. Ta
 mirror image, which no motion of the robot explains.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

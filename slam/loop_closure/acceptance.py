@@ -17,8 +17,6 @@ where v_r is the share, of all poses in A, of those that the registration r does
 fits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A loop-closure candidate: two keyframes, their relative pose, its log-likelihood ratio and its odometry penalty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ travel than lies between two closures, an object may have a landmark for each of
 back with a larger error than the odometry is expected to have.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import defaultdict
 from collections.abc import Mapping, Sequence

@@ -20,8 +20,6 @@ there themselves; and the prior of half an object in the area that was searched.
 a wrong pose on a parallel street matches most of a row; the density along it is high and the match is worth little.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import logsumexp
 

@@ -4,8 +4,6 @@
 is registered at each of them, and its posterior probability decides.
 """
 
-from __future__ import annotations
-
 import logging
 from bisect import bisect_left
 from collections import deque

@@ -1,7 +1,5 @@
 """Verification: registers a query at a proposed place and computes the log-likelihood ratio and prior of the result."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -169,7 +167,7 @@ class Verifier:
             if isinstance(each, Candidate) and not each.agrees(candidate.T_local_query, self._sensor_range_m)
         ]
 
-    def _prior(self, query: Query, place: Place, reference: Keyframe) -> PosePrior:
+    def _prior(self, query: Query, place: Place, reference: Keyframe) -> "PosePrior":
         """The prior of the query's pose: by the odometry since the closure that predicts it, or since the reference."""
         T_local_query, since = place.T_local_query, place.predicted_by
         if since is None:

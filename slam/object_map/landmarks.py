@@ -4,8 +4,6 @@ The row of a landmark is its id and never changes. Life cycle: ``TENTATIVE`` fro
 once it was observed often enough; ``RETIRED`` with a reason if it is not a static object, or a duplicate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Set
 from enum import IntEnum, StrEnum
 

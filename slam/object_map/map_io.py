@@ -1,7 +1,5 @@
 """Saved maps: landmarks, keyframes and the factors between them, written to a log and read from it."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Checks that a saved map is consistent: names are unique and resolve, and its graph is connected."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from itertools import chain

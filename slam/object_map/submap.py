@@ -4,8 +4,6 @@ A submap lives in the odometry frame or in the gravity frame of a keyframe, neve
 tens of metres the odometry is smooth, and what closes loops must not depend on the loops closed before.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +35,7 @@ class Submap:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def of(self, chosen: BoolArray) -> Submap:
+    def of(self, chosen: BoolArray) -> "Submap":
         """Some of the landmarks, by a mask (N,), where all of them exist."""
         return replace(
             self,

@@ -2,8 +2,6 @@
 wheel of another radius or track; a climb, as of a LiDAR whose beams are tilted.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

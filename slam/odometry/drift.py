@@ -1,7 +1,5 @@
 """The keyframes as the odometry has them: which passed near a place, and how far any two may have drifted apart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

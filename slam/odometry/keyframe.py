@@ -1,7 +1,5 @@
 """Keyframes: the poses of the odometry that the factor graph estimates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Covariances of steps of the odometry: a random walk by travel, by turning and by time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -15,8 +15,6 @@ grown to expect it, and explains the innovations of at least three landmarks. Th
 W' y.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import chdtrc, chdtri
 

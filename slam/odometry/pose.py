@@ -1,7 +1,5 @@
 """A pose on the track of the odometry."""
 
-from __future__ import annotations
-
 from dataclasses import field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The odometry as one track: poses by time, the travel so far, where it breaks, and where it was corrected."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from bisect import bisect_left

@@ -1,7 +1,5 @@
 """A map without a trajectory: objects of a city's open data, in a file that is mapped into memory and not read."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import field

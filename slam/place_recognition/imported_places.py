@@ -4,8 +4,6 @@ The landmarks of the map around a pose, where it is verified and while the robot
 the object map.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.backend.factor_graph import FactorGraph

@@ -1,7 +1,5 @@
 """The prior of the initial pose, from a user or from satellites."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.records import frozen

@@ -1,7 +1,5 @@
 """Pairs of landmarks that a robot has left behind: which of them pairs of a query may be, by a descriptor."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.distance import pdist
 

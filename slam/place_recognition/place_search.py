@@ -6,8 +6,6 @@ are candidates. Each candidate is fitted to all objects that meet one of their c
 log-likelihood ratio: an object that meets one counts by how exactly it does, one that meets none costs little.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -60,12 +58,12 @@ class _Poses:
     turns: ComplexArray
 
     @staticmethod
-    def of(T_map_query: FloatArray, middle: complex) -> _Poses:
+    def of(T_map_query: FloatArray, middle: complex) -> "_Poses":
         """The poses (H, 4, 4) of a query whose middle is there, complex metres."""
         turns = T_map_query[:, 0, 0] + 1j * T_map_query[:, 1, 0]
         return _Poses(T_map_query[:, 0, 3] + 1j * T_map_query[:, 1, 3] + turns * middle, turns)
 
-    def __getitem__(self, rows: IntArray) -> _Poses:
+    def __getitem__(self, rows: IntArray) -> "_Poses":
         return _Poses(self.middles[rows], self.turns[rows])
 
 

@@ -4,8 +4,6 @@ Inactive landmarks are indexed by what is around them. A map that is imported ha
 once.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from descriptors.descriptellation_lr.pair_index import PairIndex

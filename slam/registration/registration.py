@@ -5,8 +5,6 @@ least squares alternate; then the inliers are assigned one to one. The motion is
 frames have z up.
 """
 
-from __future__ import annotations
-
 from typing import Self
 
 import numpy as np

@@ -7,8 +7,6 @@ term but a climb is found: over pairs of scans all these look much the same, and
 apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Values that were given by hand are kept. Where the logs tell too little, the noi
 units of the sensor range, not that of a good sensor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple, field
 

@@ -21,8 +21,6 @@ A term *changes* at the begin of a block if a second value of it from there on i
 terms.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -10,8 +10,6 @@ with lengths that are too short, scans that are a part of the spacing of the obj
 evidence has one maximum, at the right octave, if scans that are so far apart share objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

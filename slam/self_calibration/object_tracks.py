@@ -6,8 +6,6 @@ noise: the spacing of the objects is the yardstick. Cameras err along the ray fa
 way round: distances in the direction of the larger noise are divided by the ratio of the two, which the log tells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields, replace
 
@@ -102,7 +100,7 @@ class ObjectTracks:
         """Where the objects were detected (S, 3) m, in the odometry frame."""
         return np.column_stack([self.points, self.heights])
 
-    def of(self, chosen: BoolArray | IntArray) -> ObjectTracks:
+    def of(self, chosen: BoolArray | IntArray) -> "ObjectTracks":
         """Some of the detections, by mask or rows."""
         return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 

@@ -4,8 +4,6 @@ They are a cluster: hardly any other detection of their class is up to twice as 
 object from scan to scan, whereas neighbouring objects keep their offset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Pairs of scans between which the body moved, and how near its motion brings their detections to one another."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -37,12 +35,12 @@ class ScanPairs:
         self._tree = cKDTree(reference)
 
     @classmethod
-    def by_travel(cls, scans: Sequence[SurveyScan], spacing_m: float) -> ScanPairs:
+    def by_travel(cls, scans: Sequence[SurveyScan], spacing_m: float) -> "ScanPairs":
         """Pairs between which the body travels."""
         return cls(scans, _evenly(_travels(scans, spacing_m), FEW), spacing_m)
 
     @classmethod
-    def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> ScanPairs:
+    def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> "ScanPairs":
         """Pairs between which the body travels, and pairs between which it turns, ``fastest``: most for the time."""
         turned_rad = travelled_m(headings_of(scans)[:, None])
         turns = _reached(turned_rad, MOVED_SPACINGS * spacing_m / max(median_range(scans), 1e-9))

@@ -1,7 +1,5 @@
 """The survey of a robot's logs: corrections of the input, and noise and lengths of the corrected scans."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 

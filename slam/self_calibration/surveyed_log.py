@@ -1,7 +1,5 @@
 """The odometry and the detections of a log as scans that are corrected by a calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

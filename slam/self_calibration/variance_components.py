@@ -25,8 +25,6 @@ Standard errors are the larger of two: by leaving out a block of time at a time 
 that the pairs have of a component while all others are held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

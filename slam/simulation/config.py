@@ -1,7 +1,5 @@
 """Configuration of a simulated drive: every number has its unit, range and meaning; unknown keys are refused."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from slam.common.config_tree import Branch

@@ -1,7 +1,5 @@
 """The tour as it is driven: corners rounded, bends taken slowly, poses at a steady rate."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 

@@ -1,7 +1,5 @@
 """An object detector with missed and false detections, and errors of position and class."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

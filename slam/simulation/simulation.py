@@ -1,7 +1,5 @@
 """A drive through a world as the records of a log."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Classes are named, and about as frequent, as in cities mapped by hand: mostly trees, then signs, bollards and lamps.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """A generated town: irregular blocks, streets with furniture in rows, parks, and a tour with revisits."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The world that is driven through: objects that stand still, and a tour past them."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +45,7 @@ class World:
         """Length of the poly-line, metres."""
         return float(travelled_m(self.tour)[-1])
 
-    def shortened(self, length_m: float) -> World:
+    def shortened(self, length_m: float) -> "World":
         """The same world with the first ``length_m`` metres of the tour; the whole tour if it is no longer than that.
 
         Raises:

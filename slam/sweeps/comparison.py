@@ -1,7 +1,5 @@
 """Comparison of groups of drives: differences between groups that exceed those between repetitions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A drive that is degraded, mapped and evaluated: what all benchmarks of whole drives have in common."""
 
-from __future__ import annotations
-
 import resource
 import sys
 import tempfile

@@ -3,8 +3,6 @@
 ``run_sweep`` is where to begin reading.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import re

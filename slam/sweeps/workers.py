@@ -1,7 +1,5 @@
 """Tasks in processes of their own: one that dies takes only its task along, and none outlives its parent."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -4,8 +4,6 @@ The final trajectory was fitted to all detections, so the judgement favours it: 
 data association or the closures of the final one have failed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import compress

@@ -4,8 +4,6 @@ A trajectory that drifts places what was seen on two visits apart. No associatio
 trajectory makes its own map of the detections, and all predict the same scans.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import KDTree
 

@@ -1,7 +1,5 @@
 """An MCAP file as a list of records that can be altered and written again, and what such a file may say falsely."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -34,7 +32,7 @@ class McapFile:
     messages: list[Message] = field(default_factory=list)
     metadata: list[Sequence[Any]] = field(default_factory=list)
 
-    def copy(self) -> McapFile:
+    def copy(self) -> "McapFile":
         """The same in lists, which can be altered."""
         schemas, channels = ({k: [*each] for k, each in table.items()} for table in (self.schemas, self.channels))
         return McapFile(schemas, channels, [*self.messages], [[name, {**values}] for name, values in self.metadata])

@@ -1,7 +1,5 @@
 """dslam evaluate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,7 +69,7 @@ def evaluate(
     finish({"": results}, require, quiet=as_json)
 
 
-def _locate_map_of(log: Path) -> FloatArray:
+def _locate_map_of(log: Path) -> "FloatArray":
     """``T_world_map`` (4, 4) of the map that the drive in ``log`` made.
 
     Raises:

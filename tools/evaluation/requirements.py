@@ -1,7 +1,5 @@
 """--require: conditions on the figures of runs."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """dslam import map: a map of objects from open data."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of the lab: rows of cells by their headings, on a terminal, as Markdown or as JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -56,7 +54,7 @@ def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, 
     return {heading: fill(figures, template).replace(" %", "") or UNDEFINED for heading, template in columns.items()}
 
 
-def rows_of(spreads: pd.DataFrame) -> list[dict[str, str]]:
+def rows_of(spreads: "pd.DataFrame") -> list[dict[str, str]]:
     """A row for each group of runs, with some of the figures, and the extremes of the ATE."""
     rows = []
     for label in spreads.index.unique(level=0):
@@ -69,7 +67,7 @@ def rows_of(spreads: pd.DataFrame) -> list[dict[str, str]]:
     return rows
 
 
-def _text(spread: pd.Series, digits: int) -> str:
+def _text(spread: "pd.Series", digits: int) -> str:
     """ "1.27 ± 0.03 * worse"; with the number of runs in which it is defined, where that is not all."""
     if not spread["count"]:
         return UNDEFINED

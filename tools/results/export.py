@@ -1,7 +1,5 @@
 """dslam export."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -102,7 +100,7 @@ def export(
         console.show(f"{g2o}: {count} edges, without robust kernels, which g2o cannot hold")
 
 
-def _find_georeference(log: Path, origin: str | None) -> Georeference:
+def _find_georeference(log: Path, origin: str | None) -> "Georeference":
     """Where the map is: as the option says, else as the log does."""
     from logs.container.limits import RESULT_LIMITS
     from logs.reader import LogReader

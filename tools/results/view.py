@@ -1,7 +1,5 @@
 """dslam view."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """dslam calibrate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -51,7 +49,7 @@ def calibrate(
         _show(found, output)
 
 
-def _show(found: CalibratedLog, output: Path | None) -> None:
+def _show(found: "CalibratedLog", output: Path | None) -> None:
     from tools import console
 
     calibration = found.config.calibration

@@ -1,7 +1,5 @@
 """dslam config."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

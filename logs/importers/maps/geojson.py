@@ -1,7 +1,5 @@
 """Objects of a map in GeoJSON (RFC 7946): its points, longitude before latitude."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Objects of a map as a source has them, in metres or in degrees."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np
@@ -30,7 +28,7 @@ class MapObjects:
     def __len__(self) -> int:
         return len(self.labels)
 
-    def in_metres(self) -> MapObjects:
+    def in_metres(self) -> "MapObjects":
         """The same objects.
 
         Raises:

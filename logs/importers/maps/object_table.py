@@ -1,7 +1,5 @@
 """Objects of a map in a table: CSV with a header, in metres or in degrees; gzip as well."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

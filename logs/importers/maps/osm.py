@@ -1,7 +1,5 @@
 """Objects of a map in an extract of OpenStreetMap: nodes whose tags say that something stands there."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -75,7 +73,7 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     return MapObjects(str(path), positions, labels, ids, True, file_sha256(path))
 
 
-def _class_of(node: osmium.osm.Node, wanted: Mapping[str, Collection[str]]) -> str:
+def _class_of(node: "osmium.osm.Node", wanted: Mapping[str, Collection[str]]) -> str:
     for key in sorted(wanted):
         value = node.tags.get(key)
         if value is not None and ANY in wanted[key]:

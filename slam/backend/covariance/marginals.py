@@ -1,7 +1,5 @@
 """Marginal covariances of all keyframes and landmarks at once."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 

@@ -5,8 +5,6 @@ covariances of the steps predict. Its variance is estimated from the drive: over
 all steps are added up, axis by axis. The variance of closures is estimated likewise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import gtsam

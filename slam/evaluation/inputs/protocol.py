@@ -1,7 +1,5 @@
 """The thresholds of the evaluation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Self
 

@@ -1,7 +1,5 @@
 """The records of an output log, and of a reference log, that an evaluation looks at."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
@@ -91,7 +89,7 @@ class EvaluationRecords:
         """Whether the robot was to find itself in the map of an earlier drive."""
         return "map_drives" in self.provenance
 
-    def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
+    def with_truth_of(self, reference: "EvaluationRecords") -> "EvaluationRecords":
         """These records with the truth of another log, kind by kind where that log has it.
 
         Raises:

@@ -1,7 +1,5 @@
 """Synchronization of two series of poses: the truth is interpolated at the stamps of the estimate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np
@@ -33,7 +31,7 @@ class PoseSeries:
         """Path length (N,), metres, from the first pose."""
         return travelled_m(self.positions)
 
-    def turned(self, R: FloatArray) -> PoseSeries:
+    def turned(self, R: FloatArray) -> "PoseSeries":
         """The same poses of a body with other axes, which are R (3, 3) in its own."""
         return PoseSeries(self.stamps_ns, self.T_world_body @ make_transform(R, np.zeros(3)))
 

@@ -1,7 +1,5 @@
 """The rigid motion that lays estimated points on true ones, by least squares, and the axes of the true body."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Assignments of detections to the landmark of the object that they show."""
 
-from __future__ import annotations
-
 from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping
 

@@ -5,8 +5,6 @@ the errors are normal, it has the chi-squared distribution of the dimension of e
 Estimation with Applications to Tracking and Navigation, 2001, section 5.4).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import RigidTransform

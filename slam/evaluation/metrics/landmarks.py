@@ -1,7 +1,5 @@
 """Position errors and classes of the landmarks of the final map, and the objects without a landmark."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """Time and errors of relocalizations."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Fractions and percentiles; undefined values are None."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors of a trajectory against the truth: absolute after alignment, and relative over stretches of path."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.records import frozen

@@ -1,7 +1,5 @@
 """Evaluation of loop closures: a table of all candidates, each compared with the truth, and its figures."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Revisits of a drive by the truth, and the recognised ones among them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any

@@ -4,8 +4,6 @@ A clause like ``"recall {closures[recall]:.2%}"`` names its figures; where one o
 out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """A drive in the frame of its map: estimate, odometry, truth, landmarks and closures."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.messages import FactorGraphRecord

@@ -3,8 +3,6 @@
 Pixels are u to the right and v down; a camera's frame is the optical one: x right, y down, z forward (REP 103).
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 
 import numpy as np

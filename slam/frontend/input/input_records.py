@@ -1,7 +1,5 @@
 """The records of a log as the mapper takes them: objects in three dimensions, under their names in the map."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
@@ -29,7 +27,7 @@ class InputRecords:
     """Prepares the records of one pass over a log."""
 
     def __init__(
-        self, config: Config, labels: LabelMap, frames: SensorFrames, scans: ScanObjects | None = None
+        self, config: Config, labels: LabelMap, frames: SensorFrames, scans: "ScanObjects | None" = None
     ) -> None:
         """``scans``: those whose objects another pass has found."""
         self._labels = labels

@@ -1,7 +1,5 @@
 """Class names of the map for those of the detections, by the settings under [labels]."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fnmatch import fnmatchcase
 

@@ -1,7 +1,5 @@
 """One message of detections, made ready for mapping: in the body frame, with covariances, without the unwanted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import compress
 
@@ -33,7 +31,7 @@ class Scan:
     used: BoolArray
     has_own_covariance: BoolArray
 
-    def of(self, chosen: BoolArray) -> Scan:
+    def of(self, chosen: BoolArray) -> "Scan":
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
         if chosen.all():
             return self
@@ -45,7 +43,7 @@ class Scan:
             has_own_covariance=self.has_own_covariance[chosen],
         )
 
-    def joined(self, other: Scan) -> Scan:
+    def joined(self, other: "Scan") -> "Scan":
         """These detections and those of another scan, in one frame; ``used`` stays that of this message."""
         return replace(
             self,
@@ -55,7 +53,7 @@ class Scan:
             has_own_covariance=np.concatenate([self.has_own_covariance, other.has_own_covariance]),
         )
 
-    def seen_from(self, T_frame_body: FloatArray) -> Scan:
+    def seen_from(self, T_frame_body: FloatArray) -> "Scan":
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]
         return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)

@@ -1,7 +1,5 @@
 """Poses of the sensors on the body, from the transforms of a log, interpolated in time."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable

@@ -3,8 +3,6 @@
 Each public function is a fault; its docstring tells what it does, its parameters are those of the command line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count

@@ -1,7 +1,5 @@
 """A log with faults: read, changed, and written as another log."""
 
-from __future__ import annotations
-
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Faults of the objects and of the unit of length. Each public function is a fault."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faults of the odometry's poses. Each public function is a fault."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the parameters of faults may be, with their units."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """A log in memory, which faults change in place. Messages are replaced, never changed."""
 
-from __future__ import annotations
-
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +36,7 @@ class Message(Generic[RecordT]):
     record: RecordT
     number: int = 0
 
-    def having(self, **fields: Any) -> Message[RecordT]:
+    def having(self, **fields: Any) -> "Message[RecordT]":
         """The message with other fields of its record."""
         record: Any = self.record
         return replace(self, record=replace(record, **fields))

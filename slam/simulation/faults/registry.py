@@ -1,7 +1,5 @@
 """The faults by their names, and how they are typed."""
 
-from __future__ import annotations
-
 import difflib
 import inspect
 from collections.abc import Callable, Sequence

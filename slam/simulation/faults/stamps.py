@@ -1,7 +1,5 @@
 """Faults of stamps, rates and gaps. Each public function is a fault."""
 
-from __future__ import annotations
-
 from itertools import compress
 from typing import Annotated
 

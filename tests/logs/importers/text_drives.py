@@ -1,7 +1,5 @@
 """A drive in text files that a test may damage: five poses, 1 m and 0.1 s apart, and three scans."""
 
-from __future__ import annotations
-
 import gzip
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,7 @@ class TextDrive:
     root: Path
 
     @staticmethod
-    def make(root: Path) -> TextDrive:
+    def make(root: Path) -> "TextDrive":
         drive = TextDrive(root)
         drive.write("odometry.tum", TUM)
         drive.write("truth.tum", TUM)

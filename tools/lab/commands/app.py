@@ -1,7 +1,5 @@
 """dslam benchmark."""
 
-from __future__ import annotations
-
 import typer
 
 from tools.lab.commands.descriptors import descriptors

@@ -1,7 +1,5 @@
 """dslam benchmark robots."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -73,7 +71,7 @@ def robots(
     )
 
 
-def map_robot(drive: Path, config: Config) -> MappedDrive:
+def map_robot(drive: Path, config: "Config") -> "MappedDrive":
     """Import the drive in a folder, map it in a process of its own and evaluate it."""
     from tempfile import TemporaryDirectory
 
@@ -93,7 +91,7 @@ def map_robot(drive: Path, config: Config) -> MappedDrive:
     return outcome or MappedDrive(error=DIED)
 
 
-def notes_of(run: MappedDrive) -> list[str]:
+def notes_of(run: "MappedDrive") -> list[str]:
     """The reason of a failure, what was counted, and a final status other than that all is well."""
     if run.error:
         return [run.error]
@@ -101,7 +99,7 @@ def notes_of(run: MappedDrive) -> list[str]:
     return [*noted_counters(run.evaluation["counters"]), *filter(None, [doubts])]
 
 
-def _row(name: str, run: MappedDrive) -> dict[str, str]:
+def _row(name: str, run: "MappedDrive") -> dict[str, str]:
     used = {} if run.error else {"speed": run.log_s / run.replay_s, "gigabytes": 1e-9 * run.peak_memory_bytes}
     cells = row_of(COLUMNS, {"name": name, **used, **run.evaluation})
     if (false_share := run.figure("closures.largest_false_share")) is not None:

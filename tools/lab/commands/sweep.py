@@ -1,7 +1,5 @@
 """dslam sweep: one drive with many faults and settings."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from typing import Annotated

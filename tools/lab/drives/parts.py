@@ -1,7 +1,5 @@
 """Parts of the method that a sweep switches off, one at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import field, replace

@@ -1,7 +1,5 @@
 """The drives in a folder: one a subfolder, as text files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A drive with truth, as a benchmark reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 ``benchmark_relocalization`` is where to begin reading.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ A query is what a robot has observed on a path (:mod:`tools.lab.retrieval.path_q
 number of candidates, which are verified in the same way.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict

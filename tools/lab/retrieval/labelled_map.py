@@ -1,7 +1,5 @@
 """A map of labelled objects, and which poses in it are right."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.messages import ObjectMapRecord
@@ -26,7 +24,7 @@ class LabelledMap:
     def __len__(self) -> int:
         return len(self.labels)
 
-    def first(self, count: int) -> LabelledMap:
+    def first(self, count: int) -> "LabelledMap":
         """The first objects, up to a number."""
         return LabelledMap(self.positions[:count], self.labels[:count], self.vocabulary)
 

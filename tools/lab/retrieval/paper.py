@@ -3,8 +3,6 @@
 Verification and acceptance are those of :class:`slam.scan_localization.ScanLocalizer`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

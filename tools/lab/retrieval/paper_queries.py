@@ -1,7 +1,5 @@
 """Queries of global localization: what a sensor sees of a map, as the Descriptellation paper draws it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 

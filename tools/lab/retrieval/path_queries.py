@@ -1,7 +1,5 @@
 """Queries of a kidnapped robot: what it has observed on a straight path anywhere in a map of objects."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Annotated
 

@@ -4,8 +4,6 @@ The drive is mapped without closing a loop, so that no descriptor influences its
 gets the same submaps.
 """
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
