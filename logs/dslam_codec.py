@@ -102,7 +102,7 @@ class Codec:
         Raises:
             Refusal: lengths that disagree, or a matrix that is no rotation.
         """
-        values: dict[str, Any] = {}
+        values = {}
         lengths = {"T": 12}  # numbers of a transform
         for field in self.fields:
             value = getattr(message, field.message_name)

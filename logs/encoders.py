@@ -42,7 +42,7 @@ def encode(record: m.Record) -> Message:
 def definition_of(message_type: Any) -> tuple[str, str, bytes]:
     """Name, encoding and FileDescriptorSet of a message, dependencies first, in the order of their import."""
     definition = FileDescriptorSet()
-    seen: set[str] = set()
+    seen = set()
 
     def add(file: Any) -> None:
         if file.name not in seen:

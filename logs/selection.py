@@ -99,7 +99,7 @@ def select_topics(
     """
     there = sorted(topics, key=lambda info: info.topic)
     inputs = [info for info in there if not info.topic.startswith((GROUND_TRUTH_TOPIC, OUTPUT_PREFIX))]
-    chosen: dict[RecordKind, list[str]] = {}
+    chosen = {}
     mappings: dict[str, FieldMapping] = {}
     for name, topic in (overrides or {}).items():
         kind = _kind(name)

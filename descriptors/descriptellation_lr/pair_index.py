@@ -249,7 +249,7 @@ class PairIndex:
     def _columns(self, asked: "_Asked", rows: IntArray, firsts: IntArray, width: int) -> list[list[Words]]:
         """Words (B, W) of the cells that rows of the query ask for, by the bits of their steps."""
         windows = sliding_window_view(self.words, width, axis=1)
-        levels = list[list[Words]]()
+        levels = []
         for bit in range(MAX_STEPS.bit_length()):
             has_bit = ((asked.steps[rows] >> bit) & 1 > 0).T
             places = np.argsort(~has_bit, axis=0, kind="stable")[: has_bit.sum(axis=0).max()]

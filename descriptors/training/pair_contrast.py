@@ -45,7 +45,7 @@ class PairSample:
         """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
         assert isinstance(network, DescriptellationLR)
         bits = network.bits(network(self.known, device))
-        scores = list[Tensor]()
+        scores = []
         for query, sigmas in self.queries:
             hits, misses = network.worths(query_features(query, sigmas), device)
             scores.append(query_scores(bits, query, hits, misses, network.architecture))

@@ -134,7 +134,7 @@ def train(
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
     folder.mkdir(parents=True, exist_ok=True)
-    epochs = list[Epoch]()
+    epochs = []
     for number in range(0 if recipe.is_trained_further else 1, recipe.config.epochs + 1):
         started = time.perf_counter()
         train_loss = _train_epoch(recipe, number, on_progress) if number else None

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_side
+from logs.clouds.one_sided import seen_from_all_sides, seen_from_one_side
 from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
 from logs.records import frozen
@@ -65,7 +65,7 @@ def find_objects(
     if viewpoint is not None:
         # 30 of 120,000 points of a scan.
         min_points = max(min_points, int(np.ceil(len(cloud.positions) / 4000.0)))
-    found: list[tuple[str, Centre]] = []
+    found = []
     # A wider gap between two parts of one class makes two objects of them.
     for label, points in _parts(cloud, names, 0.5 * scale, voxel_m, upright=upright):
         if len(points) < min_points:

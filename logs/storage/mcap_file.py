@@ -88,7 +88,7 @@ class McapFile(McapIndex):
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name; of several under one name the last. What goes beyond the limits is left out."""
-        found: dict[str, dict[str, str]] = {}
+        found = {}
         left = self._limits.metadata_bytes
         for offset in self.metadata_offsets:
             try:

@@ -302,7 +302,7 @@ class FactorGraph(EditableGraph):
 
         They hold no information, and would pull at a segment that was moved far.
         """
-        relaxed = dict[int, Edge]()
+        relaxed = {}
         for number, factor in self.factors.items():
             if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
                 start, end = factor.from_keyframe, factor.to_keyframe

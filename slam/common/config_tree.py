@@ -56,7 +56,7 @@ def load_tree(
         ConfigurationError: a file that cannot be read, a key that does not exist (the nearest one is named), or a value
             that is not allowed.
     """
-    flagged = set[str]()
+    flagged = set()
     try:
         data = {} if path is None else _read_toml(path)
         for branch, file in (branches or {}).items():
@@ -88,7 +88,7 @@ def load_tree(
 
 def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
     """Every value of ``tree``, those of a branch before its branches; a branch that is None is left out."""
-    branches = list[tuple[str, BaseModel]]()
+    branches = []
     for name, field in type(tree).model_fields.items():
         value = getattr(tree, name)
         if isinstance(value, BaseModel):
@@ -113,7 +113,7 @@ def changed_settings(tree: BaseModel) -> str:
 
 def to_toml(tree: BaseModel) -> str:
     """``tree`` as TOML that :func:`load_tree` reads back, with the meaning of each value above it."""
-    lines: list[str] = []
+    lines = []
     branch = ""
     for setting in settings_of(tree):
         head, _, name = setting.key.rpartition(".")

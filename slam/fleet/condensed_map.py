@@ -68,7 +68,7 @@ def _edges(graph: FactorGraphRecord, cell: IntArray, T_map_place: FloatArray) ->
     keyframes = _rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel()).reshape(-1, 2)
     ends, is_step = cell[keyframes], are_of_kind(graph, EdgeKind.ODOMETRY)
     is_between = ~are_of_kind(graph, EdgeKind.DISCONTINUITY) & (ends[:, 0] != ends[:, 1])
-    found: dict[tuple[int, int], Edge] = {}
+    found = {}
     for row in [*np.flatnonzero(is_between & is_step).tolist(), *np.flatnonzero(is_between & ~is_step).tolist()]:
         first, second = ends[row].tolist()
         if (first, second) in found or (second, first) in found:

@@ -15,7 +15,7 @@ from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.changes import Change, find_changes
 from slam.fleet.condensed_map import cell_length_m, condense_map
-from slam.fleet.joins import Join, accept_joins, find_joins, read_joins, why_alone, write_joins
+from slam.fleet.joins import accept_joins, find_joins, read_joins, why_alone, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, common_metadata, load_parts, save_parts, session_part
@@ -147,7 +147,7 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
     """Join sessions with one another and with parts of earlier ones; both are named by what they were made from."""
     names, parts = [*known, *sessions], [*known.values(), *sessions.values()]
     maps = [part.saved for part in parts]
-    joins = list[Join]()
+    joins = []
     for number in range(max(len(known), 1), len(parts)):
         path = folder / "joins" / f"{content_key(*names[: number + 1])}.json"
         if not path.exists():

@@ -114,7 +114,7 @@ def _chained(count: int, joins: Sequence[Join]) -> FloatArray:
     """``T_joint_map`` (M, 4, 4) of maps along the pairs that most places relate, each by its surest join."""
     costs = np.zeros((count, count))
     costs[0, 1:] = 1.0  # so that maps that no join relates are in the tree, where they are
-    T_between: dict[tuple[int, int], FloatArray] = {}
+    T_between = {}
     for join in sorted(joins, key=lambda join: join.log_odds):
         ends = join.reference_map, join.query_map
         costs[ends] = min(costs[ends], 0.0) - join.log_odds

@@ -147,7 +147,7 @@ def _average(
         hazard: of either change, a day.
         weights: (D,) prior of the detectabilities.
     """
-    log_shares = list[FloatArray]()
+    log_shares = []
     states, total = np.zeros(1), np.full(1, -np.inf)
     # A running average, as all posteriors at once would take much memory.
     for detectability, weight in zip(DETECTABILITIES.tolist(), weights.tolist(), strict=True):

@@ -48,7 +48,7 @@ class PendingObservations:
         """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait."""
         for observation in self._grouped(keyframe, ends_group=ends_group):
             self._held_back[observation.landmark].append(observation)
-        ready = list[Observation]()
+        ready = []
         rows = sorted(self._held_back)
         for row, state in zip(rows, self._map.rows["state"][rows].tolist(), strict=True):
             if state == LandmarkState.CONFIRMED:

@@ -172,7 +172,7 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
 
 def _objects(survey: Survey) -> dict[str, float]:
     found, labels = survey.detectability, survey.labels
-    values: dict[str, float] = {}
+    values = {}
     if np.isfinite(found.share):
         values = {"objects.detection_probability": found.share, "objects.detection_period": found.period}
     if np.isfinite(labels.accuracy) and not labels.is_useless:

@@ -106,7 +106,7 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
 def _revisits(tour: list[Crossing]) -> tuple[int, int]:
     """How many streets of the tour had been driven before in the same direction, and how many in the opposite one."""
     same = opposite = 0
-    driven: set[tuple[Crossing, Crossing]] = set()
+    driven = set()
     for a, b in pairwise(tour):
         same += (a, b) in driven
         opposite += (b, a) in driven

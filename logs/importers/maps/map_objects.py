@@ -41,7 +41,7 @@ class MapObjects:
 
 def distinct(names: Iterable[str]) -> tuple[str, ...]:
     """The names, those that occur before with their place behind."""
-    seen: set[str] = set()
+    seen = set()
     found = []
     for place, name in enumerate(names):
         found.append(f"{name}#{place}" if name in seen else name)

@@ -52,7 +52,7 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     import osmium
 
     wanted = _parsed(tags) if tags else TAGS
-    found: list[tuple[float, float, str, str]] = []
+    found = []
     try:
         open_regular(path).close()
         nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*wanted))

@@ -27,7 +27,7 @@ def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Va
     children = defaultdict[int | None, list[int]](list)
     for key, conditional in conditionals.items():
         children[min(conditional.keys()[1:], key=order.__getitem__, default=None)].append(key)
-    covariances = dict[int, FloatArray]()
+    covariances = {}
     waiting = [(key, np.zeros(0, dtype=np.int64), np.zeros((0, 0))) for key in children[None]]
     while waiting:
         key, given, P = waiting.pop()

@@ -52,7 +52,7 @@ def evaluate_calibration(
         matches: of confirmed landmarks with true objects, by the truth of their detections.
         judged: candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
     """
-    errors: dict[str, _Errors] = {}
+    errors = {}
     graph, map_est, map_gt, truth = records.graph, records.object_map, records.true_objects, records.true_path
     if graph is not None:
         known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns)

@@ -90,7 +90,7 @@ def count_stages(stages: Iterable[str]) -> dict[str, int]:
 
 def _thin(travelled_m: FloatArray, least_m: float) -> IntArray:
     """Rows of the first value and of each that is at least ``least_m`` above the last one kept; values never fall."""
-    kept: list[int] = []
+    kept = []
     row = 0
     while row < len(travelled_m):
         kept.append(row)

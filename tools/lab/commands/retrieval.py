@@ -1,7 +1,7 @@
 """dslam benchmark retrieval."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -44,7 +44,7 @@ def retrieval(
 
     config = load_config(config_file, settings)
     names = compared_descriptors(descriptor)
-    figures: list[dict[str, Any]] = []
+    figures = []
     for log in logs:
         with console.progress_bar(f"mapping {log.name}") as move:
             figures += measure_revisits(log, names, config, topics=parse_topics(topics), on_progress=move)

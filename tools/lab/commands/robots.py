@@ -56,7 +56,7 @@ def robots(
 
     config = load_config(config_file, settings)
     drives = find_drives(data, drive or ())
-    runs: dict[str, MappedDrive] = {}
+    runs = {}
     for name, folder in drives.items():
         run = runs[name] = map_robot(folder, config)
         how = f"failed: {run.error}" if run.error else f"{run.replay_s:.0f} s"

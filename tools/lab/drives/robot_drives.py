@@ -27,7 +27,7 @@ def find_drives(folder: Path, names: Sequence[str] = ()) -> dict[str, Path]:
             f"{folder} holds no drives; expected folders with odometry.tum(.gz), detections.csv(.gz) and, for the "
             "errors, groundtruth.tum(.gz)"
         )
-    wanted = set[str]()
+    wanted = set()
     for name in names:
         of_name = {each for each in drives if f"{each}/".startswith(f"{name}/")}
         if not of_name:

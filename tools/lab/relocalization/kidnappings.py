@@ -100,7 +100,7 @@ def benchmark_relocalization(
                 f"map for {RECOVERED_WITHIN_M:g} m; choose another time or map"
             )
         inside, outside = _spread(inside, kidnaps), _spread(outside, kidnaps)
-        outcomes = list[dict[str, Any]]()
+        outcomes = []
         for row in (*inside, *outside):
             last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + MAX_TRAVEL_M)
             first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -68,7 +67,7 @@ def run_contest(
     order, labels = _by_distance(objects.positions, np.random.default_rng(seed)), np.array(objects.labels)
     there = sorted({min(size, len(order)) for size in sizes})
     runs = list(product(classes, there, proposers))
-    rows = list[dict[str, Any]]()
+    rows = []
     with threadpool_limits(limits=1):
         for done, (count, size, name) in enumerate(runs, start=1):
             world = _with_classes(objects.positions[order], labels[order], count)

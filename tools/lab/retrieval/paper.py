@@ -5,7 +5,6 @@ Verification and acceptance are those of :class:`slam.scan_localization.ScanLoca
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -60,7 +59,7 @@ def benchmark_descriptors(
         ]
         for number, scenario in enumerate(SCENARIOS)
     }
-    cells: list[dict[str, Any]] = []
+    cells = []
     with threadpool_limits(limits=1):
         for method in methods:
             for scenario, asked in drawn.items():
