@@ -82,7 +82,7 @@ def find_passed(object_map: ObjectMap, segment: int, places: FloatArray, radius_
     rows = np.flatnonzero((landmarks["state"] == LandmarkState.CONFIRMED) & (landmarks["segment"] == segment))
     positions = landmarks["position_map"][rows, :2]
     counts = cKDTree(places[:, :2]).query_ball_point(positions, radius_m, return_length=True)
-    return rows[np.asarray(counts) >= 6]
+    return rows[counts >= 6]
 
 
 def final_trajectory(

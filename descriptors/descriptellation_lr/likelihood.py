@@ -70,7 +70,7 @@ class LearnedLikelihood:
         first = (wide * TURN_STEPS + fine) * sizes.sectors
         sectors[owners, places] = np.take(self._sectors, first[:, None] + columns)
         mass = rings.transpose(0, 2, 1) @ sectors  # (P, R, S)
-        return np.asarray((mass > self._least[:, None]).reshape(len(pairs), -1))
+        return (mass > self._least[:, None]).reshape(len(pairs), -1)
 
     def worths(self, pairs: Pairs, sigmas: FloatArray) -> tuple[Float32Array, Float32Array]:
         """Nats (K,) that an observed neighbour gives where the bit of its cell is set, and takes where it is not.
@@ -82,7 +82,7 @@ class LearnedLikelihood:
 
     def _perceive(self, name: str, features: Float32Array) -> Float32Array:
         hidden = np.tanh(features @ self._weights[f"{name}.0.weight"].T + self._weights[f"{name}.0.bias"])
-        return np.asarray(hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"])
+        return hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"]
 
 
 def _sector_shares(sigmas: FloatArray, sectors: int) -> Float32Array:

@@ -124,7 +124,7 @@ def find_ends(
     if both_ways:
         pairs = np.concatenate([pairs, pairs[labels[pairs[:, 0]] == labels[pairs[:, 1]], ::-1]])
     apart = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-    return np.asarray(pairs[np.einsum("ij,ij->i", apart, apart) > MIN_LENGTH**2])
+    return pairs[np.einsum("ij,ij->i", apart, apart) > MIN_LENGTH**2]
 
 
 def gather_pairs(
@@ -220,4 +220,4 @@ def length_tolerances(sigmas: FloatArray) -> FloatArray:
     """By how much (P,) the lengths of two pairs that are the same differ at most, in 95 of 100 pairs; a length has two
     noisy ends.
     """
-    return np.asarray(2.0 * np.sqrt(2.0) * sigmas)
+    return 2.0 * np.sqrt(2.0) * sigmas

@@ -84,10 +84,10 @@ def draw_pattern(kind: str, size: int, *, rng: np.random.Generator) -> ComplexAr
         case "line":
             return np.asarray((numbers - (size - 1) / 2.0) * (1.0 + 0.0j) * rng.uniform(4.0, 12.0))
         case "circle":
-            return np.asarray(rng.uniform(4.0, 20.0) * np.exp(2j * np.pi * numbers / size))
+            return rng.uniform(4.0, 20.0) * np.exp(2j * np.pi * numbers / size)
         case _:
             x, y = rng.uniform(3.0, 15.0, (2, 1)) * rng.normal(size=(2, size))
-            return np.asarray(x + 1j * y)
+            return x + 1j * y
 
 
 def draw_forest(*, rng: np.random.Generator) -> TrainingMap:
@@ -141,4 +141,4 @@ def _bent(along_m: FloatArray, aside_m: FloatArray, street: int, *, rng: np.rand
     at = np.clip(along_m, 0.0, 309.0)
     heading = np.interp(at, steps, headings)
     on_line = np.column_stack([np.interp(at, steps, line[:, axis]) for axis in (0, 1)])
-    return np.asarray(on_line + aside_m[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]))
+    return on_line + aside_m[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])

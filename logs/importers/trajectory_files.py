@@ -188,7 +188,7 @@ def _parse_calibration(source: SourceText) -> FloatArray:
     T = _parse_poses(replace(source, text="\n".join(lines)))
     if not len(T):
         raise DatasetError(f"{source.name}: no line 'Tr:' (velodyne to left camera); give the sequence's calib.txt")
-    return np.asarray(T[0])
+    return T[0]
 
 
 def _check_plausible(name: str, trajectory: Trajectory) -> None:

@@ -215,14 +215,14 @@ class EditableGraph:
         in_map = weights[:, None] * self._in_map([each for _, each in seen])
         sums = np.stack([np.bincount(rows, axis, len(landmarks)) for axis in in_map.T], axis=1)
         totals = np.bincount(rows, weights, len(landmarks))[:, None]
-        return np.asarray(np.divide(sums, totals, out=np.full(sums.shape, np.nan), where=totals > 0.0))
+        return np.divide(sums, totals, out=np.full(sums.shape, np.nan), where=totals > 0.0)
 
     def _in_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Positions (N, 3) m in the map of what was observed, from the poses of the keyframes."""
         poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
         T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
         in_body = np.array([each.position for each in observations]).reshape(-1, 3, 1)
-        return np.asarray((T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3])
+        return (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""

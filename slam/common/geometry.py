@@ -48,7 +48,7 @@ def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
 
 def apply_each(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     """Points (N, 3) m of frame b in frame a, each by its own transform (N, 4, 4)."""
-    return np.asarray(np.einsum("nij,nj->ni", T_a_b[:, :3, :3], points_b) + T_a_b[:, :3, 3])
+    return np.einsum("nij,nj->ni", T_a_b[:, :3, :3], points_b) + T_a_b[:, :3, 3]
 
 
 def skew(vectors: FloatArray) -> FloatArray:
@@ -65,7 +65,7 @@ def view_change(before: FloatArray, after: FloatArray) -> FloatArray:
     """
     angle = np.arctan2(np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ni,ni->n", before, after))
     squares = (np.maximum(np.einsum("ni,ni->n", each, each), 1e-300) for each in (before, after))
-    return np.asarray(np.hypot(angle, 0.5 * np.subtract(*(np.log(each) for each in squares))))
+    return np.hypot(angle, 0.5 * np.subtract(*(np.log(each) for each in squares)))
 
 
 def left_jacobian(vector: FloatArray) -> FloatArray:
@@ -92,12 +92,12 @@ def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArra
 
 def unit_vectors(vectors: FloatArray) -> FloatArray:
     """The directions (N, D) of vectors (N, D); zero vectors stay as they are."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None]
 
 
 def squared_mahalanobis(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     """Squared Mahalanobis distances (N,) of errors (N, D) with their covariances (N, D, D)."""
-    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
+    return np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
 
 
 def rotation_angle_rad(T: FloatArray) -> FloatArray:
@@ -161,7 +161,7 @@ def rigid(T: FloatArray) -> FloatArray:
 
 def step_lengths(positions: FloatArray) -> FloatArray:
     """Distance (N - 1,) from each of the positions (N, D) to the next."""
-    return np.asarray(np.linalg.norm(np.diff(positions, axis=0), axis=1))
+    return np.linalg.norm(np.diff(positions, axis=0), axis=1)
 
 
 def travelled_m(positions: FloatArray) -> FloatArray:

@@ -46,7 +46,7 @@ def _distances_m(points: FloatArray, steps: FloatArray) -> FloatArray:
     ways = steps[:, 1] - steps[:, 0]
     offsets = points[:, None] - steps[:, 0]
     along = np.einsum("nsi,si->ns", offsets, ways) / np.maximum(np.einsum("si,si->s", ways, ways), 1e-12)
-    return np.asarray(np.linalg.norm(offsets - along.clip(0.0, 1.0)[..., None] * ways, axis=2).min(axis=1))
+    return np.linalg.norm(offsets - along.clip(0.0, 1.0)[..., None] * ways, axis=2).min(axis=1)
 
 
 @frozen

@@ -71,7 +71,7 @@ class ActiveLandmarks:
     @property
     def T_local_odom(self) -> FloatArray:
         """(4, 4) by which the landmarks correct the odometry now."""
-        return np.asarray(self.T_local_body @ invert(self.T_odom_body))
+        return self.T_local_body @ invert(self.T_odom_body)
 
     def restart(self, pose: OdometryPose | None = None) -> None:
         """Restart at a pose, or where the body is, without landmarks."""
@@ -103,7 +103,7 @@ class ActiveLandmarks:
     def at(self, pose: OdometryPose) -> FloatArray:
         """``T_local_body`` (4, 4) at a pose of the segment; landmarks are advanced to it if it is a later one."""
         if self._pose is not None and pose.stamp_ns < self._pose.stamp_ns:
-            return np.asarray(self.T_local_odom @ pose.T_odom_body)
+            return self.T_local_odom @ pose.T_odom_body
         return self.advance(pose)
 
     def _change_view(self, T_before: FloatArray) -> None:
@@ -249,7 +249,7 @@ class ActiveLandmarks:
             if excess > 0:
                 oldest = np.argsort(landmarks["last_seen_ns"][rows[members]], kind="stable")[:excess]
                 gone[members[oldest]] = True
-        return np.asarray(gone)
+        return gone
 
     def _store(self) -> None:
         """Write the positions and covariances of the active landmarks to the object map."""
@@ -261,10 +261,10 @@ def _useless(config: Config) -> FloatArray:
     """Factors (2,) on the variances of an odometry that errs by the sensor range, or half a turn, over that travel."""
     odometry, range_m = config.calibration.odometry, config.sensor_range_m
     sigmas = np.array([odometry.translation_sigma, odometry.yaw_sigma])
-    return np.asarray(np.square([range_m, np.pi]) / (sigmas**2 * range_m))
+    return np.square([range_m, np.pi]) / (sigmas**2 * range_m)
 
 
 def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:
     """Variances (L,) m^2 by which moving objects leave the way that their velocity takes them."""
     swerve_m = MOVING_ACCELERATION_RANGES * sensor_range_m * seconds * np.maximum(seconds, MIN_SWERVE_S)
-    return np.asarray(swerve_m**2)
+    return swerve_m**2

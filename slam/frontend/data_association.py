@@ -247,7 +247,7 @@ def other_shares(labels: IntArray, landmarks: IntArray, beliefs: FloatArray) -> 
     count, classes = beliefs.shape
     totals = beliefs.sum(axis=0)[labels]
     others = np.maximum(totals - beliefs[landmarks, labels], 0.0)
-    return np.asarray((others + 1.0 / classes) / count + np.maximum(1.0 - totals, 0.0) / classes)
+    return (others + 1.0 / classes) / count + np.maximum(1.0 - totals, 0.0) / classes
 
 
 def _near_pairs(

@@ -29,4 +29,4 @@ def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolA
     matches = landmarks["observations"][seen] - 1
     missed = np.maximum(scan - landmarks["first_scan"][seen] - matches, 0)
     odds = prior + betaln(matches + 1.0, missed + 1.0) + landmarks["log_likelihood_ratio"][seen]
-    return np.asarray((matches == 0) | (odds >= np.log(DECIDED / (1.0 - DECIDED))))
+    return (matches == 0) | (odds >= np.log(DECIDED / (1.0 - DECIDED)))

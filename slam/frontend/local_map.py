@@ -104,7 +104,7 @@ class LocalMap:
         columns = (POSE + 3 * slots[:, None] + np.arange(3)).ravel()
         cross = np.tile(self._P[3:POSE][:, columns], (len(slots), 1))
         of_pose = np.tile(self._P[3:POSE, 3:POSE], (len(slots), len(slots)))
-        return np.asarray(self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T)
+        return self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T
 
     def step_effects(self, slots: IntArray) -> FloatArray:
         """(3 K, 3): by how much an error of the last step in heading, x and y moves the offsets of landmarks from the

@@ -226,7 +226,7 @@ class ModeSearch:
         order = np.argsort(-scores, kind="stable")
         order = order[scores[order] > scores[order[0]] - NEGLIGIBLE_NATS]
         _, first = np.unique(matches[order], axis=0, return_index=True)
-        return np.asarray(order[np.sort(first)[:REFINED_SEEDS]])
+        return order[np.sort(first)[:REFINED_SEEDS]]
 
     def _scores(self, T_motion: FloatArray, xi: FloatArray, covariances: FloatArray) -> tuple[FloatArray, IntArray]:
         """Log-likelihood ratio (S,) of each proposed pose, and the landmark (S, D) that it has for each detection: the
@@ -282,7 +282,7 @@ class ModeSearch:
 def probabilities(modes: Sequence[Mode]) -> FloatArray:
     """Posterior probabilities of modes."""
     log_weights = np.array([mode.log_weight for mode in modes])
-    return np.asarray(np.exp(log_weights - logsumexp(log_weights)))
+    return np.exp(log_weights - logsumexp(log_weights))
 
 
 def _log_elsewhere(modes: Sequence[Mode]) -> float:
@@ -332,7 +332,7 @@ def fit_of(offsets: FloatArray) -> FloatArray:
     """Matrix (6, 3 L) of the least-squares fit of xi to differences z - m of detections at ``offsets`` (L, 3) m."""
     scale = max(np.sqrt(np.mean(np.sum(offsets**2, axis=1))), 1e-9)
     units = np.repeat([scale, 1.0], 3)
-    return np.asarray(np.linalg.pinv(_jacobians(offsets).reshape(-1, 6) / units, rcond=1e-3) / units[:, None])
+    return np.linalg.pinv(_jacobians(offsets).reshape(-1, 6) / units, rcond=1e-3) / units[:, None]
 
 
 def _motion_of(xi: FloatArray, origin: FloatArray) -> FloatArray:
@@ -351,4 +351,4 @@ def _jacobians(offsets: FloatArray) -> FloatArray:
 
 def _mahalanobis(xi: FloatArray, covariance: FloatArray) -> FloatArray:
     """Squared distances (S,) of xi (S, 6)."""
-    return np.asarray(np.einsum("si,si->s", xi, np.linalg.solve(covariance, xi.T).T))
+    return np.einsum("si,si->s", xi, np.linalg.solve(covariance, xi.T).T)

@@ -123,7 +123,7 @@ class ContinuityMonitor:
         detected = np.maximum(self._counts[:, 0] / self._counts.sum(axis=1), FALSE_MATCH_PROBABILITY)[:, None, None]
         of_seen = np.where(in_view > 0.0, np.log(FALSE_MATCH_PROBABILITY / detected), 0.0)
         of_missed = np.log1p(-FALSE_MATCH_PROBABILITY * in_view) - np.log1p(-detected * in_view)
-        return np.asarray(np.where(seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
+        return np.where(seen > 0.0, of_seen, of_missed).sum(axis=(0, 2))
 
     def _learn(self, landmarks: NDArray[np.void], rows: IntArray, in_view: FloatArray, seen: FloatArray) -> None:
         """Region in which existing landmarks are observed, and the share of those in view that are observed."""
@@ -161,7 +161,7 @@ class Visibility:
 
     def probability(self, positions: FloatArray) -> FloatArray:
         """Probability (N,) that landmarks at ``positions`` (N, 3) m are seen; 0 out of range."""
-        return np.asarray((self._seen / self._expected)[self._cells(positions)])
+        return (self._seen / self._expected)[self._cells(positions)]
 
     def _cells(self, positions: FloatArray) -> IntArray:
         ring, sector = polar_cells(positions, self._range_m, RANGE_CELLS, BEARING_CELLS)

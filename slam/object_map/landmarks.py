@@ -129,7 +129,7 @@ class ClassBeliefs:
         """The most probable class (N,) of each landmark."""
         if not self._label_index:
             return np.zeros(len(rows), dtype=np.int64)
-        return np.asarray(self._label_counts[rows, : len(self._label_index)].argmax(axis=1))
+        return self._label_counts[rows, : len(self._label_index)].argmax(axis=1)
 
     def posterior(self, label_counts: FloatArray) -> FloatArray:
         """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
@@ -141,7 +141,7 @@ class ClassBeliefs:
             return np.ones((len(label_counts), classes))
         accuracy = self._config.label_accuracy
         odds = np.log(accuracy * (classes - 1) / (1.0 - accuracy))
-        return np.asarray(softmax(label_counts[:, :classes] * odds, axis=1))
+        return softmax(label_counts[:, :classes] * odds, axis=1)
 
 
 class ObjectMap:

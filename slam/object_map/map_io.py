@@ -226,7 +226,7 @@ def _condensed(graph: FactorGraphRecord) -> BoolArray:
 def _tied(graph: FactorGraphRecord, *, to_first: bool) -> BoolArray:
     """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
     part = parts(graph, ~are_of_kind(graph, EdgeKind.DISCONTINUITY))
-    return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))
+    return part == (part[0] if to_first else np.bincount(part).argmax())
 
 
 def _drives(path: AnyPath, metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:

@@ -100,7 +100,7 @@ class PlaceSearch:
         """How many objects of a query, whose classes the map has, meet one of their class at each pose (H, 4, 4)."""
         placed = _query(query.positions, query.labels, query.sigmas)
         apart_m, _ = self._met(_Poses.of(T_map_query, placed.middle), placed, query.sigmas)
-        return np.asarray(np.isfinite(apart_m).sum(axis=1))
+        return np.isfinite(apart_m).sum(axis=1)
 
     def find_poses(
         self, query: Submap, *, count: int, map_sigma_m: float = 0.0, allowed: BoolArray | None = None
@@ -187,7 +187,7 @@ class PlaceSearch:
         apart_m, _ = self._met(poses, query, sigmas_m)
         variance = sigmas_m**2
         density = np.exp(-0.5 * apart_m**2 / variance) / (2.0 * np.pi * variance)
-        return np.asarray(np.log1p(3.0 * density / self._densities[query.labels]).sum(axis=1))
+        return np.log1p(3.0 * density / self._densities[query.labels]).sum(axis=1)
 
     def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
         """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""

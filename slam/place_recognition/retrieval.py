@@ -89,7 +89,7 @@ class PlaceRetriever:
         known = np.bincount(self._map.labels.classes(self._rows)) if imported is None else imported.class_counts
         counts = np.ones(len(self._map.labels.vocabulary))
         counts[: len(known)] += known
-        return np.asarray(counts / counts.sum())
+        return counts / counts.sum()
 
     def propose(self, query: Submap, *, before_m: float) -> list[Place]:
         """The best places of a query, given in its gravity frame: ``max_candidates`` of each index.

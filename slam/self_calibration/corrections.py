@@ -273,7 +273,7 @@ def _held_out(
 def _left_of(normal: FloatArray, right: FloatArray, squared: FloatArray, parts: FloatArray) -> FloatArray:
     """The squared residuals (B,) of each block, if the terms have the values ``parts`` (B, T)."""
     fitted = np.einsum("bt,btu,bu->b", parts, normal, parts)
-    return np.asarray(squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted)
+    return squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted
 
 
 def centroid_biases(tracks: ObjectTracks) -> FloatArray:

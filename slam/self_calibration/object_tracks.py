@@ -274,7 +274,7 @@ def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
     first = np.maximum(row - SMOOTHED, np.searchsorted(track, track, side="left"))
     end = np.minimum(row + SMOOTHED + 1, np.searchsorted(track, track, side="right"))
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)])
-    return np.asarray((sums[end] - sums[first]) / (end - first)[:, None])
+    return (sums[end] - sums[first]) / (end - first)[:, None]
 
 
 class _OpenTracks:

@@ -127,7 +127,7 @@ def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> IntArray:
     pairs = _reached(travelled_m(positions), moved_m)
     first, second = positions[pairs].swapaxes(0, 1)
     # An odometry that trembles while the body stands goes nowhere.
-    return np.asarray(pairs[2.0 * np.linalg.norm(second - first, axis=1) > moved_m])
+    return pairs[2.0 * np.linalg.norm(second - first, axis=1) > moved_m]
 
 
 def _reached(way: FloatArray, least: float) -> IntArray:

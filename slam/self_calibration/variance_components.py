@@ -242,7 +242,7 @@ class _Fit:
         is_known = rest > ROUNDING * total
         without = np.where(is_known, fitted.sum(axis=1, keepdims=True) - fitted, 1.0) / np.where(is_known, rest, 1.0)
         spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean(axis=1, keepdims=True)) ** 2, axis=1))
-        return np.asarray(np.maximum(self.variances * spread, self._held_errors))
+        return np.maximum(self.variances * spread, self._held_errors)
 
     def _levers(self) -> FloatArray:
         """(G, 7) mean squares of the displacement by one unit of each entry of xi."""

@@ -110,4 +110,4 @@ def _speeds(ds_m: FloatArray, turn_rad: FloatArray, config: DriveConfig) -> Floa
         speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + gain[i]))
     for i in range(len(ds_m)):
         speed[i + 1] = min(speed[i + 1], np.sqrt(speed[i] ** 2 + gain[i]))
-    return np.asarray(speed)
+    return speed

@@ -33,7 +33,7 @@ def in_view(positions: FloatArray, config: SensorConfig) -> BoolArray:
     """Which of the positions (N, 3), metres, body frame, are within range and within the field of view: (N,)."""
     bearing = np.arctan2(positions[:, 1], positions[:, 0])
     near = np.linalg.norm(positions, axis=1) <= config.max_range_m
-    return np.asarray(near & (np.abs(bearing) <= 0.5 * np.deg2rad(config.field_of_view_deg)))
+    return near & (np.abs(bearing) <= 0.5 * np.deg2rad(config.field_of_view_deg))
 
 
 def unshadowed(positions: FloatArray, radius_m: float) -> BoolArray:

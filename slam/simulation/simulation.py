@@ -161,4 +161,4 @@ def _scale_errors(path_m: FloatArray, normals: FloatArray, config: OdometryConfi
     errors = np.empty(len(path_m))
     for i in range(len(path_m)):
         errors[i] = normals[0] if i == 0 else kept[i] * errors[i - 1] + fresh[i]
-    return np.asarray(sigma * errors)
+    return sigma * errors

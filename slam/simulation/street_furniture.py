@@ -41,7 +41,7 @@ class Furniture:
     def place(self, label: str, xy: FloatArray) -> None:
         """Put an object of class ``label`` at ``xy`` (2,), metres, if there is room."""
         if self._places:
-            apart = np.abs(np.asarray(self._places) - xy).max(axis=1)
+            apart = np.abs(self._places - xy).max(axis=1)
             if apart.min() < 0.6:
                 return
         self._labels.append(label)

@@ -106,7 +106,7 @@ class _FieldOfView:
 
     def project(self, positions: FloatArray) -> FloatArray:
         """Positions (N, 3) m in that plane, (N, 2) m."""
-        return np.asarray(positions @ self._axes)
+        return positions @ self._axes
 
     def density(self, positions: FloatArray) -> FloatArray:
         """Share of the detections per area [1/m^2] at positions (N, 3) m, body frame, within the range."""

@@ -128,7 +128,7 @@ def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray)
     redundancy = measured / (1.0 + measured)
     squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
     chance = chdtr(np.maximum(redundancy.sum(axis=0), 1e-9), squares.sum(axis=0))
-    return np.asarray(np.minimum(chance, 1.0 - chance) < 0.5 * 0.05)
+    return np.minimum(chance, 1.0 - chance) < 0.5 * 0.05
 
 
 def _scaled(covariance: FloatArray, factors: FloatArray) -> FloatArray:

@@ -134,4 +134,4 @@ def evaluate_landmarks(
 
 
 def _distances_m(T_world_map: FloatArray, positions_est: FloatArray, positions_gt: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1))
+    return np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1)

@@ -72,7 +72,7 @@ def _are_around(path: FloatArray, positions: FloatArray) -> BoolArray:
     low, high = np.nanmin(path[:, :2], axis=0), np.nanmax(path[:, :2], axis=0)
     margin_m = 0.5 * (high - low).max()
     plane = positions[:, :2]
-    return np.asarray(((plane >= low - margin_m) & (plane <= high + margin_m)).all(axis=1))
+    return ((plane >= low - margin_m) & (plane <= high + margin_m)).all(axis=1)
 
 
 def _losses(
@@ -107,7 +107,7 @@ def _start_in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
     if not len(odometry) or not len(estimate):
         return np.eye(4)
     first = np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0]))
-    return np.asarray(estimate.T_world_body[0] @ invert(odometry.T_world_body[first]))
+    return estimate.T_world_body[0] @ invert(odometry.T_world_body[first])
 
 
 def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:

@@ -197,4 +197,4 @@ def _long_along(direction: FloatArray, along_m: float, lateral_m: FloatArray) ->
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    return np.asarray(axes @ np.diag([lateral_m[0], lateral_m[1], along_m]) ** 2 @ axes.T)
+    return axes @ np.diag([lateral_m[0], lateral_m[1], along_m]) ** 2 @ axes.T

@@ -149,4 +149,4 @@ def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: Det
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges
     sights = unit_vectors(positions)
     along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
-    return np.asarray(sigmas[:, None, None] ** 2 * (np.eye(3) + along))
+    return sigmas[:, None, None] ** 2 * (np.eye(3) + along)

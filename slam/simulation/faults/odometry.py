@@ -98,7 +98,7 @@ def odometry_yaw_noise(log: Recording, sigma: _YawNoise = 0.005, *, rng: np.rand
 
 def _root_m(steps: FloatArray) -> FloatArray:
     """Square roots (N,) of the lengths of steps (N, 4, 4)."""
-    return np.asarray(np.sqrt(np.linalg.norm(steps[:, :3, 3], axis=1)))
+    return np.sqrt(np.linalg.norm(steps[:, :3, 3], axis=1))
 
 
 def _turn(angle_rad: float | FloatArray) -> FloatArray:
