@@ -14,10 +14,10 @@ from scipy import sparse
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Observation
-from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import FactorGraphError
+from slam.frontend.pending_observations import GROUP_KEYFRAMES
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.landmark_fusion import fuse_landmarks
 from slam.object_map.landmarks import ObjectMap

@@ -9,11 +9,11 @@ import numpy as np
 from logs.messages import SceneLines, ScenePoints
 from logs.scene import class_colors
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import apply, invert
 from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, MAP_FRAME, PATH, SUBMAP, Message
+from slam.frontend.mapper import UPDATE_KEYFRAMES
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe

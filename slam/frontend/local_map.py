@@ -48,14 +48,10 @@ class LocalMap:
         self._origin = T_odom_body[:3, 3].copy()
         self._T = make_transform(T_odom_body[:3, :3], np.zeros(3))
         self._P = np.zeros((POSE, POSE))
-        self._ids = np.zeros(0, dtype=np.int64)
+        self.ids = np.zeros(0, dtype=np.int64)
+        """Ids (L,) of the landmarks held; another array once they change."""
         self._slots: dict[int, int] = {}
         self._positions = np.zeros((0, 3))
-
-    @property
-    def ids(self) -> IntArray:
-        """Ids (L,) of the landmarks held; another array once they change."""
-        return self._ids
 
     @property
     def positions(self) -> FloatArray:
@@ -198,19 +194,19 @@ class LocalMap:
         P[block[:, :, None], block[:, None, :]] += covariances
         self._P = P
         self._positions = np.concatenate([self._positions, self._T[:3, 3] + offsets])
-        self._set_ids(np.concatenate([self._ids, ids]))
+        self._set_ids(np.concatenate([self.ids, ids]))
 
     def remove(self, ids: IntArray) -> None:
         """Marginalize landmarks; ids that are not held are ignored."""
         held = [self._slots[each] for each in ids.tolist() if each in self._slots]
         if not held:
             return
-        kept = np.ones(len(self._ids), dtype=np.bool_)
+        kept = np.ones(len(self.ids), dtype=np.bool_)
         kept[held] = False
         columns = np.concatenate([np.arange(POSE), (POSE + 3 * np.flatnonzero(kept)[:, None] + np.arange(3)).ravel()])
         self._P = self._P[np.ix_(columns, columns)]
         self._positions = self._positions[kept]
-        self._set_ids(self._ids[kept])
+        self._set_ids(self.ids[kept])
 
     def _apply(self, change: FloatArray) -> None:
         R, V = rotation_of(change[:3]), left_jacobian(change[:3])
@@ -219,5 +215,5 @@ class LocalMap:
         self._positions = self._positions @ R.T + shifts[1:]
 
     def _set_ids(self, ids: IntArray) -> None:
-        self._ids = ids
+        self.ids = ids
         self._slots = {each: slot for slot, each in enumerate(ids.tolist())}

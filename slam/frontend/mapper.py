@@ -9,17 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaln
 
 from logs.messages import DetectionAssociations
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.backend.solver_options import UPDATE_KEYFRAMES
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative
 from slam.frontend.active_landmarks import ActiveLandmarks
-from slam.frontend.data_association import AMBIGUOUS, NEW
-from slam.frontend.existence import which_exist
+from slam.frontend.data_association import AMBIGUOUS, DECIDED, NEW
 from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.tracker import Tracked, Tracker
@@ -28,6 +27,8 @@ from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import step_covariance
 from slam.odometry.pose import OdometryPose
 
+UPDATE_KEYFRAMES = 5
+"""Keyframes between two updates of the graph; in between only the local map follows."""
 CONFIRM_OBSERVATIONS = 4
 """Observations that confirm a landmark."""
 CONFIRM_FRACTION, DETECTED_SHARE = 0.4, 0.5
@@ -194,15 +195,13 @@ class Mapper:
         far = speeds * seconds > MOVING_RANGES * range_m
         exists = which_exist(landmarks, seen, self._scan_count)
         moving = too_fast & far & (observations >= MOVING_OBSERVATIONS) & exists
-        followed = too_fast & (states != LandmarkState.CONFIRMED.value) & (observations >= 3)
+        followed = too_fast & (states != LandmarkState.CONFIRMED) & (observations >= 3)
         self._map.assign(seen, velocity_local=np.where((followed | moving)[:, None], velocities_mps, 0.0))
-        stopped = (states == LandmarkState.RETIRED.value) & ~too_fast
+        stopped = (states == LandmarkState.RETIRED) & ~too_fast
         self._active.drop(seen[stopped])
         self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)
 
-        tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE.value
-        if not tentative.any():
-            return
+        tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
         enough = observations >= CONFIRM_OBSERVATIONS
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= self._confirm_fraction * scans
@@ -221,15 +220,13 @@ class Mapper:
         unseen_m = travel_m - landmarks["last_seen_travel_m"][rows]
         unseen_scans = self._scan_count - landmarks["last_scan"][rows]
         lost = (unseen_m > MISSED_RANGES * self._config.sensor_range_m) | (unseen_scans > self._max_missed_scans)
-        stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED.value)
+        stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED)
         self._deactivate(stale | self._active.surplus())
 
-    def _deactivate(self, gone: NDArray[np.bool_]) -> None:
+    def _deactivate(self, gone: BoolArray) -> None:
         """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""
-        if not gone.any():
-            return
         rows = self._active.rows[gone]
-        tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE.value
+        tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
         self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
         self._active.drop(rows)
 
@@ -263,7 +260,7 @@ def _local_step(previous: Keyframe, keyframe: Keyframe) -> FloatArray | None:
     return relative(previous.T_local_body, keyframe.T_local_body)
 
 
-def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> DetectionAssociations:
+def _associations(scan: Scan, rows: IntArray, created: BoolArray) -> DetectionAssociations:
     """One entry for each detection of the message, used or not."""
     landmark_ids = [""] * len(scan.used)
     created_of_all = np.zeros(len(scan.used), dtype=np.bool_)
@@ -271,3 +268,26 @@ def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> Det
     for place, row in zip(np.flatnonzero(scan.used).tolist(), rows.tolist(), strict=True):
         landmark_ids[place] = str(row) if row >= 0 else ""
     return DetectionAssociations(scan.stamp_ns, tuple(landmark_ids), created_of_all)
+
+
+def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolArray:
+    """Which of the rows ``seen`` (N,) of the landmarks (L,) exist, and are not false detections that lie near each
+    other by chance, by what was seen of them up to a scan; a single detection is no evidence against it.
+
+    The log-odds that a landmark exists are
+
+        log(prior odds) + log B(k + 1, n - k + 1)
+            + sum over its k matches of log(p(z | landmark) / p(z | something else))
+
+    after n scans since its first detection: each match is scored against the density of detections of no landmark, as
+    in data association, and in how many of the scans it was found by the evidence of a detection probability that may
+    be anything, with B the beta function. The prior is the share of the landmarks so far that were confirmed.
+    (Integrated tracking: Musicki, Evans and Stankovic, IEEE Trans. Automatic Control, 1994; score of a track: Blackman
+    and Popoli, Design and Analysis of Modern Tracking Systems, 1999, ch. 6.)
+    """
+    confirmed = np.count_nonzero(landmarks["state"] == LandmarkState.CONFIRMED)
+    prior = np.log((confirmed + 1.0) / (len(landmarks) - confirmed + 1.0))
+    matches = landmarks["observations"][seen] - 1
+    missed = np.maximum(scan - landmarks["first_scan"][seen] - matches, 0)
+    odds = prior + betaln(matches + 1.0, missed + 1.0) + landmarks["log_likelihood_ratio"][seen]
+    return (matches == 0) | (odds >= np.log(DECIDED / (1.0 - DECIDED)))

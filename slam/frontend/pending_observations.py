@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from slam.backend.factors import Observation, sum_observations
-from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import OdometryCalibration
 from slam.common.config import Config
@@ -17,6 +16,9 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
 
+GROUP_KEYFRAMES = 4
+"""Consecutive keyframes that observe a landmark once, where the odometry between them is far better than a detection.
+"""
 MAX_MEASUREMENTS = 20
 """More measurements of a landmark from one keyframe, as of a robot that waits, share their errors and are left out."""
 MAX_ADDED_VARIANCE = 0.1

@@ -171,7 +171,7 @@ class ModeSearch:
         apart_m = np.linalg.norm(known.positions[:, None, :2] - known.positions[None, :, :2], axis=2)
         likely = label_likelihood(known.beliefs, known.beliefs.shape[1], self._config)
         found = [np.zeros((0, 4, 4))]
-        for a, b in combinations(self._nearest(seen, self._origin).tolist(), 2):
+        for a, b in combinations(self._nearest(seen).tolist(), 2):
             baseline = seen.positions[b, :2] - seen.positions[a, :2]
             length_m = np.linalg.norm(baseline)
             if length_m < 2.0 * tolerance_m:
@@ -188,9 +188,9 @@ class ModeSearch:
             found.append(T)
         return np.concatenate(found)
 
-    def _nearest(self, seen: Objects, origin: FloatArray) -> IntArray:
+    def _nearest(self, seen: Objects) -> IntArray:
         """The detections nearest to the body, whose pairs propose modes."""
-        return np.argsort(np.linalg.norm(seen.positions - origin, axis=1), kind="stable")[:SEED_DETECTIONS]
+        return np.argsort(np.linalg.norm(seen.positions - self._origin, axis=1), kind="stable")[:SEED_DETECTIONS]
 
     def _placed(self, T_motion: FloatArray) -> Objects:
         """The detections after a motion (4, 4) of the body."""
@@ -200,7 +200,7 @@ class ModeSearch:
     def _seeds(self, seen: Objects, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Poses xi (S, 6), with their covariances (S, 6, 6): the predicted one, and those by one pair each."""
         known = self._known
-        nearest = self._nearest(seen, self._origin)
+        nearest = self._nearest(seen)
         k, j = (each.ravel() for each in np.meshgrid(nearest, np.arange(len(known.positions)), indexing="ij"))
         A = _jacobians(seen.positions[k] - self._origin)
         S = A @ prior @ A.swapaxes(1, 2) + self._own[j] + seen.covariances[k]

@@ -63,37 +63,25 @@ class Tracked:
         return np.where(indices >= 0, np.append(self.active, 0)[indices], indices)
 
 
-class _Path:
-    """Poses of the body among the landmarks at the last scans."""
-
-    def __init__(self) -> None:
-        self._poses = deque[tuple[int, FloatArray]](maxlen=RECENT_STEPS + 1)
-
-    def __bool__(self) -> bool:
-        return bool(self._poses)
-
-    def add(self, stamp_ns: int, T_local_body: FloatArray) -> None:
-        self._poses.append((stamp_ns, T_local_body))
-
-    def clear(self) -> None:
-        self._poses.clear()
+class _Path(deque[tuple[int, FloatArray]]):
+    """Stamps [ns] and poses (4, 4) of the body among the landmarks at the last scans."""
 
     def step_until(self, stamp_ns: int) -> FloatArray:
         """The motion (4, 4) from the last scan on, as in the interval before it; scans may come in bursts."""
-        now_ns, T_now = self._poses[-1]
-        interval_ns = (now_ns - self._poses[0][0]) / max(len(self._poses) - 1, 1)
-        before_ns, T_before = next(each for each in reversed(self._poses) if now_ns - each[0] >= interval_ns)
+        now_ns, T_now = self[-1]
+        interval_ns = (now_ns - self[0][0]) / max(len(self) - 1, 1)
+        before_ns, T_before = next(each for each in reversed(self) if now_ns - each[0] >= interval_ns)
         return blend(np.eye(4), relative(T_before, T_now), (stamp_ns - now_ns) / max(now_ns - before_ns, 1))
 
     def way_until(self, stamp_ns: int) -> FloatArray:
         """Turn [rad] and length [m] of the way from the last scan, (2,), at the speed of all."""
         way = np.zeros(2)
-        for (_, before), (_, after) in pairwise(self._poses):
+        for (_, before), (_, after) in pairwise(self):
             way += _size(relative(before, after))
-        if len(self._poses) < 2:
+        if len(self) < 2:
             return way
-        span_ns = max(self._poses[-1][0] - self._poses[0][0], 1)
-        return way * (stamp_ns - self._poses[-1][0]) / span_ns
+        span_ns = max(self[-1][0] - self[0][0], 1)
+        return way * (stamp_ns - self[-1][0]) / span_ns
 
 
 def _size(T: FloatArray) -> FloatArray:
@@ -129,7 +117,7 @@ class Tracker:
         self._failures = 0
         self._unmatched = 0  # detections since one was matched
         self._lost = deque[tuple[Tracked, OdometryPose]](maxlen=WAITED_SCANS)
-        self._path = _Path()  # since the last restart
+        self._path = _Path(maxlen=RECENT_STEPS + 1)  # since the last restart
         self._T_odom_body: FloatArray | None = None
 
     @property
@@ -188,9 +176,8 @@ class Tracker:
         self.active.advance(self._expected(pose), is_guess=True)
         tracked = self._associated(scan)
         gathered = self._gathered(tracked, pose, untold)
-        slip = self._slip(pose.stamp_ns)
         components = [
-            PriorComponent(0.5 * JUMPED, slip),
+            PriorComponent(0.5 * JUMPED, self._slip(pose.stamp_ns)),
             PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self.active.T_local_body)),
             _anywhere(self.active.positions, 0.5 * JUMPED),
         ]
@@ -201,8 +188,7 @@ class Tracker:
         T_odom = rigid(self.active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
         self._lost.clear()
-        moved = replace(moved, correction=Correction(T_odom, moved.correction.variances))
-        moved = self._updated(moved)
+        moved = self._updated(replace(moved, correction=Correction(T_odom, moved.correction.variances)))
         self._follow(pose.stamp_ns)
         return moved
 
@@ -221,7 +207,11 @@ class Tracker:
                 scan=tracked.scan.joined(scan.of(other)),
                 labels=np.concatenate([tracked.labels, earlier.labels[other]]),
             )
-        return replace(tracked, seen=tracked.scan.seen_from(self.active.T_local_body))
+        return replace(tracked, seen=self._in_local(tracked.scan))
+
+    def _in_local(self, scan: Scan) -> Scan:
+        """A scan in the local frame, seen from where the body is."""
+        return scan.seen_from(self.active.T_local_body)
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
         """The pose if the body has gone on as before."""
@@ -231,7 +221,7 @@ class Tracker:
     def _associated(self, scan: Scan) -> Tracked:
         """The scan with the assignment at the predicted pose."""
         labels = self._map.labels.indices(scan.labels)
-        seen = scan.seen_from(self.active.T_local_body)
+        seen = self._in_local(scan)
         assignment = self._assignment(seen, labels, *self.active.predict())
         return Tracked(scan, labels, seen, self.active.rows, assignment)
 
@@ -340,17 +330,17 @@ class Tracker:
         turn_rad2 = float(rotation_angle_rad(shift)) ** 2
         tilt, heading, position = np.diagonal(mode.covariance)[[0, 2, 3]]
         variances = np.array([position + shift_m2, tilt + turn_rad2, heading + turn_rad2])
-        seen = tracked.scan.seen_from(self.active.T_local_body)
+        seen = self._in_local(tracked.scan)
         assignment = mode.assignment.of(len(tracked.labels))
         return replace(tracked, seen=seen, assignment=assignment, correction=Correction(T_odom, variances))
 
     def _with_expected_noise(self, tracked: Tracked) -> Tracked:
         """The scan with the noise of detections by the ranges of their landmarks."""
-        T, landmarks = self.active.T_local_body, tracked.assignment.landmark_rows
+        xyz_m, landmarks = self.active.T_local_body[:3, 3], tracked.assignment.landmark_rows
         ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
-        ranges[known] = np.linalg.norm(self.active.positions[landmarks[known]] - T[:3, 3], axis=1)
+        ranges[known] = np.linalg.norm(self.active.positions[landmarks[known]] - xyz_m, axis=1)
         scan = with_expected_noise(tracked.scan, ranges, self._detection)
-        return replace(tracked, scan=scan, seen=scan.seen_from(T))
+        return replace(tracked, scan=scan, seen=self._in_local(scan))
 
     def _updated(self, tracked: Tracked) -> Tracked:
         """Correct the active landmarks and the pose among them by a scan, and the odometry if they show a slip."""
@@ -361,5 +351,5 @@ class Tracker:
 
     def _follow(self, stamp_ns: int) -> None:
         """Remember the pose, corrected by the landmarks."""
-        self._path.add(stamp_ns, self.active.T_local_body)
+        self._path.append((stamp_ns, self.active.T_local_body))
         self._T_odom_body = self.active.T_odom_body

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam.frontend.existence import which_exist
+from slam.frontend.mapper import which_exist
 from slam.object_map.landmarks import LANDMARK, LandmarkState
 
 SEEN = np.array([0])

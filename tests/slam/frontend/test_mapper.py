@@ -9,11 +9,10 @@ import pytest
 from logs.messages import DetectionAssociations, FactorGraphRecord, Odometry
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
-from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, relative
-from slam.frontend.mapper import Mapper
+from slam.frontend.mapper import UPDATE_KEYFRAMES, Mapper
 from slam.frontend.tracker import Tracked
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
