@@ -197,7 +197,8 @@ class ActiveLandmarks:
         seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[others] - self.T_local_body[:3, 3]
         self._local.update_landmarks(indices[others], offsets, seen.covariances[others])
-        self._store()
+        positions, covariances = self.predict()
+        self._map.assign(self.rows, position_local=positions, covariance_local=covariances)
         return slip
 
     def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> Correction | None:
@@ -250,11 +251,6 @@ class ActiveLandmarks:
                 oldest = np.argsort(landmarks["last_seen_ns"][rows[members]], kind="stable")[:excess]
                 gone[members[oldest]] = True
         return gone
-
-    def _store(self) -> None:
-        """Write the positions and covariances of the active landmarks to the object map."""
-        positions, covariances = self.predict()
-        self._map.assign(self.rows, position_local=positions, covariance_local=covariances)
 
 
 def _useless(config: Config) -> FloatArray:

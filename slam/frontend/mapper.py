@@ -14,7 +14,7 @@ from scipy.special import betaln
 from logs.messages import DetectionAssociations
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative
 from slam.frontend.active_landmarks import ActiveLandmarks
@@ -75,27 +75,29 @@ class Mapper:
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
-        if pose.segment == self.segment and not is_keyframe_due(
-            self.keyframes[-1],
-            pose,
-            self._active.T_local_odom @ pose.T_odom_body,
-            self._config.keyframe_distance_m,
-            sensor_range_m=self._config.sensor_range_m,
+        previous, continues = self.keyframes[-1] if self.keyframes else None, pose.segment == self.segment
+        if (
+            previous
+            and continues
+            and not is_keyframe_due(
+                previous,
+                pose,
+                self._active.T_local_odom @ pose.T_odom_body,
+                self._config.keyframe_distance_m,
+                sensor_range_m=self._config.sensor_range_m,
+            )
         ):
             return None
-        if self.keyframes and not self.keyframes[-1].is_prior:
+        if previous and not previous.is_prior:
             self.close_keyframe(ends_group=False)
-        if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
-            self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
-            self._active.restart(pose)
-            self.tracker.restart()
+        if previous and not continues:
+            self._restart(pose)
         keyframe = Keyframe(len(self.keyframes), pose, self._active.at(pose))
-        if not self.keyframes:
-            self._graph.add_keyframe(keyframe.id, pose.T_odom_body)
+        if previous:
+            T_previous_keyframe = relative(previous.T_local_body, keyframe.T_local_body) if continues else None
+            self._graph.add_next_keyframe(_odometry_edge(previous, keyframe, self._config), T_previous_keyframe)
         else:
-            self._graph.add_next_keyframe(
-                _odometry_edge(self.keyframes[-1], keyframe, self._config), _local_step(self.keyframes[-1], keyframe)
-            )
+            self._graph.add_keyframe(keyframe.id, pose.T_odom_body)
         self.keyframes.append(keyframe)
         if keyframe.id % UPDATE_KEYFRAMES == 0:
             self._graph.update()
@@ -161,9 +163,7 @@ class Mapper:
             & (landmarks["state"] != LandmarkState.RETIRED)
         )
         self._retire(rows, RetirementReason.CONTRADICTED)
-        self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
-        self._active.restart()
-        self.tracker.restart()
+        self._restart()
         self._pending = PendingObservations(self._config, self._map)
         for keyframe in self.keyframes[first.id :]:
             pose = replace(keyframe.odometry, segment=keyframe.odometry.segment + 1)
@@ -173,6 +173,12 @@ class Mapper:
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
         self._graph.add_observations(self._pending.close(self.keyframes[-1], ends_group=ends_group))
+
+    def _restart(self, pose: OdometryPose | None = None) -> None:
+        """Go on at a pose, or where the body is, without landmarks."""
+        self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
+        self._active.restart(pose)
+        self.tracker.restart()
 
     def _count_scan(self, sensor: str) -> None:
         """Several sensors share the view: a scan is counted when each has given one."""
@@ -251,13 +257,6 @@ def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Ed
         sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
         covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
     return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
-
-
-def _local_step(previous: Keyframe, keyframe: Keyframe) -> FloatArray | None:
-    """``T_previous_keyframe`` (4, 4) by odometry and landmarks; None where the odometry breaks off in between."""
-    if keyframe.odometry.segment != previous.odometry.segment:
-        return None
-    return relative(previous.T_local_body, keyframe.T_local_body)
 
 
 def _associations(scan: Scan, rows: IntArray, created: BoolArray) -> DetectionAssociations:
