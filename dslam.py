@@ -17,14 +17,7 @@ if TYPE_CHECKING:
     from logs.clouds.labelled_cloud import LabelledCloud
     from logs.clouds.objects import find_objects
     from logs.errors import LogError
-    from logs.messages import (
-        GroundTruthPose,
-        ObjectDetections,
-        ObjectMapRecord,
-        Odometry,
-        TrajectoryRecord,
-        Transform,
-    )
+    from logs.messages import GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry, TrajectoryRecord, Transform
     from logs.reader import LogReader
     from logs.selection import Selection, select_topics
     from logs.writer import LogWriter

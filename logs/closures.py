@@ -24,6 +24,4 @@ def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClos
         records: in the order of the log.
     """
     last = {(record.query_keyframe_id, record.reference_keyframe_id): record for record in records}
-    return tuple(
-        sorted(last.values(), key=lambda r: (r.stamp_ns, r.query_keyframe_id, r.reference_keyframe_id)),
-    )
+    return tuple(sorted(last.values(), key=lambda r: (r.stamp_ns, r.query_keyframe_id, r.reference_keyframe_id)))

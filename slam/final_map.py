@@ -7,12 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from logs.messages import (
-    FactorGraphRecord,
-    ObjectMapRecord,
-    StatusRecord,
-    TrajectoryRecord,
-)
+from logs.messages import FactorGraphRecord, ObjectMapRecord, StatusRecord, TrajectoryRecord
 from logs.records import frozen
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver import Optimization
@@ -41,11 +36,7 @@ class FinalMap:
 
 
 def judge_outcome(
-    optimization: Optimization,
-    counters: Counter[str],
-    doubts: Sequence[str] = (),
-    *,
-    uncorrected: str = "",
+    optimization: Optimization, counters: Counter[str], doubts: Sequence[str] = (), *, uncorrected: str = ""
 ) -> tuple[str, str]:
     """The level and the message of the final status: whether a result can be relied on.
 

@@ -94,10 +94,7 @@ def calibrate(*logs: AnyPath, config: Config | None = None, topics: Mapping[str,
 
 
 def evaluate_log(
-    path: AnyPath,
-    *,
-    reference: AnyPath | None = None,
-    topics: Mapping[str, str] | None = None,
+    path: AnyPath, *, reference: AnyPath | None = None, topics: Mapping[str, str] | None = None
 ) -> Evaluation:
     """Compare a log that ``replay`` wrote with the truth; ``to_json_dict()`` of the result holds every figure.
 

@@ -7,12 +7,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from logs.messages import (
-    ObjectDetections,
-    Record,
-    StatusRecord,
-    Transform,
-)
+from logs.messages import ObjectDetections, Record, StatusRecord, Transform
 from logs.storage.regular_file import AnyPath
 from slam.common.calibration import Calibration
 from slam.common.config import Config

@@ -64,12 +64,7 @@ class PreparedLog:
 
 
 def prepare_log(
-    reader: LogReader,
-    config: Config,
-    *,
-    topics: Mapping[str, str] | None,
-    copy: Collection[str],
-    is_surveyed: bool,
+    reader: LogReader, config: Config, *, topics: Mapping[str, str] | None, copy: Collection[str], is_surveyed: bool
 ) -> PreparedLog:
     """Choose the topics of a log, read all frames, and estimate what was not given of its calibration, if it
     ``is_surveyed``.

@@ -155,11 +155,7 @@ def _map(
 
 
 def _summarize(
-    mapper: LogMapper,
-    final: FinalMap,
-    notes: tuple[str, ...],
-    log_ns: int,
-    started: float,
+    mapper: LogMapper, final: FinalMap, notes: tuple[str, ...], log_ns: int, started: float
 ) -> ReplaySummary:
     slam = mapper.slam
     return ReplaySummary(

@@ -128,11 +128,7 @@ def find_ends(
 
 
 def gather_pairs(
-    positions: FloatArray,
-    labels: IntArray,
-    ends: IntArray,
-    tree: cKDTree,
-    architecture: DescriptellationLRArchitecture,
+    positions: FloatArray, labels: IntArray, ends: IntArray, tree: cKDTree, architecture: DescriptellationLRArchitecture
 ) -> Pairs:
     """The constellations of pairs.
 
@@ -177,11 +173,7 @@ def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> IntA
 
 
 def _features(
-    local: ComplexArray,
-    lengths: FloatArray,
-    owners: IntArray,
-    counts: IntArray,
-    labels: IntArray,
+    local: ComplexArray, lengths: FloatArray, owners: IntArray, counts: IntArray, labels: IntArray
 ) -> Float32Array:
     """Of each neighbour: its distance, the length of the pair, how many neighbours there are, how many of its class,
     and how many of those are about as far away.

@@ -66,11 +66,7 @@ class Sample:
 
 
 def draw_sample(
-    config: ContrastTraining,
-    given: Sequence[TrainingMap],
-    own_share: float,
-    *,
-    rng: np.random.Generator,
+    config: ContrastTraining, given: Sequence[TrainingMap], own_share: float, *, rng: np.random.Generator
 ) -> Sample | PairSample:
     """A map with views of it in which at least one object, or pair of objects, is seen as what it is.
 
@@ -93,11 +89,7 @@ def draw_sample(
 
 
 def _draw_constellations(
-    config: ContrastTraining,
-    architecture: VectorArchitecture,
-    drawn: TrainingMap,
-    *,
-    rng: np.random.Generator,
+    config: ContrastTraining, architecture: VectorArchitecture, drawn: TrainingMap, *, rng: np.random.Generator
 ) -> Sample | None:
     """Views of a map; None if none shows an object as what it is."""
     drawn = with_classes_of(drawn, architecture.vocabulary_size, rng=rng)

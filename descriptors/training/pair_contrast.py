@@ -64,11 +64,7 @@ class PairSample:
 
 
 def draw_pair_sample(
-    drawn: TrainingMap,
-    architecture: DescriptellationLRArchitecture,
-    *,
-    views: int,
-    rng: np.random.Generator,
+    drawn: TrainingMap, architecture: DescriptellationLRArchitecture, *, views: int, rng: np.random.Generator
 ) -> PairSample | None:
     """Views of a map; None if none of their pairs is one of the map."""
     unit_m = spacing_m(drawn.positions)

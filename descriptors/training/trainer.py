@@ -114,11 +114,7 @@ def best_of(epochs: Sequence[Epoch]) -> Epoch:
 
 
 def train(
-    recipe: Recipe,
-    folder: Path,
-    *,
-    threads: int = 2,
-    on_progress: Callable[[float], None] = lambda fraction: None,
+    recipe: Recipe, folder: Path, *, threads: int = 2, on_progress: Callable[[float], None] = lambda fraction: None
 ) -> list[Epoch]:
     """Train a network.
 

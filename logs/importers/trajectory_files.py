@@ -13,12 +13,7 @@ from logs.importers.tables import LENGTH_UNITS, Table, first_row, is_number, rea
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray, IntArray
 from logs.records import frozen
-from logs.validation import (
-    MAX_COORDINATE_M,
-    QUATERNION_NORM_TOLERANCE,
-    ROTATION_TOLERANCE,
-    rotation_errors,
-)
+from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE, ROTATION_TOLERANCE, rotation_errors
 
 _KITTI = [f"T{row}{column}" for row in range(3) for column in range(4)]
 """The rows of a 3x4 pose, one after another."""

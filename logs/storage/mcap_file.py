@@ -9,13 +9,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
 from logs.errors import UnreadableLogError
-from logs.storage.mcap_index import (
-    DAMAGE,
-    HEADER,
-    MESSAGE_HEADER,
-    McapIndex,
-    stream_of,
-)
+from logs.storage.mcap_index import DAMAGE, HEADER, MESSAGE_HEADER, McapIndex, stream_of
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
 

@@ -67,14 +67,7 @@ class MapPicture:
         self.add_line(name, lines, color, width, count=len(ends))
 
     def add_marks(
-        self,
-        name: str,
-        positions: FloatArray,
-        color: str,
-        marker: str,
-        *,
-        size: float = 7.0,
-        count: int | None = None,
+        self, name: str, positions: FloatArray, color: str, marker: str, *, size: float = 7.0, count: int | None = None
     ) -> None:
         """Mark positions (N, 3) m; ``marker``: as matplotlib names it; ``size``: diameter."""
         if len(positions):

@@ -238,10 +238,7 @@ def _find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, prot
 
 
 def _relocalization(
-    records: EvaluationRecords,
-    protocol: Protocol,
-    map_alignment: FloatArray | None,
-    T_world_map: FloatArray | None,
+    records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None, T_world_map: FloatArray | None
 ) -> dict[str, Any]:
     _require({"no status in the log (/slam/status)": bool(records.statuses)})
     is_located = records.has_prior_map and map_alignment is not None

@@ -190,9 +190,7 @@ def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radiu
         graph.optimize()
     landmarks = graph.landmarks
     object_map.assign(
-        landmarks,
-        position_map=graph.landmark_positions(landmarks),
-        covariance_map=graph.covariances()[1],
+        landmarks, position_map=graph.landmark_positions(landmarks), covariance_map=graph.covariances()[1]
     )
 
 

@@ -31,14 +31,7 @@ class ImportedPlaces:
         is_fixed: whether the landmarks stay where they are.
     """
 
-    def __init__(
-        self,
-        imported: ImportedMap,
-        object_map: ObjectMap,
-        graph: FactorGraph,
-        *,
-        is_fixed: bool,
-    ) -> None:
+    def __init__(self, imported: ImportedMap, object_map: ObjectMap, graph: FactorGraph, *, is_fixed: bool) -> None:
         object_map.labels.indices(imported.vocabulary)
         self._imported = imported
         self._map = object_map

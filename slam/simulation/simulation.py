@@ -7,13 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.importers.imported_log import DriveRecord, DriveSummary, write_drive
-from logs.messages import (
-    DetectionTruth,
-    GroundTruthPose,
-    ObjectDetections,
-    ObjectMapRecord,
-    Odometry,
-)
+from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry
 from slam.common.arrays import FloatArray
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import SimulationError
@@ -100,11 +94,7 @@ def _records(
             offsets = world.positions - T_world_body[:3, 3]
             rows = np.flatnonzero(np.abs(offsets[:, :2]).max(axis=1) <= config.sensor.max_range_m)
             scan = scan_objects(
-                offsets[rows] @ T_world_body[:3, :3],
-                class_indices[rows],
-                len(vocabulary),
-                config.sensor,
-                rngs,
+                offsets[rows] @ T_world_body[:3, :3], class_indices[rows], len(vocabulary), config.sensor, rngs
             )
             true_ids = tuple("" if source < 0 else world.object_ids[rows[source]] for source in scan.sources.tolist())
             yield Odometry(stamp_ns, T_odom_body[i])

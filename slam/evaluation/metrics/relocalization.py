@@ -23,11 +23,7 @@ PlacedPose = tuple[int, FloatArray]
 
 
 def evaluate_relocalization(
-    records: EvaluationRecords,
-    protocol: Protocol,
-    *,
-    T_world_map: FloatArray | None,
-    method: Method,
+    records: EvaluationRecords, protocol: Protocol, *, T_world_map: FloatArray | None, method: Method
 ) -> dict[str, Any]:
     """Counts, shares and medians over all fixes, right or wrong, and each loss by itself, by the keys of the JSON.
 
