@@ -208,4 +208,4 @@ def _check_plausible(name: str, trajectory: Trajectory) -> None:
 
 
 def _steps_m(T: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1), dtype=np.float64)
+    return np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)

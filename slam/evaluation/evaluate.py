@@ -76,7 +76,9 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         for name, path in paths.items()
     }
     if axes is None:
-        trajectories = {name: _without_rotation(errors) for name, errors in trajectories.items()}
+        trajectories = {
+            name: errors and replace(errors, rpe_rotation_deg_per_100m=None) for name, errors in trajectories.items()
+        }
     best = trajectories["estimate"] or trajectories["online"]
     T_world_map = best.T_world_map if best else None
     labelled = measure("associations", partial(_label_detections, records))
@@ -97,7 +99,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     results = {
         "trajectory": describe_trajectories(trajectories)
         | {
-            "true_axes": None if axes is None else _describe_turn(axes),
+            "true_axes": _describe_turn(axes),
             "true_point_ahead_m": point_m[0],
             "true_point_left_m": point_m[1],
         },
@@ -152,20 +154,18 @@ def _aligned(records: EvaluationRecords) -> tuple[PoseSeries, PoseSeries]:
     return PoseSeries(est.stamps_ns, T_world_map @ est.T_world_body), gt
 
 
-def _describe_turn(R: FloatArray) -> str | None:
-    """None for no rotation."""
+def _describe_turn(R: FloatArray | None) -> str | None:
+    """None for no rotation, or an unknown one."""
+    if R is None or np.array_equal(R, np.eye(3)):
+        return None
     roll, pitch, yaw = roll_pitch_yaw_deg(R)
-    return None if np.array_equal(R, np.eye(3)) else f"roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg"
+    return f"roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg"
 
 
 def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:
     truth = records.true_path
     _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(truth) > 0})
     return evaluate_trajectory(path, truth, kidnapping_m=protocol.revisit_m)
-
-
-def _without_rotation(errors: TrajectoryErrors | None) -> TrajectoryErrors | None:
-    return None if errors is None else replace(errors, rpe_rotation_deg_per_100m=None)
 
 
 def _label_detections(records: EvaluationRecords) -> pd.DataFrame:

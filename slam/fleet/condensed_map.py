@@ -50,7 +50,7 @@ def condense_map(saved: SavedMap, *, cell_m: float) -> SavedMap:
 
 def _rows(values: object, wanted: object) -> IntArray:
     """The rows of the ``wanted`` ones among values, all different."""
-    return np.asarray(pd.Index(values).get_indexer(pd.Index(wanted)), dtype=np.int64)
+    return pd.Index(values).get_indexer(pd.Index(wanted))
 
 
 def _middles(cell: IntArray, positions: FloatArray) -> IntArray:

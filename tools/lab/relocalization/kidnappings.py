@@ -53,7 +53,7 @@ class KnownMap:
         The distortion of the map between distant places has no effect on it.
         """
         row = np.argmin(np.linalg.norm(self.positions[:, :2] - T_world_near[:2, 3], axis=1))
-        return np.asarray(self.T_world_map[row] @ T_map_body)
+        return self.T_world_map[row] @ T_map_body
 
 
 def benchmark_relocalization(
@@ -150,7 +150,7 @@ def find_starts(
         rows = begins[travelled_m[begins] + length_m <= travelled_m[-1]]
         ends = np.searchsorted(travelled_m, travelled_m[rows] + length_m) + 1
         wrong_before = np.append(0, np.cumsum(is_wrong))
-        return np.asarray(rows[wrong_before[ends] == wrong_before[rows]])
+        return rows[wrong_before[ends] == wrong_before[rows]]
 
     return starts(RECOVERED_WITHIN_M, apart_m > reach_m), starts(MAX_TRAVEL_M, apart_m <= far_m)
 
