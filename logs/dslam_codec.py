@@ -141,14 +141,7 @@ def check_arrays(record: Any) -> None:
 CODECS: Mapping[type, Codec] = {
     codec.record: codec
     for codec in (
-        Codec(
-            m.ObjectDetections,
-            pb.ObjectDetections,
-            labels="N",
-            positions="N 3",
-            scores="N",
-            covariances="N 3 3?",
-        ),
+        Codec(m.ObjectDetections, pb.ObjectDetections, labels="N", positions="N 3", scores="N", covariances="N 3 3?"),
         Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
         Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
         Codec(

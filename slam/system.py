@@ -33,14 +33,7 @@ from slam.common.errors import InputDataError
 from slam.common.geometry import invert
 from slam.display.map_topics import MAP_FRAME, Message
 from slam.display.snapshot import SnapshotSchedule, take_snapshot
-from slam.final_map import (
-    FinalMap,
-    final_trajectory,
-    find_passed,
-    judge_outcome,
-    known_covariances,
-    place_landmarks,
-)
+from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, known_covariances, place_landmarks
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames

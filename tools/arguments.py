@@ -51,8 +51,7 @@ def can_draw(path: Path | None) -> Path | None:
 
 
 Picture = Annotated[
-    Path | None,
-    typer.Option("--picture", metavar="PNG", help="Draw the map from above.", callback=can_draw),
+    Path | None, typer.Option("--picture", metavar="PNG", help="Draw the map from above.", callback=can_draw)
 ]
 
 

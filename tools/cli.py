@@ -34,12 +34,7 @@ _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
 
-_EXTRA_OF = {
-    "matplotlib": "pictures",
-    "torch": "learn",
-    "foxglove": "live",
-    "osmium": "osm",
-}
+_EXTRA_OF = {"matplotlib": "pictures", "torch": "learn", "foxglove": "live", "osmium": "osm"}
 """The extra that installs each module which is not needed by all commands."""
 
 _COMMANDS = {

@@ -31,8 +31,7 @@ def add(
     origin: Annotated[
         str | None,
         typer.Option(
-            metavar="LAT,LON",
-            help="Start of the earliest log, in latitude and longitude; kept for later runs.",
+            metavar="LAT,LON", help="Start of the earliest log, in latitude and longitude; kept for later runs."
         ),
     ] = None,
     config_file: ConfigFile = None,

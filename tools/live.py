@@ -21,8 +21,7 @@ STANDARD_INPUT = Path("-")
 def live(
     source: Annotated[Path, typer.Argument(metavar="LOG|-", help="A log, or '-' for a stream on standard input.")],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="OUT.mcap", help="Also write the estimates to a log."),
+        Path | None, typer.Option("-o", "--output", metavar="OUT.mcap", help="Also write the estimates to a log.")
     ] = None,
     speed: Annotated[
         float,
@@ -33,8 +32,7 @@ def live(
         int, typer.Option(min=0, max=65535, metavar="PORT", help="Port to listen on; 0: any free port.")
     ] = 8765,
     map_log: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map."),
+        Path | None, typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map.")
     ] = None,
     config_file: ConfigFile = None,
     calibration: CalibrationFile = None,

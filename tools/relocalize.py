@@ -67,14 +67,7 @@ def relocalize(
     known = load_prior_map(map_log)
     with console.progress_bar("looking", "optimising") as progress:
         summary = replay(
-            source,
-            output,
-            config,
-            topics=chosen,
-            prior_map=known,
-            initial_pose=prior,
-            extend=False,
-            progress=progress,
+            source, output, config, topics=chosen, prior_map=known, initial_pose=prior, extend=False, progress=progress
         )
     is_found = bool(summary.relocalization_times_s)
     if picture is not None and is_found:

@@ -50,13 +50,9 @@ def replay(
         Path | None,
         typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map, and extend the map."),
     ] = None,
-    save_map: Annotated[
-        Path | None,
-        typer.Option(metavar="MAP.mcap", help="Save the map for later drives."),
-    ] = None,
+    save_map: Annotated[Path | None, typer.Option(metavar="MAP.mcap", help="Save the map for later drives.")] = None,
     online: Annotated[
-        bool,
-        typer.Option("--online", help="Calibrate the robot during the drive, from past records only."),
+        bool, typer.Option("--online", help="Calibrate the robot during the drive, from past records only.")
     ] = False,
     copy: Annotated[
         list[str] | None,

@@ -15,10 +15,7 @@ LIKELIHOOD = "descriptellation_lr"
 
 
 def train(
-    folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER", help="Folder of the weights and the curves."),
-    ],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the weights and the curves.")],
     network: Annotated[
         str,
         typer.Option(

@@ -18,18 +18,7 @@ LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
-LABEL_NAMES = (
-    "label",
-    "class",
-    "class_name",
-    "category",
-    "kind",
-    "species",
-    "type",
-    "class_id",
-    "category_id",
-    "name",
-)
+LABEL_NAMES = ("label", "class", "class_name", "category", "kind", "species", "type", "class_id", "category_id", "name")
 """Names of the column with the class of an object, likeliest first."""
 
 UNLABELLED = "object"

@@ -98,11 +98,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
     results = {
         "trajectory": describe_trajectories(trajectories)
-        | {
-            "true_axes": _describe_turn(axes),
-            "true_point_ahead_m": point_m[0],
-            "true_point_left_m": point_m[1],
-        },
+        | {"true_axes": _describe_turn(axes), "true_point_ahead_m": point_m[0], "true_point_left_m": point_m[1]},
         "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
         "landmarks": landmarks or {},
         "closures": {} if judged is None else describe_closures(judged, protocol),

@@ -32,11 +32,7 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
         positions = origin.to_map(positions)
     if origin is not None:
         _check_origin(objects.source, positions, origin)
-    provenance = {
-        "source": objects.source,
-        "input_sha256": objects.sha256,
-        "version": version("descriptellation-slam"),
-    }
+    provenance = {"source": objects.source, "input_sha256": objects.sha256, "version": version("descriptellation-slam")}
     try:
         return make_imported_map(
             positions, objects.labels, objects.ids, sigma_m=sigma_m, georeference=origin, source=provenance

@@ -13,21 +13,14 @@ if TYPE_CHECKING:
 
 Reference = Annotated[
     Path | None,
-    typer.Option(
-        metavar="LOG|POSES",
-        help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz).",
-    ),
+    typer.Option(metavar="LOG|POSES", help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz)."),
 ]
 Calib = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="KITTI's calib.txt, if references in its format are of the left camera.",
-    ),
+    typer.Option(metavar="FILE", help="KITTI's calib.txt, if references in its format are of the left camera."),
 ]
 MapRun = Annotated[
-    Path | None,
-    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization."),
+    Path | None, typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.")
 ]
 
 

@@ -29,8 +29,7 @@ def _file(help_: str) -> Any:
 
 def export(
     log: Annotated[
-        Path,
-        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind."),
+        Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind.")
     ],
     of: Annotated[
         Track, typer.Option(help="Poses for --tum, --kitti and --geodetic: of the final map, online, ...")

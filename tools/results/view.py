@@ -9,13 +9,9 @@ from tools.arguments import check_outputs
 
 
 def view(
-    log: Annotated[
-        Path,
-        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or any map."),
-    ],
+    log: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or any map.")],
     save: Annotated[
-        Path,
-        typer.Option(metavar="FILE.png|FILE.json", help="A picture from above, or a layout for Foxglove."),
+        Path, typer.Option(metavar="FILE.png|FILE.json", help="A picture from above, or a layout for Foxglove.")
     ],
 ) -> None:
     """Draw a mapped drive or the landmarks of a map from above, or write a layout in which Foxglove shows the log.

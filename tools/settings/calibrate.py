@@ -12,13 +12,9 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG...", help="Logs of one robot; their data are pooled."),
-    ],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of one robot; their data are pooled.")],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="ROBOT.toml", help="The calibration to write."),
+        Path | None, typer.Option("-o", "--output", metavar="ROBOT.toml", help="The calibration to write.")
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

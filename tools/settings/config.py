@@ -16,9 +16,7 @@ def config(
     made_from: Annotated[
         Path | None,
         typer.Option(
-            "--from",
-            metavar="MAP.mcap",
-            help="Print the configuration of this map or log, with its calibration.",
+            "--from", metavar="MAP.mcap", help="Print the configuration of this map or log, with its calibration."
         ),
     ] = None,
     simulation: Annotated[bool, typer.Option("--simulation", help="Print the settings of 'dslam simulate'.")] = False,

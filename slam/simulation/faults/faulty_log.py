@@ -20,13 +20,7 @@ from slam.simulation.faults.recording import Message, Recording, make_recording
 from slam.simulation.faults.registry import Fault
 
 _NEEDED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS)
-_READ = (
-    *_NEEDED,
-    RecordKind.DETECTION_TRUTH,
-    RecordKind.TRANSFORMS,
-    RecordKind.GROUND_TRUTH,
-    RecordKind.OBJECT_TRUTH,
-)
+_READ = (*_NEEDED, RecordKind.DETECTION_TRUTH, RecordKind.TRANSFORMS, RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH)
 
 
 @frozen

@@ -49,12 +49,7 @@ def descriptors(
     objects_of_map = labelled_map(world)
     with console.progress_bar("localizing") as move:
         cells = benchmark_descriptors(
-            objects_of_map,
-            world.tour,
-            compared_descriptors(descriptor),
-            queries=queries,
-            seeds=seeds,
-            on_progress=move,
+            objects_of_map, world.tour, compared_descriptors(descriptor), queries=queries, seeds=seeds, on_progress=move
         )
     rows = cells.to_dict("records")
     numbers = {"objects": len(objects_of_map), "classes": len(objects_of_map.vocabulary)}

@@ -28,8 +28,7 @@ COLUMNS = {
 def relocalization(
     log: Annotated[Path, typer.Option(metavar="LOG.mcap", help="A drive with its truth.")],
     map_until: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", min=1.0, help="Map the drive up to this time."),
+        float | None, typer.Option(metavar="SECONDS", min=1.0, help="Map the drive up to this time.")
     ] = None,
     map_log: Annotated[
         Path | None,
@@ -73,12 +72,7 @@ def relocalization(
         raise typer.BadParameter("this map was made by a drive; give that drive and --map-until.", param_hint="--map")
     with console.progress_bar("relocalizing") as move:
         result = benchmark_relocalization(
-            log,
-            config,
-            given=given,
-            kidnaps=kidnaps,
-            topics=parse_topics(topics),
-            on_progress=move,
+            log, config, given=given, kidnaps=kidnaps, topics=parse_topics(topics), on_progress=move
         )
     elsewhere = [each["is_right"] is not None for each in result["elsewhere"]]
     report(

@@ -29,8 +29,7 @@ def sweep(
     variant: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="KEY=VALUE;...",
-            help="Settings to compare over the same drives, joined by semicolons. Repeatable.",
+            metavar="KEY=VALUE;...", help="Settings to compare over the same drives, joined by semicolons. Repeatable."
         ),
     ] = None,
     part: Annotated[
