@@ -153,12 +153,7 @@ class PairIndex:
         self.classes = np.concatenate([self.classes, classes, np.full(filler, FILLER)]).astype(np.uint32)
 
     def search(
-        self,
-        positions: FloatArray,
-        labels: IntArray,
-        *,
-        sigmas_m: FloatArray,
-        allowed: BoolArray | None = None,
+        self, positions: FloatArray, labels: IntArray, *, sigmas_m: FloatArray, allowed: BoolArray | None = None
     ) -> PairMatches:
         """The likeliest pairs of the map for the pairs of a query.
 
@@ -240,7 +235,7 @@ class PairIndex:
             firsts = np.minimum(bounds[batch, 0] // WORD, self.words.shape[1] - width)
             yield batch, firsts, _mask(bounds[batch] - firsts[:, None] * WORD, width)
         tail = -(-self._sorted // WORD)
-        if tail < self.words.shape[1]:
+        if len(asked.classes) and tail < self.words.shape[1]:
             of_tail = slice(tail * WORD, None)
             is_like = asked.classes[:, None] == self.classes[of_tail]
             is_like &= (asked.low[:, None] <= self.lengths[of_tail]) & (self.lengths[of_tail] <= asked.high[:, None])

@@ -166,6 +166,8 @@ class ModeSearch:
     def _proposals(self) -> FloatArray:
         """Motions (S, 4, 4), upright, that lay two detections on two landmarks as far apart."""
         seen, known = self._seen, self._known
+        if len(seen.positions) < 2:
+            return np.zeros((0, 4, 4))
         sigma_m = np.sqrt(np.median(np.trace(seen.covariances, axis1=1, axis2=2)) / 3.0)
         tolerance_m = sigma_m * self._gate**0.5
         apart_m = np.linalg.norm(known.positions[:, None, :2] - known.positions[None, :, :2], axis=2)

@@ -259,7 +259,10 @@ class _Fit:
         M = np.add.reduceat(A.swapaxes(1, 2) @ (inverse[:, :, None] * A), self._start, axis=0)
         v = np.add.reduceat(np.einsum("ndi,nd->ni", A, inverse * y), self._start, axis=0)
         root = np.sqrt(Q / group_weights[:, None])
-        C = np.linalg.inv(np.eye(7) + root[:, :, None] * M * root[:, None, :])
+        scaled = root[:, :, None] * M * root[:, None, :]
+        # Not singular by rounding, however much the variances differ.
+        least = np.maximum(1.0, len(root[0]) * np.finfo(np.float64).eps * np.einsum("gii->g", scaled))
+        C = np.linalg.inv(least[:, None, None] * np.eye(7) + scaled)
         C = root[:, :, None] * C * root[:, None, :]  # posterior covariance of xi
         xi = np.einsum("gij,gj->gi", C, v)
         e = y - np.einsum("ndi,ni->nd", A, xi[group])

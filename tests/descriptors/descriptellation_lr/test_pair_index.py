@@ -145,6 +145,8 @@ def test_pair_with_nothing_around_it_matches_pairs_of_its_length() -> None:
     for index in (whole, grown):
         matches = search(index, positions[2:4], labels[2:4])
         assert {tuple(sorted(pair)) for pair in matches.entries.tolist()} == {(2, 3)}
+        at_one_place = 1e-3 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        assert len(search(index, at_one_place, labels[:3]).nats) == 0
 
 
 @pytest.mark.parametrize(("noise_m", "is_found"), [(0.1, False), (1.0, True)])

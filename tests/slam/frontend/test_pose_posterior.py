@@ -3,13 +3,22 @@
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
-from slam.common.geometry import apply, invert, skew, transform_from_xyz_yaw, yaw_rad
-from slam.frontend.data_association import AMBIGUOUS, Objects, associate, density
-from slam.frontend.pose_posterior import KnownLandmarks, ModeSearch, PriorComponent, common_error, probabilities
+from slam.common.geometry import apply, invert, skew, transform_from_xyz_yaw
+from slam.frontend.data_association import AMBIGUOUS, GATE_PROBABILITY, Assignment, Objects, associate, density
+from slam.frontend.pose_posterior import (
+    SAME_POSE_GATE,
+    KnownLandmarks,
+    Mode,
+    ModeSearch,
+    PriorComponent,
+    common_error,
+    is_same_pose,
+    probabilities,
+)
 from tests.helpers.landmarks import spheres
 from tests.helpers.poses import pose_at
 
@@ -17,6 +26,7 @@ CONFIG = ObjectCalibration()
 ORIGIN = np.array([40.0, -10.0, 1.0])
 AS_PREDICTED = PriorComponent(1.0, np.zeros((6, 6)))
 ANYWHERE = PriorComponent(1e-4, np.diag([1e-3, 1e-3, np.pi, 50.0, 50.0, 1.0]) ** 2, is_anywhere=True)
+NOTHING = Assignment(np.zeros(0, np.int64), np.zeros(0))
 OWN_M, NOISE_M = 0.03, 0.03
 """What each landmark and each detection errs by, of its own."""
 
@@ -91,21 +101,8 @@ def test_seed_of_a_pair_turns_the_body_by_what_the_landmark_shows() -> None:
     np.testing.assert_allclose(xi[:, 2], [0.0, 0.05, 0.05, 0.05, 0.05], atol=0.005)
 
 
-def test_covariance_of_a_mode_is_that_of_its_errors() -> None:
-    scene, which, T_off = Scene(scattered(), shift_m=0.5, turn_rad=0.02), np.arange(8), about_body(0.3, -0.2, 0.01)
-    errors = []
-    for seed in range(40):
-        best = scene.search(scene.seen(which, T_off, seed=seed)).modes([AS_PREDICTED])[0]
-        left = best.T_motion @ invert(T_off)
-        errors.append([float(yaw_rad(left)), *(apply(left, ORIGIN[None])[0] - ORIGIN)[:2]])
-    sigmas = np.sqrt(np.diag(best.covariance)[2:5])
-    ratios = np.sqrt(np.mean(np.square(errors), axis=0)) / sigmas
-    assert ratios.min() > 0.4
-    assert ratios.max() < 1.5
-
-
 @pytest.mark.parametrize("weight", [1.0, 1e-3])
-def test_weight_of_a_mode_is_the_evidence_of_its_pairs(weight: float) -> None:
+def test_weight_and_covariance_of_a_mode_are_those_by_its_pairs(weight: float) -> None:
     """For errors so small that all is linear, that is a Gaussian of all differences at once."""
     scene, which = Scene(scattered(), shift_m=0.05, turn_rad=2e-3), np.array([2, 5, 9, 14])
     seen = scene.seen(which, about_body(0.04, -0.06, 2e-3))
@@ -122,6 +119,8 @@ def test_weight_of_a_mode_is_the_evidence_of_its_pairs(weight: float) -> None:
     clutter = density(scene.landmarks, scene.known.covariances)
     expected = multivariate_normal.logpdf(r, cov=S) - len(which) * np.log(clutter) + np.log(weight)
     assert mode.log_weight == pytest.approx(expected, abs=0.05)
+    gain = (common + added) @ A.T @ np.linalg.inv(S)
+    np.testing.assert_allclose(mode.covariance, (np.eye(6) - gain @ A) @ (common + added), rtol=0.01, atol=1e-8)
     np.testing.assert_allclose(probabilities([mode, mode]), 0.5)
 
 
@@ -133,6 +132,14 @@ def test_wide_component_finds_any_heading(yaw: float) -> None:
     np.testing.assert_allclose(modes[0].T_motion, T_off, atol=0.2)
     assert modes[0].assignment.landmark_rows.tolist() == which.tolist()
     assert probabilities(modes)[0] > 0.99
+
+
+@pytest.mark.parametrize(("tolerances", "count"), [(1.9, 0), (2.1, 2)])
+def test_proposals_are_of_two_detections_that_their_noise_does_not_turn_by_far(tolerances: float, count: int) -> None:
+    apart_m = tolerances * NOISE_M * np.sqrt(chi2.ppf(GATE_PROBABILITY, 3))
+    scene = Scene(np.array([[5.0, 1.0, 0.0], [5.0, 1.0 + apart_m, 0.0]]))
+    seen = Objects(scene.landmarks, spheres(NOISE_M, 2), np.zeros(2, int))
+    assert len(scene.search(seen)._proposals()) == count
 
 
 def test_wide_component_finds_nothing_where_all_objects_are_new() -> None:
@@ -176,11 +183,25 @@ def test_detection_that_may_be_bad_has_no_mode_of_its_own() -> None:
     assert len(scene.search(seen).modes([AS_PREDICTED])) == 1
 
 
-def test_a_scan_without_detections_has_one_mode() -> None:
+@pytest.mark.filterwarnings("error")
+def test_a_scan_without_detections_or_pairs_of_them_has_one_mode() -> None:
     scene = Scene(scattered())
-    (mode,) = scene.search(scene.seen(np.zeros(0, dtype=np.int64), np.eye(4))).modes([AS_PREDICTED])
+    assert len(scene.search(scene.seen(np.array([3]), np.eye(4))).modes([ANYWHERE])) == 1
+    (mode,) = scene.search(scene.seen(np.zeros(0, dtype=np.int64), np.eye(4))).modes([ANYWHERE])
+    assert mode.log_weight == np.log(ANYWHERE.weight)
     np.testing.assert_array_equal(mode.T_motion, np.eye(4))
     assert not mode.assignment.matched.any()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_is_same_pose_within_the_gate_of_shift_and_turn_together(share: float) -> None:
+    for factor in (0.99, 1.01):
+        shift, turn = np.sqrt([share, 1.0 - share]) * np.sqrt(factor * SAME_POSE_GATE) * [0.1, 0.01]
+        modes = [
+            Mode(T, 0.5 * np.diag(np.repeat([0.01, 0.1], 3)) ** 2, AS_PREDICTED, 0.0, NOTHING)
+            for T in (pose_at(shift, yaw=turn), np.eye(4))
+        ]
+        assert is_same_pose(*modes) == (factor < 1.0)
 
 
 @pytest.mark.parametrize(("shift_m", "is_uncertain"), [(0.5, True), (0.005, False)])
