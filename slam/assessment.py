@@ -1,14 +1,22 @@
-"""Reasons to doubt a finished map, for people: the share of the way without landmarks, and moving objects."""
+"""Reasons to doubt a finished map, for people: a way without landmarks, an odometry that tells little of the motion,
+parts of the drive that nothing joins, and moving objects.
+"""
 
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
+from slam.common.geometry import relative, rotation_angle_rad
 from slam.trajectory_check.judgement import FINAL, ONLINE, TrajectoryCheck
+
+UNEXPLAINED = 0.5
+"""An odometry that errs by more than that share of the motion tells little of it; that of wheels errs by a tenth."""
 
 
 def assess(
@@ -29,6 +37,8 @@ def assess(
     """
     return (
         *_unobserved(graph, calibration.detection.sensor_range_m),
+        *_unexplained(graph, calibration.detection.sensor_range_m),
+        *_parted(graph),
         *_moving(object_map),
         *explain(check, moving_share(object_map), counters, calibration),
     )
@@ -66,14 +76,60 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     ]
 
 
+def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
+    """What the odometry does not tell, as one that holds positions or orientations only: the sum of its errors, by the
+    final poses, as a share of the motion between keyframes.
+    """
+    ends, measured = _driven(graph)
+    if not len(ends):
+        return []
+    poses = graph.T_map_body
+    moved = relative(poses[ends[:, 0]], poses[ends[:, 1]])
+    lengths_m, angles = np.linalg.norm(moved[:, :3, 3], axis=1), rotation_angle_rad(moved)
+    errors_m = np.abs(lengths_m - np.linalg.norm(measured[:, :3, 3], axis=1))
+    turned = rotation_angle_rad(relative(poses[ends[0, 0]], poses)).max()
+    # Where there is little motion, noise is most of it.
+    parts = {
+        "translations; does it hold positions?": (errors_m, lengths_m, lengths_m.sum() > sensor_range_m),
+        "rotations; does it hold orientations?": (rotation_angle_rad(relative(measured, moved)), angles, turned > 0.25),
+    }
+    return [
+        f"by the landmarks, the odometry errs by {100.0 * errors.sum() / motion.sum():.0f} % of its {what}"
+        for what, (errors, motion, is_much) in parts.items()
+        if is_much and errors.sum() > UNEXPLAINED * motion.sum()
+    ]
+
+
+def _parted(graph: FactorGraphRecord) -> list[str]:
+    """Parts of a drive between which the odometry broke off, and that neither closures nor landmarks join."""
+    is_break = np.array([kind == EdgeKind.DISCONTINUITY for kind in graph.edge_kinds], dtype=np.bool_)
+    if not is_break.any():
+        return []
+    keyframes = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids)
+    landmarks = np.unique(graph.observation_landmark_ids, return_inverse=True)[1] + len(graph.keyframe_ids)
+    observers = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
+    links = np.concatenate([keyframes[~is_break], np.column_stack([observers, landmarks])])
+    size = int(max(links.max(initial=0), keyframes.max())) + 1
+    part_of = connected_components(coo_array((np.ones(len(links)), links.T), shape=(size, size)))[1]
+    parts = len(np.unique(part_of[keyframes[is_break]]))
+    if parts < 2:
+        return []
+    return [f"the drive is in {parts} parts: the odometry broke off, and no loop closure joins them"]
+
+
 def _travel_m(graph: FactorGraphRecord) -> FloatArray:
     """Driven distance (K,) at each keyframe. Discontinuities and the keyframes of a fixed prior map add nothing."""
-    is_driven = np.array([kind == EdgeKind.ODOMETRY for kind in graph.edge_kinds], dtype=np.bool_)
-    ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_driven])
+    ends, _ = _driven(graph)
     positions = graph.T_map_body[:, :3, 3]
     steps_m = np.zeros(len(positions))
     steps_m[ends.max(axis=1)] = np.linalg.norm(np.diff(positions[ends], axis=1), axis=2)[:, 0]
     return np.cumsum(steps_m)
+
+
+def _driven(graph: FactorGraphRecord) -> tuple[IntArray, FloatArray]:
+    """The rows (E, 2) of the keyframes between which the odometry measured T_from_to (E, 4, 4)."""
+    is_driven = np.array([kind == EdgeKind.ODOMETRY for kind in graph.edge_kinds], dtype=np.bool_)
+    return np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_driven]), graph.edge_transforms[is_driven]
 
 
 def moving_share(object_map: ObjectMapRecord) -> float:

@@ -1,5 +1,5 @@
 """The odometry after the corrections of a calibration: stamps; lengths and turns that are wrong by a factor, as of a
-wheel of another radius or track; a climb, as of a LiDAR whose beams are tilted.
+wheel of another radius or track; a climb, as of a LiDAR whose beams are tilted; a drift, as by a gyroscope's bias.
 """
 
 from dataclasses import replace
@@ -16,31 +16,34 @@ class CalibratedOdometry:
     """Corrects the messages of a drive, in their order.
 
     Multiplies each step by ``length_scale`` and its turn about the vertical by ``turn_scale``; raises each by ``climb``
-    of its length. Roll and pitch stay, since gravity gives them. A body that turns on the way goes along the chord of
-    its arc.
+    of its length, and turns it by ``drift_deg_per_s``. Roll and pitch stay, since gravity gives them. A body that turns
+    on the way goes along the chord of its arc.
     """
 
     def __init__(self, calibration: OdometryCalibration) -> None:
         self._calibration = calibration
-        self._is_right = (calibration.length_scale, calibration.turn_scale, calibration.climb) == (1.0, 1.0, 0.0)
+        scales = calibration.length_scale, calibration.turn_scale
+        self._is_right = scales == (1.0, 1.0) and not (calibration.climb or calibration.drift_deg_per_s)
         self._offset_ns = round(calibration.time_offset_s * 1e9)
-        self._reported: FloatArray | None = None
+        self._reported: Odometry | None = None
         self._corrected = np.eye(4)
         self._turned_rad = 0.0
 
     def correct(self, odometry: Odometry) -> Odometry:
         """The next message with stamp, lengths and turns corrected; a repeated pose is repeated to the last digit."""
-        T_odom_body = odometry.T_odom_body if self._is_right else self._scaled(odometry.T_odom_body)
+        T_odom_body = odometry.T_odom_body if self._is_right else self._scaled(odometry)
         return replace(odometry, stamp_ns=odometry.stamp_ns + self._offset_ns, T_odom_body=T_odom_body)
 
-    def _scaled(self, reported: FloatArray) -> FloatArray:
-        if self._reported is None:
+    def _scaled(self, odometry: Odometry) -> FloatArray:
+        reported, last = odometry.T_odom_body, self._reported
+        if last is None:
             self._corrected = reported
-        elif not np.array_equal(reported, self._reported):
-            step_m = reported[:3, 3] - self._reported[:3, 3]
-            turn_rad = float(yaw_rad(reported) - yaw_rad(self._reported))
+        elif not np.array_equal(reported, last.T_odom_body):
+            step_m = reported[:3, 3] - last.T_odom_body[:3, 3]
+            turn_rad = float(yaw_rad(reported) - yaw_rad(last.T_odom_body))
             turn_rad = (turn_rad + np.pi) % (2.0 * np.pi) - np.pi
-            further_rad = (self._calibration.turn_scale - 1.0) * turn_rad
+            drift_rad = np.deg2rad(self._calibration.drift_deg_per_s) * (odometry.stamp_ns - last.stamp_ns) * 1e-9
+            further_rad = (self._calibration.turn_scale - 1.0) * turn_rad + drift_rad
             on_chord = _rotation(self._turned_rad + 0.5 * further_rad)
             self._turned_rad += further_rad
             corrected = np.eye(4)
@@ -48,7 +51,7 @@ class CalibratedOdometry:
             step_m[2] += self._calibration.climb * float(np.linalg.norm(step_m[:2]))
             corrected[:3, 3] = self._corrected[:3, 3] + self._calibration.length_scale * (on_chord @ step_m)
             self._corrected = corrected
-        self._reported = reported
+        self._reported = odometry
         return self._corrected
 
 

@@ -1,10 +1,12 @@
 """Detections that are of another time than their stamps say, a sensor that is turned, and an odometry that lacks a
-climb: what brings the detections of scans nearest to one another.
+climb or whose heading drifts: what brings the detections of scans nearest to one another.
 
 The terms are found one after another, the one that explains most first, each by a search from what was found so far. If
 lengths or turns of the odometry that are wrong by a share, or a sensor that sits elsewhere, explain more, no further
 term but a climb is found: over pairs of scans all these look much the same, and objects that are followed tell them
-apart.
+apart. A climb looks like the pitch of a sensor there, and leads away from the ground all the way: if it is as steep as
+an angle that is corrected, it is a pitch, unless it brings scans nearer to one another whatever the other terms are. So
+it is with a drift and a yaw.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,15 +20,19 @@ from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, see
 from slam.self_calibration.surveyed_log import SurveyedLog
 
 ANGLES = "roll_rad", "pitch_rad", "yaw_rad"
-MIN_VALUES = {"delay_s": 0.0} | dict.fromkeys(ANGLES, 0.09) | {"climb_share": 0.005}
+MIN_VALUES = {"delay_s": 0.0, "drift_rad_per_s": 0.0} | dict.fromkeys(ANGLES, 0.09) | {"climb_share": 0.005}
 """Terms, and what they must exceed to be corrected: less of an angle may be the road's."""
 RIVALS = "length_share", "turn_share", "x_spacings", "y_spacings"
 """Other terms that may explain more; shifts of the sensor are in spacings of the objects."""
 FACTORS = dict.fromkeys(MIN_VALUES, 1.03) | {"climb_share": 1.0}
 """By which a term must increase the evidence. A climb explains little of how objects seem to move, but adds up."""
+BOUNDED = {"climb_share": "pitch_rad", "drift_rad_per_s": "yaw_rad"}
+"""Terms that lead away from the ground, or turn the body, all the way, and the angles of a sensor that look like them
+over pairs of scans.
+"""
 FIRST_STEP, COARSE, FINE = 0.25, 5, 9
-"""The first step of a search, as a share of the median time between the scans of pairs, of 1 rad, or of the way; how
-often it is halved until it is known whether the term matters, and after all.
+"""The first step of a search, as a share of the median time between the scans of pairs, of 1 rad, also over that time,
+or of the way; how often it is halved until it is known whether the term matters, and after all.
 """
 ROUNDS = 10
 
@@ -39,8 +45,9 @@ def find_alignment(
     """Values of the ``terms``, of those of ``MIN_VALUES``, on top of what the calibration corrects: those to be
     corrected, and others that bring scans nearer to one another but are too small.
 
-    ``delay_s``: by how much detections are of a later time than their stamps say; the angles: a rotation vector of the
-    detections in the axes of the body; ``climb_share``: height that the odometry lacks, by the way.
+    ``delay_s``: by how much detections are of a later time than their stamps say; ``drift_rad_per_s``: turn that the
+    odometry lacks, by the time; the angles: a rotation vector of the detections in the axes of the body;
+    ``climb_share``: height that the odometry lacks, by the way.
     """
     distances, seconds = _compared(logs, calibration)
     values, suspected = dict.fromkeys([*MIN_VALUES, *RIVALS], 0.0), _Values()
@@ -50,7 +57,7 @@ def find_alignment(
         found, now = {}, distances(values)
         for term in candidates:
             factor, each = FACTORS.get(term, 1.0), values
-            step = FIRST_STEP * (seconds if term == "delay_s" else 1.0)
+            step = _first_step(term, seconds)
             for first, last in ((0, COARSE), (COARSE + 1, FINE)):
                 each = _search(distances, each, term, step / 2**first, last - first)
                 if not is_better(distances(each), now, factor):
@@ -70,7 +77,28 @@ def find_alignment(
         if nearest not in large:
             break
         values = large[nearest]
+    for term, bounded in BOUNDED.items():
+        if bounded in terms and abs(values[term]) > (MIN_VALUES[bounded] if term == "climb_share" else 0.0):
+            others = [each for each in values if each not in (term, bounded)]
+            growing = _best(distances, values, others, seconds)
+            steady = _best(distances, values | {term: 0.0}, [bounded, *others], seconds)
+            if not is_better(distances(growing), distances(steady), 1.0):
+                angle = steady[bounded]
+                values |= {term: 0.0, bounded: angle if abs(angle) > MIN_VALUES[bounded] else 0.0}
     return {term: value for term, value in values.items() if value}, suspected
+
+
+def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Sequence[str], seconds: float) -> _Values:
+    """The values with those of the terms for which there is most evidence, one after the other, and again."""
+    for _ in range(2):
+        for term in terms:
+            values = _search(distances, values, term, _first_step(term, seconds), COARSE)
+    return values
+
+
+def _first_step(term: str, seconds: float) -> float:
+    """The first step of a search, with the median time between the scans of pairs."""
+    return FIRST_STEP * {"delay_s": seconds, "drift_rad_per_s": 1.0 / seconds}.get(term, 1.0)
 
 
 def _search(
@@ -104,7 +132,8 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         T_odom_body = surveyed[number][0].poses_at(stamps[number], calibration, values["delay_s"])
         motions = pairs[number].motions_by(T_odom_body)
         shares = 1.0 + values["length_share"], 1.0 + values["turn_share"]
-        motions = transform_from_xyz_yaw(shares[0] * motions[:, :3, 3], shares[1] * yaw_rad(motions))
+        turns = shares[1] * yaw_rad(motions) + values["drift_rad_per_s"] * seconds[number]
+        motions = transform_from_xyz_yaw(shares[0] * motions[:, :3, 3], turns)
         motions[:, 2, 3] += values["climb_share"] * np.linalg.norm(motions[:, :2, 3], axis=1)
         T_body_sensor = np.eye(4)
         T_body_sensor[:3, :3] = rotation_of(np.array([values[angle] for angle in ANGLES]))

@@ -69,9 +69,10 @@ _MEANINGS = {
     "right (else give calibration.detection.range_scale)",
     "odometry.turn_scale": "the rotations of the odometry need a factor of {:.3f}",
     "odometry.climb": "the odometry lacks a climb of {:+.3f} of its path",
-    "detection.roll_deg": "the sensor has a roll of {:.1f} deg relative to its transform: check the frames",
-    "detection.pitch_deg": "the sensor has a pitch of {:.1f} deg relative to its transform: check the frames",
-    "detection.yaw_deg": "the sensor has a yaw of {:.1f} deg relative to its transform: check the frames",
+    "odometry.drift_deg_per_s": "the odometry lacks a turn of {:+.3f} deg/s, as by the bias of a gyroscope",
+    "detection.roll_deg": "the sensor has a roll of {:z.1f} deg relative to its transform: check the frames",
+    "detection.pitch_deg": "the sensor has a pitch of {:z.1f} deg relative to its transform: check the frames",
+    "detection.yaw_deg": "the sensor has a yaw of {:z.1f} deg relative to its transform: check the frames",
     "detection.x_m": "the sensor is {:.2f} m farther ahead than its transform says: check the frames",
     "detection.y_m": "the sensor is {:.2f} m farther to the left than its transform says: check the frames",
     "detection.assume_body_frame": "detections are in the frame of the body, not in the one that they name",
@@ -259,10 +260,7 @@ def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, 
     drift = found.translation_by_travel * travel_m + found.translation_by_time * seconds
     turn = found.heading_by_travel * travel_m + found.heading_by_turn * turn_rad + found.heading_by_time * seconds
     variance = survey.shared_bias_m**2
-    return (
-        max(1.0 - variance / max(drift, 1e-300), 0.0),
-        max(1.0 - variance / travel_m**2 / max(turn, 1e-300), 0.0),
-    )
+    return (max(1.0 - variance / max(drift, 1e-300), 0.0), max(1.0 - variance / travel_m**2 / max(turn, 1e-300), 0.0))
 
 
 def _components(survey: Survey) -> NoiseComponents:
@@ -311,19 +309,14 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
     for key, meaning in _MEANINGS.items():
         if corrections.get(key, usual := Calibration().value_of(key)) != usual:
             yield f"{meaning.format(corrections[key])}: corrected ({key})"
-        elif key in survey.suspected:
-            yield f"{meaning.format(survey.suspected[key])}: suspected, not corrected ({key})"
+        elif (suspected := meaning.format(survey.suspected.get(key, usual))) != meaning.format(usual):
+            yield f"{suspected}: suspected, not corrected ({key})"
     if survey.change is not None:
         value = survey.change.value
         yield (
             f"about {survey.change_s:.0f} s after the first scan, "
             f"{_CHANGES[survey.change.term].format(value, np.rad2deg(value))}: not corrected; cut the log there, and "
             "replay the second part with the map of the first (--map)"
-        )
-    if survey.lacks_heading:
-        yield (
-            "the heading of the odometry never changes although objects seem to turn: it seems to hold positions "
-            "only; record orientations"
         )
     if survey.detour > MAX_DETOUR:
         yield (

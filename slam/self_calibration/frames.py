@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import make_transform, transform_from_xyz_yaw
+from slam.common.geometry import make_transform
 from slam.self_calibration.object_tracks import SurveyScan, poses_of
 from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, is_positive, seen_by, spacing_of
 
@@ -79,13 +79,6 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
     best = np.argmax([np.sum(each) for each in found])
     is_sure = is_positive(found[best]) and np.mean(found[best]) > np.log(FACTOR)
     return factors[best] if is_sure and _is_nearer(scans, spacing_m, factors[best]) else 1.0
-
-
-def facing_ahead(scans: Sequence[SurveyScan]) -> list[SurveyScan]:
-    """The scans (K) of a body that heads in the direction of its path."""
-    positions = poses_of(scans)[:, :3, 3]
-    ahead = np.gradient(positions[:, :2], axis=0)
-    return _with_poses(scans, transform_from_xyz_yaw(positions, np.arctan2(ahead[:, 1], ahead[:, 0])))
 
 
 def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float = 1.0) -> FloatArray:

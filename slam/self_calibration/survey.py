@@ -20,7 +20,7 @@ from slam.self_calibration.corrections import (
     is_climb_chance,
     without_bias,
 )
-from slam.self_calibration.frames import better_frame, facing_ahead, find_orientation, find_unit, is_unit_right
+from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.object_tracks import (
     ROUNDING,
     Detectability,
@@ -51,8 +51,6 @@ SHIFTS = "x_m", "y_m"
 SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
 SETTINGS = SCALES | {name: f"detection.{name}" for name in SHIFTS}
 """Settings of the terms that are found from tracks."""
-SAME_HEADING_RAD = 1e-6
-"""Headings of an odometry without orientations differ by rounding only."""
 ROUNDS = 10
 """Corrections are found one after another, the one that explains most first: a large one is seen in part at first."""
 SLIGHT = 0.2
@@ -94,10 +92,9 @@ class Survey:
 
     ``corrected``: values of the calibration, by their keys, that corrected the scans; ``suspected``: values that would
     predict what is held out better, but are too small or have another explanation; ``delay_s``: by how much
-    detections are of a later time than their stamps say, against the odometry; ``lacks_heading``: whether the heading
-    of the odometry never changes, and that of its path is better; ``detour``: the length of the odometry's path
-    by that of its every second message; ``change``: of a systematic error within the log, ``change_s`` after its first
-    scan.
+    detections are of a later time than their stamps say, against the odometry; ``detour``: the length of the odometry's
+    path by that of its every second message; ``change``: of a systematic error within the log, ``change_s`` after its
+    first scan.
     """
 
     scans: int
@@ -120,7 +117,6 @@ class Survey:
     corrected: Mapping[str, float] = field(default_factory=dict)
     suspected: Mapping[str, float] = field(default_factory=dict)
     delay_s: float = 0.0
-    lacks_heading: bool = False
     detour: float = 1.0
     change: Change | None = None
     change_s: float = 0.0
@@ -173,7 +169,6 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         corrected=corrected,
         suspected=suspected | {key: value for key, value in _of_sensor(unaligned, now).items() if value},
         delay_s=delay_s,
-        lacks_heading=_lacks_heading(scans),
         detour=detour,
         change=later,
         change_s=(scans[later.scan].stamp_ns - scans[0].stamp_ns) * 1e-9 if later is not None else 0.0,
@@ -221,16 +216,21 @@ def _log_likelihood_ratio(followed: IntArray, changes: IntArray) -> FloatArray:
 def _unknown(given: Calibration) -> list[str]:
     """Terms of the alignment that were not given by hand."""
     angles = () if _is_turned_by_hand(given) else ANGLES
-    return ["delay_s", *angles, *(() if given.is_given("odometry.climb") else ("climb_share",))]
+    own = {"climb_share": "odometry.climb", "drift_rad_per_s": "odometry.drift_deg_per_s"}
+    return ["delay_s", *angles, *(term for term, key in own.items() if not given.is_given(key))]
 
 
 def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]:
-    """What the angles and the climb of an alignment change their settings to."""
+    """What the angles, the climb and the drift of an alignment change their settings to."""
     rotation = rotation_of(np.array([found.get(angle, 0.0) for angle in ANGLES]))
     mount = corrected_mount(np.eye(4), now.detection)[:3, :3]
     changed = _angles(rotation @ mount) if not found.keys().isdisjoint(ANGLES) else {}
-    climb = {"odometry.climb": now.odometry.climb + found["climb_share"]} if "climb_share" in found else {}
-    return changed | climb
+    if "climb_share" in found:
+        changed |= {"odometry.climb": now.odometry.climb + found["climb_share"]}
+    if "drift_rad_per_s" in found:
+        drift_deg_per_s = now.odometry.drift_deg_per_s + np.rad2deg(found["drift_rad_per_s"])
+        changed |= {"odometry.drift_deg_per_s": float(drift_deg_per_s)}
+    return changed
 
 
 def _first_change(
@@ -312,11 +312,6 @@ def _orientation(scans: Sequence[SurveyScan], known: Calibration, given: Calibra
         return {}
     R = find_orientation(scans)
     return {} if np.array_equal(R, np.eye(3)) else _angles(R)
-
-
-def _lacks_heading(scans: Sequence[SurveyScan]) -> bool:
-    is_constant = len(scans) > 1 and float(np.ptp(headings_of(scans))) < SAME_HEADING_RAD
-    return is_constant and better_frame(scans, {"ahead": facing_ahead(scans)}) is not None
 
 
 def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:

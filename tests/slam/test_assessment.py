@@ -11,6 +11,7 @@ from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.edge_kind import EdgeKind
 from slam.common.calibration import Calibration
+from slam.common.geometry import relative, transform_from_xyz_yaw
 from slam.trajectory_check.judgement import TrajectoryCheck
 
 KEYFRAMES = 101
@@ -31,7 +32,7 @@ def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGrap
         keyframe_stamps_ns=ids,
         T_map_body=T,
         edge_keyframe_ids=np.column_stack([ids[:-1], ids[1:]]),
-        edge_transforms=np.tile(np.eye(4), (KEYFRAMES - 1, 1, 1)),
+        edge_transforms=relative(T[:-1], T[1:]),
         edge_covariances=np.tile(np.eye(6), (KEYFRAMES - 1, 1, 1)),
         edge_kinds=(EdgeKind.ODOMETRY,) * (KEYFRAMES - 1),
         observation_keyframe_ids=observers,
@@ -73,6 +74,32 @@ def test_better_odometry_raises_doubt() -> None:
 def test_a_long_way_without_landmarks_is_told(driven: dict[str, Any], share: int) -> None:
     said = doubts(drive(**driven))
     assert f"fewer than two landmarks in view over {share} % of the way" in said if share else said == ""
+
+
+@pytest.mark.parametrize("hidden", ["", "translations", "rotations"])
+def test_odometry_that_tells_no_translations_or_rotations_is_told(hidden: str) -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, KEYFRAMES)
+    circle = 30.0 * np.column_stack([np.sin(angles), -np.cos(angles), np.zeros(KEYFRAMES)])
+    graph = replace(drive(seen=range(KEYFRAMES)), T_map_body=transform_from_xyz_yaw(circle, angles))
+    steps = relative(graph.T_map_body[:-1], graph.T_map_body[1:])
+    steps[40, 0, 3] += 90.0  # one jump is no sign
+    if hidden == "translations":
+        steps[:, :3, 3] = 0.0
+    elif hidden == "rotations":
+        steps[:, :3, :3] = np.eye(3)
+    said = doubts(replace(graph, edge_transforms=steps))
+    assert said == "" if not hidden else f"the odometry errs by 100 % of its {hidden}" in said
+
+
+@pytest.mark.parametrize(("back_to", "landmark", "parts"), [(100, "1", 2), (50, "1", 0), (100, "0", 0)])
+def test_parts_of_a_drive_that_nothing_joins_are_told(back_to: int, landmark: str, parts: int) -> None:
+    """The odometry breaks off at the 51st keyframe; a closure leads from the last one back to another."""
+    graph = drive(seen=range(KEYFRAMES))
+    graph.edge_keyframe_ids[-1] = 10 + KEYFRAMES - 2, 10 + back_to
+    kinds = [EdgeKind.ODOMETRY] * 50 + [EdgeKind.DISCONTINUITY] + [EdgeKind.ODOMETRY] * 48 + [EdgeKind.LOOP_CLOSURE]
+    seen = ("0",) * 102 + (landmark,) * 100
+    said = doubts(replace(graph, edge_kinds=tuple(kinds), observation_landmark_ids=seen))
+    assert said.startswith(f"the drive is in {parts} parts") if parts else said == ""
 
 
 def test_a_kidnapping_is_no_way_without_landmarks() -> None:

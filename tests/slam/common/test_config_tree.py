@@ -13,6 +13,7 @@ OVERRIDES = (
     "calibration.odometry.climb=0.1",
     "calibrate=false",
 )
+NAMES = ('labels.rename.cone="traffic cone"', 'labels.drop=["a b"]', 'topics.detections="/left,/right"')
 
 
 def written(folder: Path, text: str) -> Path:
@@ -33,7 +34,7 @@ def test_flag_takes_a_number_that_begins_with_its_point() -> None:
     assert load_config(None, ["keyframe.distance_m=.5"]).keyframe.distance_m == 0.5
 
 
-@pytest.mark.parametrize("overrides", [(), OVERRIDES])
+@pytest.mark.parametrize("overrides", [(), OVERRIDES, NAMES])
 def test_toml_reads_back(tmp_path: Path, overrides: tuple[str, ...]) -> None:
     config = load_config(None, overrides)
     assert load_config(written(tmp_path, to_toml(config))) == config
