@@ -46,8 +46,11 @@ class Mutant:
 
     @property
     def is_equivalent(self) -> bool:
-        """Whether it changes nothing but annotations, docstrings or layout."""
-        return _meaning(self.source()) == _meaning((ROOT / self.file).read_text(encoding="utf-8"))
+        """Whether it changes nothing but annotations, docstrings or layout, or is no Python, as ``a & not b``."""
+        try:
+            return _meaning(self.source()) == _meaning((ROOT / self.file).read_text(encoding="utf-8"))
+        except SyntaxError:
+            return True
 
 
 def sample_mutants(count: int, *, seed: int) -> list[Mutant]:

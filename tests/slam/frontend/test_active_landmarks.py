@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
-from slam.frontend.active_landmarks import MOVING_ACCELERATION_RANGES, ActiveLandmarks
+from slam.frontend.active_landmarks import MOVING_ACCELERATION_RANGES, ActiveLandmarks, _useless
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.odometry.noise import SLIP_INFLATION
+from slam.odometry.noise_scale import GATE
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import Correction
 from tests.helpers.landmarks import add_landmarks, scan_of
@@ -95,13 +96,6 @@ def test_error_of_a_landmark_changes_with_the_view_of_it() -> None:
     np.testing.assert_allclose(grown, changed_rad * np.square([0.3, 0.3, 0.1]), rtol=1e-3)
 
 
-def test_body_that_turns_on_the_spot_sees_landmarks_as_before() -> None:
-    bench = Bench(detection={"common_sigma_m": 0.3})
-    bench.add([[5.0, 2.0, 0.0]])
-    bench.active.advance(OdometryPose(10**9, pose_at(yaw=1.5), 0.0, 0, 0.0))
-    assert bench.sigma_m(0) == pytest.approx(SIGMA_M, rel=1e-3)
-
-
 def test_one_landmark_tells_the_noise_of_all_steps_since_the_last_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     bench, shares = Bench(odometry={"translation_sigma": 0.04}, detection={"common_sigma_m": 0.0}), []
     monkeypatch.setattr(
@@ -137,6 +131,13 @@ def test_odometry_that_slipped_errs_by_more_until_the_next_correction(monkeypatc
     assert (bench.active.predict_slipped()[1][:, 0, 0] > bench.active.predict()[1][:, 0, 0]).all()
     bench.see(rows)
     assert learned == [5.0]
+
+
+def test_useless_odometry_errs_by_the_sensor_range_or_half_a_turn_over_that_travel() -> None:
+    config = Bench(odometry={"yaw_sigma": 0.2}).config
+    odometry, range_m = config.calibration.odometry, config.sensor_range_m
+    variances = _useless(config) * np.square([odometry.translation_sigma, odometry.yaw_sigma]) * range_m
+    np.testing.assert_allclose(variances, np.square([range_m, np.pi]))
 
 
 def test_map_tells_which_landmarks_are_active() -> None:
@@ -223,6 +224,12 @@ def test_shift_corrects_the_odometry_and_not_what_the_landmarks_correct_it_by() 
     np.testing.assert_allclose(bench.active.T_local_odom, T_local_odom, atol=1e-12)
     np.testing.assert_allclose(bench.active.T_odom_body, T_odom @ pose_at(10.0))
     np.testing.assert_allclose(bench.active.at(odometry_at(9.0)), T_local_odom @ pose_at(9.0), atol=1e-12)
+
+
+def test_innovation_ratio_of_detections_is_their_median_squared_distance_by_the_gate() -> None:
+    bench = Bench()
+    bench.see(bench.add(PLACES[:3]), PLACES[:3] + [[0.1], [0.2], [9.0]] * np.eye(1, 3))
+    assert bench.active.innovation_ratios["detections"] == pytest.approx(0.5 * (0.2 / SIGMA_M) ** 2 / GATE)
 
 
 def test_height_that_all_landmarks_seem_to_gain_is_no_slip() -> None:

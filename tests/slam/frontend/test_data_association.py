@@ -14,6 +14,7 @@ from slam.frontend import data_association
 from slam.frontend.data_association import (
     AMBIGUOUS,
     GATE_PROBABILITY,
+    INCONSISTENT_SIGMAS,
     NEW,
     NEW_OBJECT_GATE_PROBABILITY,
     Assignment,
@@ -166,12 +167,6 @@ def test_where_labels_are_identities_there_is_no_outer_gate(factor: float) -> No
     assert scene.rows(ObjectCalibration(new_object_density=1e-9, spacing_m=49.0)) == [NEW]
 
 
-def test_detection_near_a_landmark_is_new_where_new_objects_are_dense() -> None:
-    scene = plain_scene([0.9 * OUTER_GATE_M], [0])
-    assert scene.rows(ObjectCalibration(new_object_density=1e-4)) == [AMBIGUOUS]
-    assert scene.rows(ObjectCalibration(new_object_density=10.0)) == [NEW]
-
-
 # Labels
 
 
@@ -216,6 +211,15 @@ def test_assignment_is_uncertain_where_landmarks_are_less_certain_than_detection
     scene = plain_scene([0.0, 5.0], [0.1, 5.1])
     scene.covariances = scene.covariances * (sigma_m / SIGMA_M) ** 2
     assert scene.assigned().is_uncertain is is_uncertain
+
+
+@pytest.mark.parametrize(("factor", "is_inconsistent"), [(0.99, False), (1.01, True)])
+def test_assignment_is_inconsistent_by_the_sum_of_squared_distances(factor: float, is_inconsistent: bool) -> None:
+    """One of twenty detections is outside the gate, and counts as if it was there."""
+    gate, most = chi2.ppf(GATE_PROBABILITY, 3), 20 * 3.0 + INCONSISTENT_SIGMAS * np.sqrt(20 * 6.0)
+    squared, places = np.append(1.1 * gate, np.full(19, factor * (most - gate) / 19.0)), 100.0 * np.arange(20)
+    scene = plain_scene(places + SIGMA_M * np.sqrt(2.0 * squared), places)
+    assert scene.assigned(ObjectCalibration(new_object_density=1e-12)).is_inconsistent == is_inconsistent
 
 
 # Parts

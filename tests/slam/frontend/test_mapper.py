@@ -12,7 +12,7 @@ from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, relative
-from slam.frontend.mapper import UPDATE_KEYFRAMES, Mapper
+from slam.frontend.mapper import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, UPDATE_KEYFRAMES, Mapper
 from slam.frontend.tracker import Tracked
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -135,6 +135,11 @@ def test_landmark_seen_too_seldom_is_not_confirmed():
     assert bench.states() == [LandmarkState.CONFIRMED, *[LandmarkState.TENTATIVE] * 3]
 
 
+def test_share_of_scans_that_confirms_is_half_of_those_in_which_an_object_is_detected_at_most():
+    found = [Bench(objects={"detection_probability": each}).mapper._confirm_fraction for each in (0.2, 0.9)]
+    assert found == [0.1, 0.4]
+
+
 def test_scans_of_sensors_that_take_turns_count_as_one(young):
     bench = Bench()
     for i in range(40):
@@ -229,26 +234,6 @@ def test_landmark_that_turns_out_to_move_leaves_the_graph():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
-def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
-    """Lengths are 2.5 % too long; four keyframes 2 m apart are summed up."""
-    bench = Bench(odometry={"translation_sigma": 0.01}, detection={"common_sigma_m": 0.1})
-    for number in range(60):
-        x = 0.52 * number
-        (pose,) = bench.track.add(Odometry(round(1e8 * number), pose_at(x))) or bench.track.finish()
-        if number == 0:
-            bench.mapper.add_odometry(pose)
-        located = bench.locate(0.1 * number, OBJECTS + np.array([0.025 * x, 0.0, 0.0]), sigma_m=0.25)
-        bench.mapper.add_odometry(pose)  # after the scan has corrected it, as in the frontend
-        bench.mapper.add_scan(*located)
-    bench.mapper.close_keyframe()
-    last = [each for each in bench.observations() if each.keyframe == 12]
-    assert len(last) == len(OBJECTS)
-    assert all(each.covariance_inflation < 0.3 for each in last)
-    x = 0.975 * bench.mapper.keyframes[12].odometry.T_odom_body[0, 3]
-    off = [each.position[0] + x - OBJECTS[each.landmark, 0] for each in last]
-    np.testing.assert_allclose(off, 0.0, atol=0.045)  # .052 by the odometry
-
-
 def test_detections_between_keyframes_are_placed_by_the_landmarks(young):
     """The odometry slips by 0.3 m, half a metre after the last keyframe."""
     bench = Bench(odometry={"translation_sigma": 0.5})
@@ -312,7 +297,8 @@ def test_new_segment_of_the_odometry_drops_the_landmarks_in_view():
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     record = bench.graph_record()
-    assert np.sqrt(record.edge_covariances[-1][3, 3]) == pytest.approx(100.0 / 30.0 * bench.config.sensor_range_m)
+    sigmas = np.repeat([BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES * bench.config.sensor_range_m], 3)
+    np.testing.assert_allclose(record.edge_covariances[-1], np.diag(sigmas**2))
     assert record.edge_kinds[-1] == "discontinuity"
 
 

@@ -9,10 +9,10 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, relative, rotation_angle_rad
+from slam.common.geometry import apply, blend, invert, relative, rotation_angle_rad
 from slam.frontend.input.scan import Scan
 from slam.frontend.mapper import Mapper
-from slam.frontend.tracker import Tracked, Tracker
+from slam.frontend.tracker import Tracked, Tracker, _anywhere, _Path
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import Correction
@@ -205,6 +205,22 @@ def test_slip_is_as_large_as_the_recent_motion(bursts: bool) -> None:
     np.testing.assert_allclose([roll, pitch, z], [0.1 * turn, 0.1 * turn, 0.1 * x])
 
 
+def test_path_goes_on_as_in_the_interval_before_and_its_way_is_at_the_speed_of_all() -> None:
+    """Of four scans, the third of which came sooner than others after it."""
+    path = _Path()
+    poses = {0: pose_at(), 10: pose_at(1.0, yaw=0.1), 14: pose_at(1.5, yaw=0.1), 20: pose_at(2.0, yaw=0.3)}
+    for tenths, T in poses.items():
+        path.append((10**9 + 10**8 * tenths, T))
+    expected = blend(np.eye(4), relative(poses[10], poses[20]), 5.0 / 10.0)
+    np.testing.assert_allclose(path.step_until(10**9 + 10**8 * 25), expected, atol=1e-9)
+    np.testing.assert_allclose(path.way_until(10**9 + 10**8 * 25), np.array([0.3, 2.0]) * 5.0 / 20.0)
+
+
+def test_anywhere_is_among_the_landmarks_around_at_any_heading() -> None:
+    found = _anywhere(np.array([[1.0, 5.0, 0.0], [4.0, -1.0, 9.0], [2.0, 0.0, 3.0]]), 0.1)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found.added)), [1e-3, 1e-3, np.pi, 3.0, 6.0, 0.6])
+
+
 def test_slip_is_as_probable_as_slips_were_so_far() -> None:
     """One in a hundred scans before any is seen."""
     drive = driven(9)
@@ -334,6 +350,7 @@ def test_scan_whose_first_pairs_do_not_fit_is_not_lost_if_it_surely_fits_the_odo
     assert tracked.correction is None
     assert not tracked.is_lost
     assert known(tracked) > 0.9
+    np.testing.assert_array_equal(tracked.assignment.log_likelihood_ratios != 0.0, tracked.assignment.matched)
 
 
 # After a step that no body can have made

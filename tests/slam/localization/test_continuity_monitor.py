@@ -8,6 +8,7 @@ import pytest
 
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
+from slam.common.geometry import apply
 from slam.localization.continuity_monitor import FALSE_MATCH_PROBABILITY, PRIOR_EXPECTED, ContinuityMonitor, Visibility
 from slam.object_map.landmarks import LANDMARK, LandmarkState
 from slam.odometry.keyframe import Keyframe
@@ -149,6 +150,21 @@ def test_what_looks_like_a_kidnapping_is_not_learned_from():
     assert street.drive(5, hidden=street.hide_known()) is None
     assert (street.monitor._counts == during).all()
     assert (before[:, 0] / before.sum(axis=1) > 0.9).all()
+
+
+def test_sides_of_a_time_tell_what_was_seen_there_and_whether_known_landmarks_were_in_view_at_all(street):
+    """In one of the keyframes before that time, or after it but for the next one, whose sightings may be of before."""
+    landmarks, steps = street._map().rows, street.monitor._steps
+    first_m, last_m = landmarks["first_seen_travel_m"], landmarks["last_seen_travel_m"]
+    at_m, visibility = np.array([step.pose.travel_m for step in steps]), street.monitor._visibility
+    missed = np.array([1.0 - visibility.probability(apply(each.T_gravity_local, street.positions)) for each in steps])
+    times_m = at_m[[5, 20]]
+    in_view, seen = street.monitor._sides(landmarks, times_m)
+    for number, time_m in enumerate(times_m):
+        before, after = (1.0 - np.prod(missed[side], axis=0) for side in (at_m <= time_m, at_m > time_m + STEP_M))
+        known = np.stack([first_m <= time_m, last_m > time_m])
+        np.testing.assert_array_equal(seen[:, number], known[::-1])
+        np.testing.assert_allclose(in_view[:, number], np.where(known, [after, before], 0.0))
 
 
 def test_sightings_speak_against_a_kidnapping_and_misses_for_it():

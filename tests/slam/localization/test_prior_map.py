@@ -1,6 +1,7 @@
 """A map taken into a graph: one that moves with it, and one that stays as it is."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert
-from slam.localization.prior_map import restore, with_heights_of
+from slam.library import save_map
+from slam.localization.prior_map import load_prior_map, restore, with_heights_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
+from slam.place_recognition.imported_map import make_imported_map
 from tests.helpers.graphs import PLAIN, chained, observed_from, odometry_edges
 from tests.helpers.landmarks import add_landmarks
 from tests.helpers.poses import pose_at
@@ -72,6 +75,12 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
     np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-6)
     np.testing.assert_allclose(graph.covariances()[1], saved.objects.covariances, rtol=1e-3, atol=1e-9)
     assert object_map.in_state(LandmarkState.CONFIRMED).tolist() == [0, 1, 2, 3]
+
+
+def test_load_prior_map_reads_maps_of_either_kind(saved: SavedMap, tmp_path: Path) -> None:
+    for known in (saved, make_imported_map(OBJECTS, ["tree"] * 4, list("abcd"), sigma_m=0.3)):
+        save_map(tmp_path / "map.mcap", known)
+        assert type(load_prior_map(tmp_path / "map.mcap")) is type(known)
 
 
 def test_a_path_is_no_map() -> None:

@@ -47,10 +47,11 @@ def decide(acceptance: Acceptance) -> Callable[..., Decision]:
     return lambda *verified: acceptance.decide(query(), list(verified))
 
 
-def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(decide):
-    assert decide(candidate(0.0, SURE_LLR)).accepted is not None
+def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(decide, acceptance):
+    for llr, is_wanted in ((SURE_LLR, True), (SURE_LLR - 1.0, False)):
+        assert acceptance.is_acceptable(candidate(0.0, llr)) is is_wanted
+        assert (decide(candidate(0.0, llr)).accepted is not None) is is_wanted
     refused = decide(candidate(0.0, SURE_LLR - 1.0))
-    assert refused.accepted is None
     wrong = 1.0 / (1.0 + np.exp(SURE_LLR - 1.0 - PENALTY))
     assert refused.rejected[0].reason == f"wrong with probability {wrong:.2g}"
 
@@ -77,7 +78,9 @@ def test_a_pose_is_not_as_sure_as_one_that_may_be_true_with_it_and_with_its_riva
 
 def test_a_pattern_that_fits_better_leaves_it_open_although_both_may_be_true(decide, patterns):
     patterns.alike, patterns.passed_twice = [candidate(200.0, SURE_LLR + 12.0)], True
-    assert decide(candidate(0.0, SURE_LLR + 10.0)).accepted is None
+    decision = decide(candidate(0.0, SURE_LLR + 10.0))
+    assert decision.accepted is None
+    assert "another pose is likelier" in decision.rejected[0].reason
 
 
 def test_posterior_odds_are_against_somewhere_new_and_all_that_cannot_be_true_too(acceptance, patterns):
@@ -105,18 +108,6 @@ def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(decide):
     far = replace(candidate(0.0, 30.0), odometry_penalty=28.0)
     assert [each.stage for each in decide(far).rejected] == ["consistency"]
     assert [each.stage for each in decide(candidate(0.0, 4.0)).rejected] == ["acceptance"]
-
-
-def test_what_is_acceptable_suffices_alone(acceptance):
-    assert acceptance.is_acceptable(candidate(0.0, SURE_LLR))
-    assert not acceptance.is_acceptable(candidate(0.0, SURE_LLR - 1.0))
-
-
-def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(decide, patterns):
-    patterns.alike = [candidate(8.0, SURE_LLR + 30.0)]
-    decision = decide(candidate(0.0, SURE_LLR + 5.0))
-    assert decision.accepted is None
-    assert "another pose is likelier" in decision.rejected[0].reason
 
 
 def test_candidates_that_agree_are_one_and_places_without_a_candidate_keep_their_reasons(decide):

@@ -242,17 +242,6 @@ def test_a_query_with_the_landmarks_of_the_last_one_is_not_looked_up_again(parts
     assert parts.retrieved == 2
 
 
-def test_a_query_that_lost_landmarks_is_looked_up_again(parts):
-    drive = Drive(parts)
-    drive.close(FIRST)
-    parts.objects = 9
-    drive.close(FIRST + 1)
-    assert parts.retrieved == 1
-    parts.objects = 8
-    drive.close(FIRST + 2)
-    assert parts.retrieved == 2
-
-
 def test_a_query_with_the_landmarks_of_the_last_one_is_looked_up_where_no_closure_will_predict_it(parts):
     drive = Drive(parts, propagation_distance_m=5.0)
     drive.close(FIRST)

@@ -175,14 +175,6 @@ def test_withdrawing_closures_in_the_order_of_their_insertion_restores_everythin
     assert street.facts() == before
 
 
-def test_what_a_closure_merged_stays_merged_where_one_that_it_built_on_is_withdrawn(street):
-    street.close(7, 2, [(7, 2)])
-    street.close(12, 7, [(12, 7)])
-    street.revoke(0)
-    names = street.names()
-    assert names[12] == names[7] != names[2]
-
-
 @pytest.mark.parametrize("pair", [(6, 7), (7, 8)], ids=["dropped", "kept"])
 def test_a_fusion_outlives_the_closures_around_it(pair):
     street, alone = Street(), Street()

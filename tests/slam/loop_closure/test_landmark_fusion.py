@@ -8,8 +8,10 @@ from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.fleet.joint_map import fuse_across_drives
+from slam.frontend.data_association import DECIDED
 from slam.loop_closure.landmark_fusion import fuse_landmarks
 from slam.object_map.landmarks import ObjectMap
+from slam.odometry.noise import FREEDOM
 from tests.helpers.graphs import chained, observed_from, odometry_edges
 from tests.helpers.landmarks import add_landmarks
 from tests.helpers.poses import pose_at
@@ -52,7 +54,9 @@ BESIDE: Seen = ("tree", (5.3, 3.8, 0.2), (3, 4))
 
 
 def test_fuse_landmarks_merges_one_object_that_two_passes_saw() -> None:
-    assert found([FIRST, BESIDE]) == [(0, 1)]
+    """Also where no scan has two objects of a class, and their density is that of all."""
+    for config in (OBJECTS, OBJECTS.model_copy(update={"spacing_m": 1e4})):
+        assert found([FIRST, BESIDE], config=config) == [(0, 1)]
 
 
 @pytest.mark.parametrize(
@@ -68,28 +72,25 @@ def test_fuse_landmarks_keeps_two_objects(other: Seen) -> None:
     assert found([FIRST, other]) == []
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        pytest.param(OBJECTS.model_copy(update={"spacing_m": 2.0}), id="objects are denser"),
-        pytest.param(OBJECTS.model_copy(update={"detection_probability": 0.1}), id="the other is seldom detected"),
-        pytest.param(OBJECTS.model_copy(update={"landmark_sigma_m": 0.05}), id="landmarks of two passes are nearer"),
-    ],
-)
-def test_fuse_landmarks_weighs_what_the_log_tells(config: ObjectCalibration) -> None:
-    assert found([FIRST, BESIDE], config=config) == []
+@pytest.mark.parametrize(("factor", "is_merged"), [(0.99, False), (1.01, True)])
+def test_fuse_landmarks_merges_two_from_the_spacing_on_at_which_one_object_is_decided(
+    factor: float, is_merged: bool
+) -> None:
+    config = OBJECTS.model_copy(update={"landmark_sigma_m": 0.2, "landmark_height_sigma_m": 0.3})
+    _, graph = mapped([FIRST, BESIDE, *FAR])
+    S = graph.relative_covariances(np.array([[0, 1]]))[0] + np.diag([0.04, 0.04, 0.04 + 0.09])
+    d = np.subtract(BESIDE[1], FIRST[1])
+    tail = (1.0 + d @ np.linalg.solve(S, d) / FREEDOM) ** (-0.5 * (FREEDOM + 3.0))
+    per_m2 = tail / (2.0 * np.pi * np.sqrt(np.linalg.det(S[:2, :2]))) / (1.0 - OBJECTS.detection_probability)
+    spacing_m = factor * np.sqrt(np.log(2.0) / np.pi / (per_m2 / DECIDED * (1.0 - DECIDED)))
+    is_found = found([FIRST, BESIDE], config=config.model_copy(update={"spacing_m": spacing_m})) == [(0, 1)]
+    assert is_found == is_merged
 
 
 def test_fuse_landmarks_knows_how_far_the_odometry_may_have_drifted() -> None:
     far, sparse = ("tree", (5.0, 2.5, 0.0), (5,)), OBJECTS.model_copy(update={"spacing_m": 20.0})
     assert found([FIRST, far], config=sparse) == []
     assert found([FIRST, far], config=sparse, step=0.2**2 * np.eye(6)) == [(0, 1)]
-
-
-def test_fuse_landmarks_expects_heavy_tails() -> None:
-    """Of an offset of 3.7 standard deviations a Gaussian would leave a probability of 97 %."""
-    far, sparse = ("tree", (5.0, 2.66, 0.0), (5,)), OBJECTS.model_copy(update={"spacing_m": 30.0})
-    assert found([FIRST, far], config=sparse) == [(0, 1)]
 
 
 def test_fuse_landmarks_leaves_what_is_not_confirmed() -> None:

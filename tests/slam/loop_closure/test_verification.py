@@ -1,6 +1,6 @@
 """Verification without a drive: what is refused, the relative pose and its covariance, and what is compared with it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place_search import Place
-from slam.registration.registration import GATE_SIGMA
+from slam.registration.registration import GATE_SIGMA, registration_config
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import keyframe_at, motion_by, pose_at
 from tests.slam.loop_closure.doubles import make_keyframe, make_query, make_submap, part_of
@@ -137,20 +137,18 @@ def test_landmarks_that_the_graph_has_not_seen_are_where_the_local_map_has_them(
     np.testing.assert_allclose(scene.verified().T_reference_query, invert(body(HERE)) @ body(QUERY), atol=1e-6)
 
 
+def test_reach_is_the_sum_of_search_radii_that_halve():
+    scene = Scene(scattered())
+    radii_m = registration_config(scene.config).search_radius_m * 0.5 ** np.arange(60)
+    assert scene.verifier.reach_m == pytest.approx(radii_m.sum())
+
+
 def test_where_a_query_cannot_be_registered_no_object_has_a_match():
     scene = Scene(scattered())
     ratios = scene.verifier.unmatched(scene.query, scene.place)
     np.testing.assert_allclose(ratios, np.log1p(-DETECTION_PROBABILITY))
     far = replace(scene.place, T_local_query=pose_at(900.0))
     np.testing.assert_array_equal(scene.verifier.unmatched(scene.query, far), 0.0)
-
-
-@pytest.mark.parametrize("seen", [2, 3, 5])
-def test_three_objects_make_a_pose_or_all_of_a_query_of_two(seen):
-    scene = Scene(scattered(seen))
-    assert len(scene.verified().pairs) == seen
-    scene.landmarks.reference = part_of(scene.landmarks.reference, min(seen, 3) - 1)
-    assert "fewer" in scene.refusal() or "a heading needs two" in scene.refusal()
 
 
 @pytest.mark.parametrize(("lateral_m", "is_verified"), [(25.0, True), (35.0, False)])
@@ -261,13 +259,14 @@ STREET = [make_keyframe(number, STEP_M * number) for number in range(100)]
 LATEST = make_query(STREET[-1])
 
 
-def along_street(*, bent_m: float = 0.0) -> Verifier:
+def along_street(*, bent_m: float = 0.0, mapped: Sequence[FloatArray] = ()) -> Verifier:
     """In whose graph the poses from the middle of the street on are ``bent_m`` farther on."""
 
     def pose(id: int) -> Any:
         return pose_at(STREET[id].odometry.travel_m + (bent_m if 2 * id > len(STREET) else 0.0))
 
-    return Verifier(CONFIG, Landmarks(make_submap(np.zeros((0, 3)))), STREET, pose)  # type: ignore[arg-type]
+    nothing = Landmarks(make_submap(np.zeros((0, 3))))
+    return Verifier(CONFIG, nothing, STREET, pose, mapped=mapped)  # type: ignore[arg-type]
 
 
 def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure():
@@ -291,3 +290,9 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(since):
         assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))
         travel_m = STREET[-1].odometry.travel_m - STEP_M * since
         assert prior.failure_probability == CONFIG.localization.failure_probability(travel_m)
+
+
+def test_a_prior_is_spread_over_cells_of_keyframes_and_of_objects_of_maps_without_any():
+    mapped = np.array([[1.0, 1.0], [2.0, 2.0], [31.0, 1.0], [1.0, 31.0]])
+    prior = along_street(mapped=[mapped, mapped])._prior(LATEST, PLACE, STREET[3])
+    assert prior.area_m2 == (7 + 2 * 3) * CONFIG.sensor_range_m**2

@@ -96,10 +96,6 @@ def test_drift_does_not_depend_on_where_the_odometry_begins():
         np.testing.assert_allclose(far.drift_sigmas(*ends), near.drift_sigmas(*ends), rtol=0.01)
 
 
-def test_there_is_no_drift_from_a_keyframe_to_itself():
-    assert track_of(OdometryCalibration()).drift_sigmas(7, 7) == (0.0, 0.0)
-
-
 def test_drift_across_a_break_is_infinite_and_beside_it_is_not():
     config = OdometryCalibration()
     broken, whole = track_of(config, break_at=60), track_of(config)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from slam.common.arrays import FloatArray
-from slam.odometry.noise_scale import WINDOW, NoiseScale
+from slam.odometry.noise_scale import GATE, WINDOW, NoiseScale, _weighted_median
 
 TRANSLATION, HEADING = range(2)
 NO_LIMIT = np.full(2, np.inf)
@@ -44,11 +45,22 @@ def test_factors_grow_to_the_ratio_of_the_variances(sigmas: tuple[float, ...], R
     assert (np.abs(np.log2(ratios)) < 1.0).all()
 
 
-def test_factors_are_one_where_the_model_is_right() -> None:
-    scale = NoiseScale(NO_LIMIT)
-    Filter(scale, 0).run(600, np.ones(2))
-    assert scale.factors.min() >= 1.0
-    assert scale.factors.max() < 1.5
+def test_factors_are_the_roots_by_which_median_innovations_exceed_those_expected() -> None:
+    """Of two coordinates and a heading."""
+    scale, medians = NoiseScale(NO_LIMIT), chi2.median([2, 1])
+    translation, heading = np.sqrt([4.0, 9.0] * medians)
+    for _ in range(WINDOW):
+        scale.add(np.array([heading, 0.6 * translation, -0.8 * translation]), 0.7 * np.eye(3))
+    np.testing.assert_allclose(scale.factors, [2.0, 3.0])
+    assert scale.innovation_ratio == pytest.approx(9.0 * medians[1] / GATE)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 20])
+def test_weighted_median_has_half_of_the_weight_on_either_side(count: int) -> None:
+    values, weights = np.random.default_rng(count).random((2, count))
+    found = _weighted_median(values, weights)
+    for side in (values <= found, values >= found):
+        assert weights[side].sum() >= 0.5 * weights.sum()
 
 
 def test_factors_fall_back_once_the_odometry_is_as_good_as_its_model() -> None:
@@ -112,6 +124,8 @@ def test_slip_is_what_the_model_does_not_explain_though_its_factor_grew() -> Non
     scale, effects = NoiseScale(NO_LIMIT), orthogonal(12)
     assert not scale.slip(effects @ (6.0 * FORWARD), effects).any()
     assert not scale.slip(effects @ (15.0 * FORWARD), effects).any()  # in one of three coordinates
+    turns = [scale.slip(effects @ [sigmas, 0.0, 0.0], effects).any() for sigmas in (12.0, -13.0)]
+    assert turns == [False, True]
     scale.factors = np.array([100.0, 1.0])
     assert scale.slip(effects @ (6.0 * FORWARD), effects).any()
     assert not scale.slip(effects @ (0.6 * FORWARD), effects).any()

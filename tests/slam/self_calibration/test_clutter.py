@@ -34,12 +34,3 @@ def test_detections_of_one_height_are_spread_by_their_noise():
     thin, thick = (clutter_density(scans, 0, sigma_m) for sigma_m in (0.1, 0.2))
     assert thin == pytest.approx(2.0 * thick)
     assert clutter_density(scans, 0, 0.0) == 0.0, "no volume to tell a density of"
-
-
-def test_where_all_is_tracked_there_is_no_clutter():
-    scans = scans_of(20.0)
-    assert clutter_density(scans, sum(len(scan.positions) for scan in scans), 0.1) == 0.0
-
-
-def test_objects_that_are_alone_in_their_scans_have_no_density():
-    assert clutter_density(scans_of(0.5)[:50], 0, 0.1) == 0.0

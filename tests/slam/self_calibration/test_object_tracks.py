@@ -8,7 +8,16 @@ import pytest
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
 from slam.self_calibration import object_tracks
-from slam.self_calibration.object_tracks import MISSED_SCANS, ObjectTracks, SurveyScan, detectability_of, follow_objects
+from slam.self_calibration.object_tracks import (
+    MISSED_SCANS,
+    SMOOTHED,
+    ObjectTracks,
+    SurveyScan,
+    _smoothed,
+    detectability_of,
+    follow_objects,
+    nearest_of_class_m,
+)
 from tests.helpers.poses import pose_at
 from tests.helpers.surveyed_drives import SurveyedDrive
 
@@ -37,6 +46,12 @@ def test_objects_are_followed_while_the_robot_drives_and_turns():
     robot = 0.5 * tracks.scan[:, None] * [1.0, 0.0]
     np.testing.assert_allclose(tracks.offsets, tracks.points - robot, atol=1e-9)
     np.testing.assert_array_equal(tracks.claimed, np.full(30, 0.04))
+
+
+def test_smoothed_is_the_mean_of_the_points_around_on_the_track():
+    points, track, row = np.random.default_rng(0).random((30, 2)), np.repeat([0, 1, 2], [20, 3, 7]), np.arange(30)
+    near = (track[:, None] == track) & (np.abs(row[:, None] - row) <= SMOOTHED)
+    np.testing.assert_allclose(_smoothed(points, track), near @ points / near.sum(axis=1)[:, None])
 
 
 @pytest.mark.parametrize(("missed", "expected"), [(MISSED_SCANS, [6]), (MISSED_SCANS + 1, [3, 3])])
@@ -122,6 +137,7 @@ def test_scans_of_many_objects_take_no_memory_of_all_their_pairs():
     tracemalloc.start()
     try:
         follow_objects([scan_of(objects), scan_of(objects, number=1)])
+        nearest_of_class_m(objects, np.zeros(3000))
         assert tracemalloc.get_traced_memory()[1] < 60e6
     finally:
         tracemalloc.stop()

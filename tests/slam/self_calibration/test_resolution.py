@@ -7,7 +7,7 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.resolution import find_resolution
+from slam.self_calibration.resolution import _offsets_that_stay, find_resolution
 from tests.helpers.surveyed_drives import NOISE, SurveyedDrive
 
 
@@ -57,17 +57,10 @@ def test_pairs_of_objects_keep_their_offset(scans, share):
     assert find_resolution(both) == 0.0
 
 
-@pytest.mark.parametrize("sigma_m", [0.5, 2.0])
-def test_objects_with_a_large_noise_are_not_taken_for_one(scans, sigma_m):
-    rng = np.random.default_rng(1)
-    noisy = [replace(each, positions=each.positions + rng.normal(0.0, sigma_m, each.positions.shape)) for each in scans]
-    assert find_resolution(noisy) == 0.0
-
-
-def test_second_detections_of_another_class_are_kept(scans):
-    twice = scattered(scans, 0.1)
-    labels = [np.repeat([0, 1], len(scan.labels) // 2) for scan in twice]
-    assert find_resolution([replace(s, labels=each) for s, each in zip(twice, labels, strict=True)]) == 0.0
+@pytest.mark.parametrize(("labels", "stay"), [([0, 0], [True]), ([0, 1], [])])
+def test_offsets_that_stay_are_those_between_detections_of_a_class(labels, stay):
+    scan = SurveyScan(0, np.eye(4), np.array([[5.0, 0.0, 0.0], [5.5, 0.0, 0.0]]), np.array(labels), np.zeros(2))
+    assert _offsets_that_stay([scan, scan], 2.0).tolist() == stay
 
 
 def test_a_scan_of_many_detections_is_left_out(scans):

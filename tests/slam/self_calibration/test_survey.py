@@ -13,7 +13,7 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.self_calibration.corrections import Correction
-from slam.self_calibration.survey import Survey
+from slam.self_calibration.survey import ANGLES_DEG, Survey, _of_sensor
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.self_calibration.variance_components import ComponentEstimate
@@ -132,14 +132,22 @@ def test_several_logs_are_surveyed_as_one_drive():
     both = survey_logs([SurveyedLog(first), SurveyedLog(second)])
     assert (both.scans, both.detections) == (32, 96)
     assert both.travel_m == pytest.approx(2.0 + 4.0)
+    assert both.duration_s == pytest.approx(1.0 + 1.0 + 2.0)  # the second one begins a second later
 
 
-def test_too_few_objects_tell_no_noise():
-    assert survey(straight()).components is None
+def test_motion_at_scans_is_that_of_the_odometry_around_them():
+    """Turning through half a turn; at the ends, on one side."""
+    records: list[Record] = []
+    for i in range(40):
+        records += [odometry(0.1 * i, 0.2 * i, 3.0 + 0.05 * i), detections(0.1 * i)]
+    _, motion = SurveyedLog(records).scans(Calibration(), {})
+    np.testing.assert_allclose(motion.velocities, np.tile([2.0, 0.0], (40, 1)))
+    np.testing.assert_allclose(motion.turn_rates, 0.5)
 
 
 def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
-    noise = replace(NO_NOISE, radial=0.03, tangential=0.05, view=0.05)
+    of_10_m = {"radial_by_range": 1e-4, "tangential_by_range": 2e-4}
+    noise = replace(NO_NOISE, radial=0.02, tangential=0.03, view=0.05, **of_10_m)
     found = ComponentEstimate(noise, NO_NOISE, 1000)
     monkeypatch.setattr("slam.self_calibration.survey.estimate_components", lambda *_: found)
     monkeypatch.setattr("slam.self_calibration.survey.clutter_density", lambda scans, tracked, sigma_m: sigma_m)
@@ -188,10 +196,10 @@ def test_lengths_of_a_survey_scale_with_the_log(scale):
         summary_of(SurveyedDrive(0, {"radial": 0.1}, scans=60, objects=30, scale=factor).scans)
         for factor in (1.0, scale)
     )
-    for name in ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"):
-        assert getattr(large, name) == pytest.approx(scale * getattr(small, name)), name
-    for name in ("scans", "detections", "objects", "interval_s", "turn_rad", "duration_s"):
-        assert getattr(large, name) == pytest.approx(getattr(small, name)), name
+    lengths = "range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"
+    for name in (*lengths, "scans", "detections", "objects", "interval_s", "turn_rad", "duration_s"):
+        expected = getattr(small, name) * (scale if name in lengths else 1.0)
+        assert getattr(large, name) == pytest.approx(expected), name
 
 
 def turned_records(yaw_deg: float, *, scans: int = 600, objects: int = 100) -> list[Record]:
@@ -229,6 +237,11 @@ def scaled_records(length: float, climb: float = 0.0) -> list[Record]:
     return moved(lambda xyz: xyz + [0.0, 0.0, 0.05 * bool(climb)] * rng.normal(size=xyz.shape), records)
 
 
+def shifted_records(shift_m: float) -> list[Record]:
+    """Of a sensor that sits to the left by so much."""
+    return moved(lambda positions: positions - [0.0, shift_m, 0.0], turned_records(0.0))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "wrong", "key", "right", "tolerance"),
@@ -238,6 +251,7 @@ def scaled_records(length: float, climb: float = 0.0) -> list[Record]:
         *((partial(scaled_records, 1.0), climb, "odometry.climb", -climb, 0.002) for climb in (0.1, -0.02)),
         *((scaled_records, length, "odometry.length_scale", 1.0 / length, 0.01) for length in (1.2, 0.8)),
         (scaled_records, 1000.0, "odometry.length_scale", 0.001, 1e-5),
+        (shifted_records, -1.5, "detection.y_m", -1.5, 0.1),
     ],
 )
 def test_a_systematic_error_is_corrected_and_nothing_else(make, wrong, key, right, tolerance):
@@ -291,8 +305,8 @@ def test_sensor_that_is_turned_on_the_way_is_told():
     before, after = (turned_records(yaw_deg, scans=600, objects=60) for yaw_deg in (0.0, 20.0))
     middle_ns = (before[0].stamp_ns + before[-1].stamp_ns) // 2
     records = [a if a.stamp_ns < middle_ns else b for a, b in zip(before, after, strict=True)]
-    found = survey(records, ON_BODY)
-    assert survey(before, ON_BODY).change is None
+    found, steady = survey(records, ON_BODY), survey(before, ON_BODY)
+    assert (steady.change, steady.change_s) == (None, 0.0)
     assert (found.change.term, found.change.value) == ("yaw_rad", pytest.approx(np.deg2rad(20.0), abs=0.05))
     assert found.change_s == pytest.approx((middle_ns - before[0].stamp_ns) * 1e-9, rel=0.2)
 
@@ -306,24 +320,13 @@ def test_climb_that_may_be_chance_is_suspected_only(monkeypatch, climb, is_corre
     assert ("odometry.climb" in found.corrected) == is_corrected
 
 
-@pytest.mark.slow
-def test_angles_are_added_to_the_quarter_turn_of_the_sensor():
-    """It hangs upside down, and the body pitches."""
-    flipped = moved(lambda positions: positions * [1.0, -1.0, -1.0], pitched_records(15.0))
-    angles_deg = [survey(flipped, ON_BODY).corrected[f"detection.{name}_deg"] for name in ("roll", "pitch", "yaw")]
-    found = Rotation.from_euler("xyz", angles_deg, degrees=True)
-    right = Rotation.from_euler("y", 15.0, degrees=True) * Rotation.from_euler("x", 180.0, degrees=True)
-    assert np.degrees((found * right.inv()).magnitude()) < 1.5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shift_m", [(2.0, 0.0), (0.0, -1.5)])
-def test_a_sensor_that_sits_elsewhere_is_put_there(shift_m):
-    records = moved(lambda positions: positions - [*shift_m, 0.0], turned_records(0.0))
-    found = survey(records, ON_BODY)
-    shifts = [found.corrected.get(f"detection.{name}", 0.0) for name in ("x_m", "y_m")]
-    assert shifts == pytest.approx(shift_m, abs=0.1)
-    assert survey(records, DetectionCalibration(assume_body_frame=True, x_m=0.0, y_m=0.0)).corrected == {}
+def test_angles_of_an_alignment_turn_a_sensor_as_it_is_mounted():
+    """It hangs upside down, and pitches."""
+    mounted = Calibration(detection=DetectionCalibration(roll_deg=180.0))
+    angles_deg = _of_sensor({"pitch_rad": 0.3}, mounted)
+    found = Rotation.from_euler("xyz", [angles_deg[f"detection.{name}"] for name in ANGLES_DEG], degrees=True)
+    right = Rotation.from_euler("y", 0.3) * Rotation.from_euler("x", np.pi)
+    np.testing.assert_allclose(found.as_matrix(), right.as_matrix(), atol=1e-9)
 
 
 @pytest.mark.parametrize(("bias_m", "shifts"), [(0.2, {"detection.x_m": 0.5}), (-0.6, {})])
@@ -340,6 +343,7 @@ def test_a_shift_is_not_corrected_where_a_larger_bias_of_ranges_fits(monkeypatch
     ("corrections", "corrected"),
     [
         pytest.param([("turn_share", 0.6, True)], {}, id="no odometry turns so much too little"),
+        pytest.param([("length_share", -0.63, True)], {}, id="objects seem to move with the body"),
         pytest.param([("y_m", -38.0, True)], {}, id="no sensor is so far from the body"),
         pytest.param(
             [("turn_share", 0.2, True), ("turn_share", 0.01, False)], {"odometry.turn_scale": 1.212}, id="rest of turns"
@@ -353,21 +357,6 @@ def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, correcti
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: tuple(islice(found, 1)))
     surveyed = survey(short_records(), ON_BODY)
     assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.001)
-
-
-@pytest.mark.slow
-def test_survey_applies_the_scales_that_were_given():
-    given = OdometryCalibration(length_scale=1.0 / 1.2)
-    found = survey(scaled_records(1.2), ON_BODY, odometry=given)
-    assert found.travel_m == pytest.approx(survey(turned_records(0.0), ON_BODY).travel_m)
-
-
-def test_nothing_is_corrected_where_objects_seem_to_move_with_the_body(monkeypatch):
-    """As in optical axes that nothing tells: a pitch fits besides."""
-    found = Correction("length_share", -0.63, 0.64, True), Correction("pitch_rad", 0.37, 0.34, True)
-    monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: found)
-    surveyed = survey(short_records(), ON_BODY)
-    assert surveyed.corrected == {}
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():
@@ -387,6 +376,7 @@ def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
     there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
     found = survey([*there_and_back, detections(1.0)])
     assert found.detour > 5.0
+    assert found.interval_s == 0.0  # of one scan
     assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)]).detour == 1.0
     wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
     assert survey([*wild, detections(1.0)]).detour < 1.2
@@ -395,5 +385,5 @@ def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
 def test_of_messages_with_one_stamp_the_first_is_surveyed():
     later = [each for each in straight() if isinstance(each, ObjectDetections)]
     twice = [replace(each, positions=each.positions + 1.0) for each in later]
-    assert survey([*straight(), *twice]).scans == survey(straight()).scans
-    assert survey([*straight(), *twice]).range_m == survey(straight()).range_m
+    found, expected = survey([*straight(), *twice]), survey(straight())
+    assert (found.scans, found.range_m) == (expected.scans, expected.range_m)

@@ -52,7 +52,3 @@ def test_two_false_detections_to_each_right_one_hardly_change_the_noise():
         sigmas.append(np.sqrt(estimate.white(100.0)))
     assert sigmas[0] > 3.0 * 0.05  # of all tracks
     assert 0.05 / 1.5 < sigmas[1] < 0.05 * 1.5
-
-
-def test_without_tracks_there_is_nothing_to_judge():
-    assert existence_probabilities(np.zeros(0), np.zeros(0)).shape == (0,)

@@ -7,15 +7,8 @@ from logs.messages import CameraModel, DepthImage, ImageDetections, Odometry, Tr
 from slam.common.calibration import DetectionCalibration
 from slam.common.config import Config, LabelsConfig
 from slam.common.errors import InputDataError
-from slam.common.geometry import apply, invert, make_transform
-from slam.frontend.input.image_detections import (
-    ImageLifter,
-    _distorted,
-    place_by_depth,
-    place_on_ground,
-    place_tag,
-    ray,
-)
+from slam.common.geometry import apply, make_transform
+from slam.frontend.input.image_detections import ImageLifter, place_by_depth, place_on_ground, place_tag, ray
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -25,6 +18,8 @@ K = np.array([[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]])
 PINHOLE = CameraModel(0, "camera", K, np.zeros(5), "plumb_bob")
 R_body_optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 T_body_camera = make_transform(R_body_optical, np.array([0.2, 0.1, 1.5]))
+BOX = np.array([310.0, 240.0, 60.0, 80.0])
+TAG = 0.08 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
 def project(points: np.ndarray) -> np.ndarray:
@@ -40,73 +35,82 @@ def sigma_along(covariance: np.ndarray, direction: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("model", "distortion"),
     [
-        ("plumb_bob", (-0.3, 0.1, 0.001, -0.002, 0.0)),
-        ("equidistant", (0.01, -0.02, 0.0, 0.0)),
-        ("rational_polynomial", (0.1, 0.05, 0.0, 0.0, 0.01, 0.2, 0.01, 0.0)),
+        ("equidistant", (0.01, -0.02, 0.03, -0.01)),
+        ("rational_polynomial", (0.1, 0.05, 0.001, -0.002, 0.01, 0.2, 0.01, 0.02)),
     ],
 )
-def test_a_distorted_pixel_leads_back_to_its_direction(model: str, distortion: tuple[float, ...]) -> None:
+def test_ray_undoes_the_distortion_of_opencv(model: str, distortion: tuple[float, ...]) -> None:
     camera = CameraModel(0, "camera", K, np.array(distortion), model)
     direction = np.array([0.45, -0.22])
-    if model == "plumb_bob":
-        r2 = float(direction @ direction)
-        radial = 1.0 - 0.3 * r2 + 0.1 * r2 * r2
+    r = float(np.hypot(*direction))
+    if model == "equidistant":
+        angle = np.arctan(r)
+        expected = direction / r * angle * np.polyval([*distortion[::-1], 1.0], angle**2)
+    else:
+        k1, k2, p1, p2, k3, k4, k5, k6 = distortion
+        radial = np.polyval([k3, k2, k1, 1.0], r**2) / np.polyval([k6, k5, k4, 1.0], r**2)
         x, y = direction
-        expected = [
-            x * radial + 2 * 0.001 * x * y - 0.002 * (r2 + 2 * x * x),
-            y * radial + 0.001 * (r2 + 2 * y * y) - 2 * 0.002 * x * y,
-        ]
-        np.testing.assert_allclose(_distorted(camera, direction), expected, atol=1e-15)
-    u, v = K[:2, :2] @ _distorted(camera, direction) + K[:2, 2]
-    np.testing.assert_allclose(ray(camera, u, v)[:2], direction, atol=1e-6)
-    assert np.abs(ray(PINHOLE, u, v)[:2] - direction).max() > 1e-3
+        shift = [2 * p1 * x * y + p2 * (r**2 + 2 * x**2), p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y]
+        expected = direction * radial + shift
+    u, v = K[:2, :2] @ expected + K[:2, 2]
+    np.testing.assert_allclose(ray(camera, u, v), [*direction, 1.0], atol=1e-6)
+    np.testing.assert_allclose(ray(camera, *K[:2, 2]), [0.0, 0.0, 1.0])
 
 
-def test_an_object_is_at_the_depth_of_what_is_near_in_its_box() -> None:
-    depths = np.full((480, 640), 30.0, dtype=np.float32)
-    depths[200:280, 300:330] = 8.0
-    depths[230:235] = np.nan
-    placed = place_by_depth(PINHOLE, np.array([310.0, 240.0, 60.0, 80.0]), depths)
-    position, covariance = placed
-    np.testing.assert_allclose(position, 8.0 * ray(PINHOLE, 310.0, 240.0), atol=1e-9)
-    across = sigma_along(covariance, np.eye(3)[0])
-    assert sigma_along(covariance, position) > 1.2 * across > 0.1
-    assert place_by_depth(PINHOLE, np.array([310.0, 240.0, 60.0, 80.0]), np.full((480, 640), np.nan)) is None
-    assert place_by_depth(PINHOLE, np.array([-90.0, 240.0, 60.0, 80.0]), depths) is None
+def assert_errs_by(covariance: np.ndarray, position: np.ndarray, lateral_m: list[float], along_m: float) -> None:
+    """Standard deviations to the right of the ray to a position and below it, and along it."""
+    right = np.cross([0.0, 1.0, 0.0], position)
+    axes = right, np.cross(position, right), position
+    np.testing.assert_allclose([sigma_along(covariance, axis) for axis in axes], [*lateral_m, along_m])
 
 
-def test_a_foot_on_the_ground_tells_the_distance() -> None:
-    foot = np.array([12.0, -2.0, -0.1])
-    camera_foot = apply(invert(T_body_camera), foot[None])
-    u, v = project(camera_foot)[0]
+def test_place_by_depth_takes_the_median_of_the_nearer_half_of_the_inner_quarter() -> None:
+    depths = np.random.default_rng(0).uniform(5.0, 30.0, (480, 640))
+    depths[230] = np.nan
+    position, covariance = place_by_depth(PINHOLE, BOX, depths)
+    nearer = np.sort(depths[220:261, 295:326], axis=None)[: 40 * 31 // 2 + 1]  # without what is unknown
+    depth = float(np.median(nearer))
+    np.testing.assert_allclose(position, depth * ray(PINHOLE, 310.0, 240.0))
+    spread = 1.4826 * np.median(np.abs(nearer - depth))
+    width, height = depth * 60.0 / 500.0, depth * 80.0 / 510.0
+    assert_errs_by(covariance, position, [width / 6.0, height / 6.0], np.hypot(spread, width / 4.0))
+    at_the_corner, _ = place_by_depth(PINHOLE, np.array([2.0, 3.0, 60.0, 80.0]), depths)
+    assert at_the_corner[2] == pytest.approx(np.median(np.sort(depths[:24, :18], axis=None)[: 24 * 18 // 2 + 1]))
+    assert place_by_depth(PINHOLE, BOX, np.full((480, 640), np.nan)) is None
+
+
+def test_place_on_ground_tells_where_a_foot_stands_and_how_far_its_pixel_errs() -> None:
+    x, y, below = 11.8, -2.1, 1.6  # from the camera
+    u, v = 320.0 - 500.0 * y / x, 240.0 + 510.0 * below / x
     box = np.array([u, v - 30.0, 20.0, 60.0])
-    placed = place_on_ground(PINHOLE, box, T_body_camera, -0.1, 80.0)
-    position, covariance = placed
-    np.testing.assert_allclose(position, camera_foot[0], atol=1e-9)
-    across = sigma_along(covariance, np.eye(3)[0])
-    assert sigma_along(covariance, position) > 5.0 * across > 0.0
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-    above = np.array([u, 100.0, 20.0, 60.0])
-    assert place_on_ground(PINHOLE, above, T_body_camera, -0.1, 80.0) is None
+    position, covariance = place_on_ground(PINHOLE, box, T_body_camera, -0.1, 80.0)
+    np.testing.assert_allclose(R_body_optical @ position, [x, y, -below], atol=1e-9)
+    beside = np.array([0.0, -20.0 / 6.0 / 500.0 * x, 0.0])
+    nearer = (510.0 * below / (v - 240.0 + 60.0 / 6.0) / x - 1.0) * np.array([x, y, 0.0])
+    expected = np.outer(beside, beside) + np.outer(nearer, nearer)
+    expected[2, 2] = min(beside @ beside, nearer @ nearer)
+    np.testing.assert_allclose(R_body_optical @ covariance @ R_body_optical.T, expected, atol=1e-12)
+    assert place_on_ground(PINHOLE, np.array([u, 209.9, 20.0, 60.0]), T_body_camera, -0.1, 1e9) is None
     assert place_on_ground(PINHOLE, box, T_body_camera, -0.1, 10.0) is None
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.5])
-def test_a_tag_of_known_size(turned: float) -> None:
-    square = 0.08 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+def test_place_tag_finds_a_tag_of_known_size(turned: float) -> None:
     center = np.array([0.3, -0.2, 2.5])
-    placed = place_tag(PINHOLE, project(apply(motion_by([0.0, turned, 0.0], center), square)), 0.16)
-    position, covariance = placed
+    corners = project(apply(motion_by([0.0, turned, 0.0], center), TAG))
+    position, covariance = place_tag(PINHOLE, corners, 0.16)
     np.testing.assert_allclose(position, center, atol=1e-9)
-    assert sigma_along(covariance, center) > 5.0 * sigma_along(covariance, np.eye(3)[0])
+    side_px = np.mean([np.linalg.norm(corners[i] - corners[i - 1]) for i in range(4)])
+    along_m = np.linalg.norm(center) * 0.5 / side_px
+    assert_errs_by(covariance, position, [2.5 * 0.5 / 500.0] * 2, along_m)
     assert place_tag(PINHOLE, np.zeros((4, 2)), 0.16) is None
-    blurred, _ = place_tag(PINHOLE, project(square * [0.9, 1.1, 1.0] + center), 0.16)
+    blurred, _ = place_tag(PINHOLE, project(TAG * [0.9, 1.1, 1.0] + center), 0.16)
     np.testing.assert_allclose(blurred, center, rtol=1e-9)
 
 
 def boxes(stamp_ns: int = 100, frame: str = "camera") -> ImageDetections:
-    box = np.array([[310.0, 240.0, 60.0, 80.0], [320.0, 20.0, 30.0, 20.0]])
-    return ImageDetections(stamp_ns, frame, box, ("tree", "bird"), np.array([0.9, 0.8]))
+    found = np.stack([BOX, [320.0, 20.0, 30.0, 20.0]])
+    return ImageDetections(stamp_ns, frame, found, ("tree", "bird"), np.array([0.9, 0.8]))
 
 
 def lifter(**settings: float) -> ImageLifter:
@@ -135,7 +139,7 @@ def test_depth_is_taken_at_the_stamp_and_the_ground_where_there_is_none() -> Non
 
 
 def test_a_tag_is_where_tf_says_else_as_far_as_its_size_tells() -> None:
-    corners = project(0.08 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]) + np.array([0.0, 0.0, 2.0]))
+    corners = project(TAG + np.array([0.0, 0.0, 2.0]))
     tag = ImageDetections(100, "camera", np.ones((1, 4)), ("tag36h11:5",), np.ones(1), corners[None])
     found = lifter()
     found.add(PINHOLE)

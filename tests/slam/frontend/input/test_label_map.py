@@ -1,14 +1,11 @@
 """Renaming, merging and dropping classes."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections
 from slam.common.calibration import DetectionCalibration
-from slam.common.config import LabelsConfig, load_config
-from slam.common.config_tree import to_toml
+from slam.common.config import LabelsConfig
 from slam.common.errors import ConfigurationError
 from slam.frontend.input.label_map import DROPPED, LabelMap
 from slam.frontend.input.scan import is_wanted
@@ -26,11 +23,6 @@ def test_classes_are_renamed_merged_and_dropped() -> None:
     renamed = LabelMap(config).apply(detections())
     assert renamed.labels == ("vehicle", "vehicle", DROPPED, "pole", "tree")
     assert is_wanted(renamed, DetectionCalibration()).tolist() == [True, True, False, True, True]
-
-
-def test_without_settings_nothing_changes() -> None:
-    given = detections()
-    assert LabelMap(LabelsConfig()).apply(given) is given
 
 
 def test_names_that_differ_in_case_only_are_one_class() -> None:
@@ -54,17 +46,3 @@ def test_names_that_no_detection_has_are_told() -> None:
 def test_a_name_in_two_settings_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="'car' is both in drop and in rename"):
         LabelMap(LabelsConfig(rename={"car": "vehicle"}, drop=("car",)))
-
-
-def test_the_settings_come_from_a_file_and_go_into_one(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        '[labels]\ndrop = ["person"]\n[labels.rename]\n"pole 1" = "pole"\n[topics]\ndetections = "/left,/right"\n'
-    )
-    config = load_config(path, ['labels.rename.cone="traffic cone"'])
-    assert config.labels.rename == {"pole 1": "pole", "cone": "traffic cone"}
-    assert config.labels.drop == ("person",)
-    assert config.topics == {"detections": "/left,/right"}
-    again = tmp_path / "again.toml"
-    again.write_text(to_toml(config))
-    assert load_config(again) == config

@@ -151,3 +151,6 @@ def test_noise_by_the_expected_range_is_the_same_for_short_and_long_measurements
     for covariance in expected.covariances:
         np.testing.assert_allclose(covariance, scan.covariances[2], atol=1e-12)
     np.testing.assert_array_equal(expected.positions, scan.positions)
+    own = replace(scan, has_own_covariance=np.ones(3, bool))
+    unchanged = with_expected_noise(own, np.ones(3), DetectionCalibration(**config))
+    np.testing.assert_allclose(unchanged.covariances, scan.covariances)

@@ -7,7 +7,7 @@ from logs.messages import Odometry, Transform
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, invert
-from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
+from slam.frontend.input.sensor_frames import SensorFrames, corrected_mount, find_sensor
 from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
 from tests.logs.examples import random_transform
@@ -118,6 +118,12 @@ def test_detections_in_the_odometry_frame_or_a_map_of_it_are_seen_from_the_pose(
     at = apply(T @ T_ODOM_BODY, np.array([[4.0, 0.0, 0.0]]))
     found = seen_by_body("odom", at) if T_map_odom is None else seen_by_body("map", at, map__odom=T)
     np.testing.assert_allclose(found, [[4.0, 0.0, 0.0]], atol=1e-12)
+
+
+def test_corrected_mount_turns_a_sensor_where_it_sits_and_shifts_it() -> None:
+    config = DetectionCalibration(yaw_deg=90.0, x_m=0.5, y_m=-0.25)
+    found = corrected_mount(pose_at(1.0, 2.0, z=3.0, yaw=0.3), config)
+    np.testing.assert_allclose(found, pose_at(1.5, 1.75, z=3.0, yaw=0.3 + np.pi / 2.0), atol=1e-12)
 
 
 def test_a_sensor_that_nothing_connects_has_no_place():

@@ -1,5 +1,6 @@
 """Clocks of stamps that are set while the logger's clock goes on, and whose stamps are wrong."""
 
+from array import array
 from collections.abc import Callable
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from logs.messages import ObjectDetections, Odometry, Record
 from logs.reader import LogItem
 from logs.topics import Channel, RawMessage
-from slam.frontend.input.stamp_clocks import CONFIRMING, ClockDrift, LoggingDelays, StampClocks
+from slam.frontend.input.stamp_clocks import CONFIRMING, ClockDrift, LoggingDelays, StampClocks, _rate
 from tests.helpers.landmarks import detections_of
 
 TENTH_NS = 100_000_000
@@ -51,10 +52,13 @@ def test_a_clock_that_is_set_is_put_right_from_the_first_message_on(step_s: int)
     assert f"/detections was set {'forward' if step_s > 0 else 'back'} by {abs(step_s)}." in str(step)
 
 
-def test_a_clock_that_is_set_twice() -> None:
-    errors, clocks = followed(lambda row: -20 * S_NS * (20 <= row < 40))
+@pytest.mark.parametrize(("then_s", "late_s"), [(20, 0), (0, 5)])
+def test_a_clock_that_is_set_twice_or_once_before_messages_take_longer(then_s: int, late_s: int) -> None:
+    errors, clocks = followed(
+        lambda row: S_NS * (-20 * (row >= 20) + then_s * (row >= 40)), lambda row: late_s * S_NS * (row >= 40)
+    )
     assert max(np.abs(errors)) < 0.01
-    assert [step.step_ns for step in clocks.steps] == [-20 * S_NS, 20 * S_NS]
+    assert sum(step.step_ns for step in clocks.steps) == (then_s - 20) * S_NS
 
 
 @pytest.mark.parametrize("length", [1, CONFIRMING - 1])
@@ -166,6 +170,15 @@ def test_a_clock_that_drifts_is_found_and_put_right(rate: float) -> None:
     corrected = drift.correct(scan(last_ns - round(rate * 999 * TENTH_NS)))
     assert corrected.stamp_ns == pytest.approx(last_ns, abs=2_000_000)
     assert drifting(rate, clocks=StampClocks(drift)).drift().rate == 0.0
+
+
+@pytest.mark.parametrize(("scatters", "is_significant"), [(5.9, False), (6.1, True)])
+def test_rate_is_that_of_the_least_delays_beyond_six_times_their_scatter(scatters: float, is_significant: bool) -> None:
+    seconds = np.arange(16.0)
+    rate = scatters * 1e-3 * np.sqrt(16.0 / 14.0) / 15.0
+    delays_ns = 1e9 * (0.1 + rate * seconds + np.tile([1e-3, -1e-3, -1e-3, 1e-3], 4))
+    found = _rate(array("q", (seconds * S_NS).astype(int)), array("q", delays_ns.astype(int)))
+    assert found == pytest.approx(rate * is_significant, rel=1e-4)
 
 
 def test_the_stamps_of_the_odometry_are_the_measure() -> None:
