@@ -86,7 +86,7 @@ def _connected(numbers: Sequence[int], joins: Sequence[Join]) -> list[list[int]]
     ends = np.array([(join.reference_map, join.query_map) for join in joins], dtype=np.int64).reshape(-1, 2)
     pairs = coo_array((np.ones(len(ends)), np.searchsorted(numbers, ends).T), shape=(len(numbers), len(numbers)))
     component = connected_components(pairs, directed=False)[1]
-    return [numbers[component == each].tolist() for each in np.unique(component)]
+    return [np.asarray(numbers)[component == each].tolist() for each in np.unique(component)]
 
 
 def _placed(

@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
@@ -37,8 +35,13 @@ def parts(graph: FactorGraphRecord, counts: BoolArray) -> IntArray:
     """
     order = np.argsort(graph.keyframe_ids)
     ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
-    edges = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(len(order), len(order)))
-    return connected_components(edges, directed=False)[1].astype(np.intp)
+    part = np.arange(len(order))
+    while (part[ends[0]] != part[ends[1]]).any():
+        least = part[ends].min(axis=0)
+        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
+            np.minimum.at(part, part[end], least)
+        part = part[part]
+    return np.unique(part, return_inverse=True)[1]
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
