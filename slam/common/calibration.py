@@ -44,7 +44,7 @@ class OdometryCalibration(Branch):
     """factor on the rotations of the odometry about the vertical axis"""
     climb: float = Field(default=0.0, ge=-1, le=1)
     """height that the odometry lacks per metre of travel [m / m]"""
-    drift_deg_per_s: float = Field(default=0.0, ge=-360, le=360)
+    drift_deg_per_s: float = 0.0
     """turn that the odometry lacks per second, as by the bias of a gyroscope [deg / s]"""
 
 

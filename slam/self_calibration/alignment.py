@@ -98,7 +98,7 @@ def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Se
 
 def _first_step(term: str, seconds: float) -> float:
     """The first step of a search, with the median time between the scans of pairs."""
-    return FIRST_STEP * {"delay_s": seconds, "drift_rad_per_s": 1.0 / seconds}.get(term, 1.0)
+    return FIRST_STEP * {"delay_s": seconds, "drift_rad_per_s": 1.0 / max(seconds, 1e-9)}.get(term, 1.0)
 
 
 def _search(
