@@ -3,16 +3,17 @@ parts of the drive that nothing joins, and moving objects.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import relative, rotation_angle_rad
+from slam.object_map.map_io import are_of_kind
+from slam.object_map.map_validation import parts
 from slam.trajectory_check.judgement import FINAL, ONLINE, TrajectoryCheck
 
 UNEXPLAINED = 0.5
@@ -77,8 +78,8 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
 
 
 def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
-    """What the odometry does not tell, as one that holds positions or orientations only: the sum of its errors, by the
-    final poses, as a share of the motion between keyframes.
+    """Translations or rotations that the odometry lacks, as one that holds orientations or positions only: the sum of
+    its errors between keyframes is compared with the sum of the motion, by the final trajectory.
     """
     ends, measured = _driven(graph)
     if not len(ends):
@@ -89,32 +90,31 @@ def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     errors_m = np.abs(lengths_m - np.linalg.norm(measured[:, :3, 3], axis=1))
     turned = rotation_angle_rad(relative(poses[ends[0, 0]], poses)).max()
     # Where there is little motion, noise is most of it.
-    parts = {
-        "translations; does it hold positions?": (errors_m, lengths_m, lengths_m.sum() > sensor_range_m),
-        "rotations; does it hold orientations?": (rotation_angle_rad(relative(measured, moved)), angles, turned > 0.25),
+    compared = {
+        "translations": (errors_m, lengths_m, lengths_m.sum() > sensor_range_m, "positions"),
+        "rotations": (rotation_angle_rad(relative(measured, moved)), angles, turned > 0.25, "orientations"),
     }
     return [
-        f"by the landmarks, the odometry errs by {100.0 * errors.sum() / motion.sum():.0f} % of its {what}"
-        for what, (errors, motion, is_much) in parts.items()
+        f"the {what} of the odometry are off by {100.0 * errors.sum() / motion.sum():.0f} % of those that landmarks "
+        f"show; does it hold {held}?"
+        for what, (errors, motion, is_much, held) in compared.items()
         if is_much and errors.sum() > UNEXPLAINED * motion.sum()
     ]
 
 
 def _parted(graph: FactorGraphRecord) -> list[str]:
     """Parts of a drive between which the odometry broke off, and that neither closures nor landmarks join."""
-    is_break = np.array([kind == EdgeKind.DISCONTINUITY for kind in graph.edge_kinds], dtype=np.bool_)
-    if not is_break.any():
+    is_break = are_of_kind(graph, EdgeKind.DISCONTINUITY)
+    landmarks = np.unique(graph.observation_landmark_ids, return_inverse=True)[1]
+    order = np.argsort(landmarks, kind="stable")
+    observers, is_same = graph.observation_keyframe_ids[order], np.diff(landmarks[order]) == 0
+    joins = np.concatenate([graph.edge_keyframe_ids, np.column_stack([observers[:-1], observers[1:]])[is_same]])
+    part = parts(replace(graph, edge_keyframe_ids=joins), np.append(~is_break, np.ones(is_same.sum(), dtype=np.bool_)))
+    ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_break])
+    count = len(np.unique(part[ends]))
+    if count < 2:
         return []
-    keyframes = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids)
-    landmarks = np.unique(graph.observation_landmark_ids, return_inverse=True)[1] + len(graph.keyframe_ids)
-    observers = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
-    links = np.concatenate([keyframes[~is_break], np.column_stack([observers, landmarks])])
-    size = int(max(links.max(initial=0), keyframes.max())) + 1
-    part_of = connected_components(coo_array((np.ones(len(links)), links.T), shape=(size, size)))[1]
-    parts = len(np.unique(part_of[keyframes[is_break]]))
-    if parts < 2:
-        return []
-    return [f"the drive is in {parts} parts: the odometry broke off, and no loop closure joins them"]
+    return [f"the drive is in {count} parts: the odometry broke off, and neither closures nor landmarks join them"]
 
 
 def _travel_m(graph: FactorGraphRecord) -> FloatArray:
@@ -128,7 +128,7 @@ def _travel_m(graph: FactorGraphRecord) -> FloatArray:
 
 def _driven(graph: FactorGraphRecord) -> tuple[IntArray, FloatArray]:
     """The rows (E, 2) of the keyframes between which the odometry measured T_from_to (E, 4, 4)."""
-    is_driven = np.array([kind == EdgeKind.ODOMETRY for kind in graph.edge_kinds], dtype=np.bool_)
+    is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     return np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_driven]), graph.edge_transforms[is_driven]
 
 

@@ -175,7 +175,7 @@ class Mapper:
         self._graph.add_observations(self._pending.close(self.keyframes[-1], ends_group=ends_group))
 
     def _restart(self, pose: OdometryPose | None = None) -> None:
-        """Go on at a pose, or where the body is, without landmarks."""
+        """Restart the local map at a pose, or where the body is, without active landmarks."""
         self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
         self._active.restart(pose)
         self.tracker.restart()

@@ -4,9 +4,10 @@ climb or whose heading drifts: what brings the detections of scans nearest to on
 The terms are found one after another, the one that explains most first, each by a search from what was found so far. If
 lengths or turns of the odometry that are wrong by a share, or a sensor that sits elsewhere, explain more, no further
 term but a climb is found: over pairs of scans all these look much the same, and objects that are followed tell them
-apart. A climb looks like the pitch of a sensor there, and leads away from the ground all the way: if it is as steep as
-an angle that is corrected, it is a pitch, unless it brings scans nearer to one another whatever the other terms are. So
-it is with a drift and a yaw.
+apart. Over them a climb also looks like the pitch of a sensor, and a drift like its yaw. A climb and a drift grow
+without bounds, and angles do not, so that the angle is corrected instead, unless the other brings scans nearer to one
+another when all other terms are fitted beside it. A climb that is less steep than the least angle that is corrected
+stays.
 """
 
 from collections.abc import Callable, Sequence

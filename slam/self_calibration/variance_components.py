@@ -261,7 +261,7 @@ class _Fit:
         root = np.sqrt(Q / group_weights[:, None])
         scaled = root[:, :, None] * M * root[:, None, :]
         # Not singular by rounding, however much the variances differ.
-        least = np.maximum(1.0, len(root[0]) * np.finfo(np.float64).eps * np.einsum("gii->g", scaled))
+        least = np.maximum(1.0, root.shape[1] * np.finfo(np.float64).eps * np.einsum("gii->g", scaled))
         C = np.linalg.inv(least[:, None, None] * np.eye(7) + scaled)
         C = root[:, :, None] * C * root[:, None, :]  # posterior covariance of xi
         xi = np.einsum("gij,gj->gi", C, v)

@@ -88,10 +88,12 @@ def test_a_drift_of_the_heading_is_found() -> None:
 
 @pytest.mark.slow
 @needs_robots
-def test_a_small_yaw_of_a_car_that_drives_ahead_is_no_drift() -> None:
-    car = ROBOTS / "cones"
-    log = read_text_log(detections=car / "detections.csv.gz", odometry=car / "odometry.tum.gz")
-    assert found(SurveyedLog(log.records())) == {}
+@pytest.mark.parametrize(("drive", "climb"), [("cones", {}), ("mrclam6/robot2", {"climb_share": 0.05})])
+def test_a_small_yaw_is_no_drift_and_a_small_climb_no_pitch(drive: str, climb: dict[str, float]) -> None:
+    """Of a car that drives ahead, and of a robot with a narrow view."""
+    log = read_text_log(detections=ROBOTS / drive / "detections.csv.gz", odometry=ROBOTS / drive / "odometry.tum.gz")
+    records = with_odometry(log.records(), climb=-climb.get("climb_share", 0.0))
+    assert found(SurveyedLog(records)) == pytest.approx(climb, abs=5e-3)
 
 
 @pytest.mark.parametrize("scales", [{"length_scale": 0.7}, {"turn_scale": 0.6}])

@@ -13,7 +13,7 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.self_calibration.corrections import Correction
-from slam.self_calibration.survey import ANGLES_DEG, Survey, _of_sensor
+from slam.self_calibration.survey import ANGLES_DEG, Survey, _of_sensor, _unknown
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.self_calibration.variance_components import ComponentEstimate
@@ -318,6 +318,14 @@ def test_climb_that_may_be_chance_is_suspected_only(monkeypatch, climb, is_corre
     told = found.corrected if is_corrected else found.suspected
     assert told["odometry.climb"] == pytest.approx(-0.1)
     assert ("odometry.climb" in found.corrected) == is_corrected
+
+
+def test_drift_of_an_alignment_adds_to_that_which_is_known():
+    known = Calibration(odometry=OdometryCalibration(drift_deg_per_s=1.5))
+    changed = _of_sensor({"drift_rad_per_s": np.deg2rad(-2.0)}, known)
+    assert changed == {"odometry.drift_deg_per_s": pytest.approx(-0.5)}
+    assert "drift_rad_per_s" not in _unknown(known)
+    assert "drift_rad_per_s" in _unknown(Calibration())
 
 
 def test_angles_of_an_alignment_turn_a_sensor_as_it_is_mounted():
