@@ -211,7 +211,8 @@ class EditableGraph:
             for each in self._observations.get(landmark, {}).values()
         ]
         rows = np.array([row for row, _ in seen], dtype=np.int64)
-        weights = np.array([1.0 / (each.covariance_inflation * np.trace(each.covariance)) for _, each in seen])
+        traces = np.array([each.covariance for _, each in seen]).reshape(-1, 9)[:, ::4].sum(axis=1)
+        weights = 1.0 / (np.array([each.covariance_inflation for _, each in seen]) * traces)
         in_map = weights[:, None] * self._in_map([each for _, each in seen])
         sums = np.stack([np.bincount(rows, axis, len(landmarks)) for axis in in_map.T], axis=1)
         totals = np.bincount(rows, weights, len(landmarks))[:, None]

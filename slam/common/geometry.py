@@ -8,7 +8,6 @@ import math
 import warnings
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
@@ -17,7 +16,7 @@ from slam.common.errors import GeometryError
 
 def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Stack ``rotation`` (..., 3, 3) and ``translation`` (..., 3) into transforms (..., 4, 4)."""
-    T = np.zeros((*np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1]), 4, 4))
+    T = np.zeros((*np.broadcast(rotation[..., 0], translation).shape[:-1], 4, 4))
     T[..., :3, :3] = rotation
     T[..., :3, 3] = translation
     T[..., 3, 3] = 1.0
@@ -86,7 +85,8 @@ def adjoint(T_a_b: FloatArray) -> FloatArray:
 
 def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArray:
     """Covariance (6, 6) of a rotation and a translation, each in the axes of frame a, in those of frame b."""
-    R = block_diag(R_a_b, R_a_b)
+    R = np.zeros((6, 6))
+    R[:3, :3] = R[3:, 3:] = R_a_b
     return R.T @ covariance_a @ R
 
 

@@ -256,7 +256,8 @@ class Tracker:
         if assignment.is_inconsistent:
             return True
         positions = self.active.positions
-        matched = np.isin(np.arange(len(positions)), assignment.landmark_rows)
+        matched = np.zeros(len(positions), dtype=np.bool_)
+        matched[assignment.landmark_rows[assignment.matched]] = True
         count = int(matched.sum())
         unmatched = len(seen) - count
         self._unmatched = 0 if count else self._unmatched + unmatched
