@@ -433,7 +433,7 @@ class FactorGraph(EditableGraph):
             FactorGraphError: the graph does not determine all variables.
         """
         self.update()
-        keys = [(L(a), L(b)) for a, b in pairs.tolist()]
+        keys = np.array([[L(row) for row in pair] for pair in pairs.tolist()], dtype=np.int64).reshape(-1, 2)
         with gtsam_errors("the covariances of landmarks"):
             return offset_covariances(self._solver.factors.values(), self._solver.values(), keys)
 

@@ -1,13 +1,18 @@
-"""Marginal covariances of all keyframes and landmarks at once."""
+"""Covariances of the variables of a graph: of each, of all at once, and of differences."""
 
 from collections import defaultdict
 from collections.abc import Iterable
 
 import gtsam
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
 
 from slam.backend.solver import graph_of
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
+
+MAX_ENTRIES = 2**24
+"""Of the right sides that are solved for at a time, 128 MB."""
 
 
 def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> dict[int, FloatArray]:
@@ -45,32 +50,54 @@ def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Va
     return covariances
 
 
-def offset_covariances(
-    factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values, pairs: Iterable[tuple[int, int]]
-) -> FloatArray:
-    """Covariances (P, 3, 3) of the differences between the points of pairs of keys, of an optimised graph.
+def offset_covariances(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values, pairs: IntArray) -> FloatArray:
+    """Covariances (P, 3, 3) of the differences between the points of pairs (P, 2) of keys, of an optimised graph.
 
-    With ``R^T R`` the information of all variables, the covariance of ``g^T x`` is that of ``R^-T g`` with itself.
+    With H the information of all variables, the covariance of ``g^T x`` is ``g^T H^-1 g``.
 
     Raises:
         RuntimeError: the graph does not determine all variables.
     """
-    net = without_kernels(factors, values).linearize(values).eliminateSequential()
-    zeros = gtsam.VectorValues()
-    for row in range(net.size()):
-        zeros.insert(net.at(row).firstFrontalKey(), np.zeros(len(net.at(row).R())))
-    found = []
-    for pair in pairs:
-        solved = []
-        for axis in np.eye(3):
-            g = gtsam.VectorValues(zeros)
-            for key, sign in zip(pair, (1.0, -1.0), strict=True):
-                of_one = gtsam.VectorValues()
-                of_one.insert(key, sign * axis)
-                g.update(of_one)
-            solved.append(net.backSubstituteTranspose(g).vector())
-        found.append(np.array(solved) @ np.array(solved).T)
-    return np.array(found).reshape(-1, 3, 3)
+    jacobian, _ = linearize(factors, values)
+    information = factorize(jacobian)
+    keys = np.array(values.keys(), dtype=np.int64)  # in the order of the columns
+    sizes = np.array([3 if gtsam.symbolChr(key) == ord("l") else 6 for key in values.keys()])  # noqa: SIM118
+    columns = (np.cumsum(sizes) - sizes)[np.searchsorted(keys, pairs)][:, :, None] + np.arange(3)
+    size, found = values.dim(), np.zeros((len(pairs), 3, 3))
+    some = max(MAX_ENTRIES // (3 * size), 1)
+    for start in range(0, len(pairs), some):
+        first, second = columns[start : start + some].swapaxes(0, 1)
+        pair, axis = np.arange(len(first))[:, None], np.arange(3)
+        sides = np.zeros((size, len(first), 3))
+        sides[first, pair, axis], sides[second, pair, axis] = 1.0, -1.0
+        solved = information.solve(sides.reshape(size, -1)).reshape(sides.shape)
+        found[start : start + some] = solved[first, pair] - solved[second, pair]
+    return found
+
+
+def linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> tuple[sparse.csr_array, FloatArray]:
+    """Jacobian (N, n) and residuals (N,) of factors at their optimum, each row divided by its standard deviation.
+
+    Rows are in the order of the factors, columns in that of the keys of the variables.
+    """
+    linear = without_kernels(factors, values).linearize(values)
+    row, column, entry = linear.sparseJacobian_()
+    # Both are counted from one; the last column is the right side.
+    places = row.astype(np.int32) - 1, column.astype(np.int32) - 1
+    system = sparse.csc_array((entry, places), shape=(places[0].max() + 1, values.dim() + 1))
+    return sparse.csr_array(system[:, :-1]), system[:, -1].toarray().ravel()
+
+
+def factorize(jacobian: sparse.csr_array) -> SuperLU:
+    """The factors of the information ``J^T J`` of a Jacobian J (N, n).
+
+    Raises:
+        RuntimeError: the rows do not determine all variables.
+    """
+    # In an order that keeps the factors of a symmetric matrix sparse.
+    options = {"SymmetricMode": True, "Equil": False}
+    matrix = sparse.csc_array(jacobian.T @ jacobian)
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> gtsam.NonlinearFactorGraph:

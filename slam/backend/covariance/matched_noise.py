@@ -5,15 +5,14 @@ covariances of the steps predict. Its variance is estimated from the drive: over
 all steps are added up, axis by axis. The variance of closures is estimated likewise.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import gtsam
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.special import chdtr
 
-from slam.backend.covariance.marginals import without_kernels
+from slam.backend.covariance.marginals import factorize, linearize
 from slam.backend.factors import Edge, EdgeKind, Factor
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
@@ -38,7 +37,7 @@ def matched_covariances(
     """
     sizes = np.array([factor.dim() for factor in factors.values()])
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
-    jacobian, residuals = _linearize(factors.values(), values)
+    jacobian, residuals = linearize(factors.values(), values)
     matched = dict[int, FloatArray]()
     for is_closure in (False, True):
         edges = {
@@ -53,19 +52,6 @@ def matched_covariances(
         if (found != 1.0).any():
             matched |= {number: _scaled(each.covariance, found) for number, each in edges.items()}
     return matched
-
-
-def _linearize(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> tuple[sparse.csr_array, FloatArray]:
-    """Jacobian (N, n) and residuals (N,) of factors at their optimum, each row divided by its standard deviation.
-
-    Rows are in the order of the factors, columns in that of the keys of the variables.
-    """
-    linear = without_kernels(factors, values).linearize(values)
-    row, column, entry = linear.sparseJacobian_()
-    # Both are counted from one; the last column is the right side.
-    places = row.astype(np.int32) - 1, column.astype(np.int32) - 1
-    system = sparse.csc_array((entry, places), shape=(places[0].max() + 1, values.dim() + 1))
-    return sparse.csr_array(system[:, :-1]), system[:, -1].toarray().ravel()
 
 
 def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray, length: int) -> FloatArray:
@@ -93,13 +79,9 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
         return np.ones(6)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).round().astype(np.int64)
     sums = _sums_of(samples[spread], len(residuals))
-    # In an order that keeps the factors of a symmetric matrix sparse.
-    options = {"SymmetricMode": True, "Equil": False}
-    matrix = sparse.csc_array(jacobian.T @ jacobian)
-    information = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     columns = (sums @ jacobian).toarray().T
     errors = (sums @ residuals).reshape(-1, 6)
-    posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)
+    posterior = np.einsum("ni,ni->i", columns, factorize(jacobian).solve(columns)).reshape(-1, 6)
     # Information that other factors add to that of the row itself; less than a hundredth of it is taken to be none.
     measured = 1.0 / posterior - 1.0
     measured = np.where(measured < 0.01, 0.0, measured)

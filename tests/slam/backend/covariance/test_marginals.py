@@ -72,7 +72,9 @@ def test_covariances_are_the_blocks_of_the_inverse() -> None:
     for pair in pairwise(points):
         joint = known.jointMarginalCovariance(pair).fullMatrix().reshape(2, 3, 2, 3)
         offset = joint[0, :, 0] + joint[1, :, 1] - joint[0, :, 1] - joint[1, :, 0]
-        np.testing.assert_allclose(offset_covariances(factors, values, [pair])[0], offset, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(
+            offset_covariances(factors, values, np.array([pair]))[0], offset, rtol=1e-6, atol=1e-12
+        )
 
 
 def test_a_variable_that_nothing_determines_is_refused() -> None:
