@@ -52,8 +52,8 @@ LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
-OWN, SHARED = 7, 11
-"""Numbers of the components of single detections, and of the odometry."""
+HEIGHT, OWN, SHARED = 4, 7, 11
+"""Row of the variance of heights; numbers of the components of single detections, and of the odometry."""
 TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
 
@@ -128,6 +128,8 @@ def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstima
         fit.step()
     scale = pairs.unit_m**LENGTH_POWERS
     values, errors = fit.variances * scale, fit.standard_errors() * scale
+    if not _has_heights(pairs):
+        values[HEIGHT] = 0.5 * np.mean((pairs.d[:, 2] * pairs.unit_m) ** 2)
     if not np.isfinite([values, errors]).all():
         return None
     return ComponentEstimate(NoiseComponents(*values.tolist()), NoiseComponents(*errors.tolist()), len(pairs.d))
@@ -303,12 +305,18 @@ def _by_block(values: FloatArray, block: IntArray) -> FloatArray:
 
 
 def _axes(pairs: _Displacements) -> FloatArray:
-    """(P, D, 3): along the ray, across it and, where anything has a height, up."""
+    """(P, D, 3): along the ray, across it and, where heights differ, up."""
     r = np.maximum(np.hypot(pairs.x[:, 0], pairs.x[:, 1]), 1e-12)
     x, y, zero = pairs.x[:, 0] / r, pairs.x[:, 1] / r, np.zeros(len(r))
     axes = np.array([[x, y, zero], [-y, x, zero], [zero, zero, zero + 1.0]])
-    has_heights = np.abs(pairs.d[:, 2]).max() > 1e-9
-    return axes.transpose(2, 0, 1)[:, : 3 if has_heights else 2]
+    return axes.transpose(2, 0, 1)[:, : 3 if _has_heights(pairs) else 2]
+
+
+def _has_heights(pairs: _Displacements) -> bool:
+    """Whether most heights differ between two scans. No robust fit tells the noise of rounded ones, or of the few that
+    a faulty scan has in a plane.
+    """
+    return bool(np.median(np.abs(pairs.d[:, 2])) > 1e-9)
 
 
 def _jacobians(pairs: _Displacements) -> FloatArray:

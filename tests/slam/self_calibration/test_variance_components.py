@@ -299,3 +299,13 @@ def test_noise_of_heights_is_told_apart(name: str, sigma: float) -> None:
         *tilting(0, tilt=given["tilt_by_travel"], rise=given["rise_by_travel"], height=given["height"])
     )
     assert sigma / 2.0 < np.sqrt(getattr(found.variances, name)) < sigma * 2.0
+
+
+@pytest.mark.usefixtures("few_pairs")
+def test_noise_of_heights_that_seldom_differ_is_that_of_all() -> None:
+    """As those that are rounded, or of the few scans in a plane that are nonsense."""
+    drive, rng = SurveyedDrive(0, DETECTOR), np.random.default_rng(0)
+    heights = np.where(rng.random(len(drive.tracks.heights)) < 0.1, 0.5, 0.0)
+    found = estimate_components(replace(drive.tracks, heights=heights), drive.motion)
+    assert 0.1 < np.sqrt(found.variances.height) < 0.2  # the standard deviation is 0.15
+    assert found.variances.tangential < 0.01
