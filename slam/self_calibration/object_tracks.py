@@ -214,14 +214,22 @@ def _probability(value: float) -> float:
     return float(np.clip(value, LEAST, 1.0 - LEAST))
 
 
-def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:
-    """How far (N,) each of the detections (N, D) m of a scan is from the nearest of its class; inf if it is alone."""
-    nearest_m = np.zeros(len(positions))
-    for label in np.unique(labels):
-        same = labels == label
-        distances, _ = cKDTree(positions[same]).query(positions[same], k=2)
-        nearest_m[same] = np.asarray(distances)[:, 1]
-    return nearest_m
+def layered(scans: Sequence[SurveyScan], apart_m: float) -> FloatArray:
+    """Positions (N, 3) m of all detections of scans, and a layer of each scan and class, so far apart."""
+    if not scans:
+        return np.zeros((0, 4))
+    layers = [number + len(scans) * scan.labels for number, scan in enumerate(scans)]
+    return np.column_stack([np.concatenate([scan.positions for scan in scans]), apart_m * np.concatenate(layers)])
+
+
+def nearest_of_class_m(scans: Sequence[SurveyScan], *, is_level: bool = False) -> FloatArray:
+    """How far (N,) each of the detections of scans is, along the ground or in space, from the nearest of its class in
+    its scan; inf if it is alone.
+    """
+    reach_m = 4.0 * max(np.abs(scan.positions).max(initial=0.0) for scan in scans)
+    points = layered(scans, 2.0 * reach_m)[:, [0, 1, 3] if is_level else slice(None)]
+    distances, _ = cKDTree(points).query(points, k=2, distance_upper_bound=reach_m)
+    return np.asarray(distances)[:, 1]
 
 
 def detectability_of(tracks: ObjectTracks) -> Detectability:
