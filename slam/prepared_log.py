@@ -83,7 +83,8 @@ def prepare_log(
     if not is_surveyed or not config.calibrate or config.calibration.is_complete:
         return log
     surveyed, delays, drift = _survey(reader, log, MAX_DETECTIONS)
-    found = survey([surveyed], config.calibration)
+    with threadpool_limits(1, user_api="blas"):
+        found = survey([surveyed], config.calibration)
     return replace(log, calibration=calibrate(config, found, delays), drift=drift)
 
 
@@ -102,7 +103,8 @@ def calibrate_logs(paths: Sequence[Path], config: Config, *, topics: Mapping[str
             log, logged_after, _ = _survey(reader, _open(reader, config, topics, ()), MAX_DETECTIONS // len(paths))
             surveyed.append(log)
             delays.append(logged_after)
-    found = calibrate(config, survey(surveyed, config.calibration), delays[0])
+    with threadpool_limits(1, user_api="blas"):
+        found = calibrate(config, survey(surveyed, config.calibration), delays[0])
     # What kept its default is known now, too.
     known = Calibration.model_validate(found.config.calibration.model_dump(exclude_none=True))
     return replace(found, config=found.config.model_copy(update={"calibration": known}))

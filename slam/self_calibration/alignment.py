@@ -11,6 +11,7 @@ stays.
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -36,6 +37,8 @@ FIRST_STEP, COARSE, FINE = 0.25, 5, 9
 or of the way; how often it is halved until it is known whether the term matters, and after all.
 """
 ROUNDS = 10
+TRIED = 64
+"""Values whose distances are held: searches of all terms begin at the same ones, and end at those that are judged."""
 
 _Values = dict[str, float]
 
@@ -141,7 +144,12 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         T_body_sensor[:2, 3] = pairs[number].spacing_m * np.array([values["x_spacings"], values["y_spacings"]])
         return pairs[number].log_distances(seen_by(T_body_sensor, motions))
 
-    def distances(values: _Values) -> FloatArray:
+    @lru_cache(maxsize=TRIED)
+    def of_logs(items: frozenset[tuple[str, float]]) -> FloatArray:
+        values = dict(items)
         return np.concatenate([np.zeros((0, 2)), *(of_log(number, values) for number in range(len(pairs)))])
+
+    def distances(values: _Values) -> FloatArray:
+        return of_logs(frozenset(values.items()))
 
     return distances, float(np.median(np.concatenate([np.ones(1), *seconds])))

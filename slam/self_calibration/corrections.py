@@ -250,13 +250,15 @@ def _block_sums(X: FloatArray, y: FloatArray, block: IntArray) -> tuple[FloatArr
         level, up = weights * inverse[0], weights * inverse[1]
         root = np.sqrt(np.column_stack([level, level, up]))
         rows, sides = (root[:, :, None] * X).reshape(-1, size), (root * y).reshape(-1)
-        ridge = 1e-9 * np.trace(rows.T @ rows) * np.eye(size)
-        solution = np.linalg.lstsq(rows.T @ rows + ridge, rows.T @ sides)[0]
+        normal = rows.T @ rows
+        ridge = 1e-9 * np.trace(normal) * np.eye(size)
+        solution = np.linalg.lstsq(normal + ridge, rows.T @ sides)[0]
         left = y - X @ solution
     of_row = np.repeat(block, 3)
-    normal = np.stack([rows[of_row == each].T @ rows[of_row == each] for each in range(BLOCKS)])
-    right = np.stack([rows[of_row == each].T @ sides[of_row == each] for each in range(BLOCKS)])
-    return normal, right, np.asarray(np.bincount(of_row, sides**2, BLOCKS), dtype=np.float64)
+    blocks = [(rows[of_row == each], sides[of_row == each]) for each in range(BLOCKS)]
+    normals = np.stack([X.T @ X for X, _ in blocks])
+    right = np.stack([X.T @ y for X, y in blocks])
+    return normals, right, np.asarray(np.bincount(of_row, sides**2, BLOCKS), dtype=np.float64)
 
 
 def _held_out(

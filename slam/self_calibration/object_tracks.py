@@ -214,14 +214,22 @@ def _probability(value: float) -> float:
     return float(np.clip(value, LEAST, 1.0 - LEAST))
 
 
-def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:
-    """How far (N,) each of the detections (N, D) m of a scan is from the nearest of its class; inf if it is alone."""
-    nearest_m = np.zeros(len(positions))
-    for label in np.unique(labels):
-        same = labels == label
-        distances, _ = cKDTree(positions[same]).query(positions[same], k=2)
-        nearest_m[same] = np.asarray(distances)[:, 1]
-    return nearest_m
+def layered(scans: Sequence[SurveyScan], apart_m: float) -> FloatArray:
+    """Positions (N, 3) m of all detections of scans, and a layer of each scan and class, so far apart."""
+    if not scans:
+        return np.zeros((0, 4))
+    layers = [number + len(scans) * scan.labels for number, scan in enumerate(scans)]
+    return np.column_stack([np.concatenate([scan.positions for scan in scans]), apart_m * np.concatenate(layers)])
+
+
+def nearest_of_class_m(scans: Sequence[SurveyScan], *, is_level: bool = False) -> FloatArray:
+    """How far (N,) each of the detections of scans is, along the ground or in space, from the nearest of its class in
+    its scan; inf if it is alone.
+    """
+    reach_m = 4.0 * max(np.abs(scan.positions).max(initial=0.0) for scan in scans)
+    points = layered(scans, 2.0 * reach_m)[:, [0, 1, 3] if is_level else slice(None)]
+    distances, _ = cKDTree(points).query(points, k=2, distance_upper_bound=reach_m)
+    return np.asarray(distances)[:, 1]
 
 
 def detectability_of(tracks: ObjectTracks) -> Detectability:
@@ -244,20 +252,28 @@ def _missed_scans(found: Detectability) -> int:
 
 
 def _follow(scans: Sequence[SurveyScan], missed_scans: int, ratio: float, *, by_class: bool) -> ObjectTracks:
-    found, points, ends = [], [], _OpenTracks(missed_scans, ratio)
-    for number, (scan, heading) in enumerate(zip(scans, headings_of(scans), strict=True)):
-        c, s = np.cos(heading), np.sin(heading)
-        offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
-        points.append(offsets + scan.T_odom_body[:2, 3])
-        labels = scan.labels if by_class else np.zeros_like(scan.labels)
-        found.append(ends.extend(number, points[-1], offsets, labels))
+    c, s = (turn(headings_of(scans)) for turn in (np.cos, np.sin))
+    turns = np.column_stack([c, s, -s, c]).reshape(-1, 2, 2)
+    counts = [len(scan.labels) for scan in scans]
+    scan_of = np.repeat(np.arange(len(scans)), counts)
+    offsets = np.concatenate([scan.positions[:, :2] @ turn for scan, turn in zip(scans, turns, strict=True)])
+    points = offsets + poses_of(scans)[scan_of, :2, 3]
+    labels = np.concatenate([scan.labels for scan in scans])
+    rays = unit_vectors(offsets)
+    # Distances in the direction of the larger noise are divided by the ratio.
+    axes = np.stack([rays / max(ratio, 1.0), rays[:, ::-1] * [-1.0, 1.0] / max(1.0 / ratio, 1.0)], axis=1)
+    reaches = RANGE_SHARE * np.hypot(offsets[:, 0], offsets[:, 1])
+    found, ends, begin = [], _OpenTracks(missed_scans), 0
+    for number, count in enumerate(counts):
+        rows = slice(begin, begin := begin + count)
+        found.append(ends.extend(number, points[rows], labels[rows] * by_class, axes[rows], reaches[rows]))
     track, rooms, steps = (np.concatenate(each) for each in zip(*found, strict=True))
     detected = ObjectTracks(
         track=track,
-        scan=np.repeat(np.arange(len(scans)), [len(each) for each in points]),
-        offsets=np.concatenate(points),
-        points=np.concatenate(points),
-        labels=np.concatenate([scan.labels for scan in scans]),
+        scan=scan_of,
+        offsets=offsets,
+        points=points,
+        labels=labels,
         claimed=np.concatenate([scan.variances for scan in scans]),
         heights=np.concatenate([scan.positions[:, 2] + scan.T_odom_body[2, 3] for scan in scans]),
         rooms=rooms,
@@ -280,9 +296,8 @@ def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
 class _OpenTracks:
     """The last detection of each track that may go on."""
 
-    def __init__(self, missed_scans: int, ratio: float) -> None:
+    def __init__(self, missed_scans: int) -> None:
         self._missed_scans = missed_scans
-        self._units = max(ratio, 1.0), max(1.0 / ratio, 1.0)
         self._count = 0
         self._points = np.zeros((0, 2))
         self._labels = np.zeros(0, dtype=np.int64)
@@ -290,26 +305,23 @@ class _OpenTracks:
         self._scans = np.zeros(0, dtype=np.int64)
 
     def extend(
-        self, scan: int, points: FloatArray, offsets: FloatArray, labels: IntArray
+        self, scan: int, points: FloatArray, labels: IntArray, axes: FloatArray, reaches: FloatArray
     ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Tracks (N,) of the detections of a scan, at ``points`` (N, 2) and ``offsets`` (N, 2) m from the body, those
-        that continue none begin one; the room (N,) of each, and its step (N,).
+        """Tracks (N,) of the detections of a scan, at ``points`` (N, 2) m, those that continue none begin one; the room
+        (N,) of each, at most its reach (N,), and its step (N,), both along the ``axes`` (N, 2, 2).
         """
         tracks = np.full(len(points), -1, dtype=np.int64)
         goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
-        ranges = np.hypot(offsets[:, 0], offsets[:, 1])
-        rays = unit_vectors(offsets)
-        along, across = self._units
-        axes = np.stack([rays / along, rays[:, ::-1] * [-1.0, 1.0] / across], axis=1)
         nearest, distances, next_m, back = _nearest(points, labels, self._points, self._labels, axes)
-        rooms = np.minimum(AMBIGUITY * next_m, RANGE_SHARE * ranges)
+        rooms = np.minimum(AMBIGUITY * next_m, reaches)
         if len(self._points):
             found = (back[nearest] == np.arange(len(points))) & (distances < rooms)
             tracks[found] = self._tracks[nearest[found]]
             goes_on[nearest[found]] = True
         fresh = tracks < 0
-        tracks[fresh] = self._count + np.arange(int(fresh.sum()))
-        self._count += int(fresh.sum())
+        count = int(fresh.sum())
+        tracks[fresh] = np.arange(self._count, self._count + count)
+        self._count += count
         kept = (scan - self._scans <= self._missed_scans) & ~goes_on
         self._points = np.concatenate([self._points[kept], points])
         self._labels = np.concatenate([self._labels[kept], labels])

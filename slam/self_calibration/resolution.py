@@ -39,11 +39,9 @@ def find_resolution(scans: Sequence[SurveyScan]) -> float:
 
 def _distances(scans: Sequence[SurveyScan]) -> FloatArray:
     """Distances (N,) m between detections of one class in one scan, about ``MAX_DISTANCES`` at most, sorted."""
-    found, count = [np.zeros(0)], sum(len(scan.labels) ** 2 for scan in scans)
-    for scan in scans[:: 1 + count // MAX_DISTANCES]:
-        same = (scan.positions[scan.labels == label] for label in np.unique(scan.labels))
-        found += [pdist(positions) for positions in same if len(positions) > 1]
-    return np.sort(np.concatenate(found))
+    count = sum(len(scan.labels) ** 2 for scan in scans)
+    some = scans[:: 1 + count // MAX_DISTANCES]
+    return np.sort(np.concatenate([pdist(scan.positions)[pdist(scan.labels[:, None]) == 0.0] for scan in some]))
 
 
 def _cluster_size(distances: FloatArray, limit_m: float) -> float:

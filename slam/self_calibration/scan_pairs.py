@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply_each, gravity_frame, invert, travelled_m
 from slam.self_calibration.corrections import BLOCKS, is_beyond_chance
-from slam.self_calibration.object_tracks import SurveyScan, headings_of, nearest_of_class_m, poses_of
+from slam.self_calibration.object_tracks import SurveyScan, headings_of, layered, nearest_of_class_m, poses_of
 
 MOVED_SPACINGS = 0.25
 """Between the scans of a pair, the body moves past its objects, by travel or turn, by that share of their spacing."""
@@ -30,7 +30,8 @@ class ScanPairs:
         self.rows = rows
         self.spacing_m = spacing_m
         self.motions = self.motions_by(poses_of(scans))
-        reference, self._detections = (_detections(scans, rows[:, side], spacing_m) for side in (0, 1))
+        # Only detections of one pair and class are near one another.
+        reference, self._detections = (layered([scans[row] for row in side], 10.0 * spacing_m) for side in rows.T)
         self._pair = np.repeat(np.arange(len(rows)), [len(scans[row].labels) for row in rows[:, 1]])
         self._tree = cKDTree(reference)
 
@@ -101,24 +102,12 @@ def is_positive(values: FloatArray) -> bool:
 def spacing_of(scans: Sequence[SurveyScan]) -> float:
     """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most its range."""
     some = scans[:: max(len(scans) // SAMPLED_SCANS, 1)]
-    nearest = [nearest_of_class_m(scan.positions, scan.labels) for scan in some]
-    return min(np.median(np.concatenate(nearest)), median_range(scans))
+    return min(np.median(nearest_of_class_m(some)), median_range(scans))
 
 
 def median_range(scans: Sequence[SurveyScan]) -> float:
     """Median distance [m] of detections from the body."""
     return float(np.median(np.concatenate([np.linalg.norm(scan.positions, axis=1) for scan in scans])))
-
-
-def _detections(scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -> FloatArray:
-    """Positions (N, 3) of the detections of scans, and a layer of each pair and class, farther apart than they see."""
-    if len(rows) == 0:
-        return np.zeros((0, 4))
-    classes = 1 + max(int(scan.labels.max()) for scan in scans)
-    layers = [pair * classes + scans[row].labels for pair, row in enumerate(rows)]
-    return np.column_stack(
-        [np.concatenate([scans[row].positions for row in rows]), 10.0 * spacing_m * np.concatenate(layers)]
-    )
 
 
 def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> IntArray:

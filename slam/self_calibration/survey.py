@@ -349,7 +349,8 @@ def _is_planar(scans: Sequence[SurveyScan]) -> bool:
     """Whether the nearer half of the detections, without absurd ones, lies in one plane of the body, as all detections
     of a sensor do that measures no heights.
     """
-    T_body_gravity = [invert(scan.T_odom_body) @ gravity_frame(scan.T_odom_body) for scan in scans]
+    T_odom_body = poses_of(scans)
+    T_body_gravity = invert(T_odom_body) @ gravity_frame(T_odom_body)
     points = np.concatenate([apply(T, scan.positions) for T, scan in zip(T_body_gravity, scans, strict=True)])
     ranges = np.linalg.norm(points, axis=1)
     squares = np.linalg.eigvalsh(np.cov(points[ranges <= np.median(ranges)].T, bias=True))
@@ -373,7 +374,7 @@ def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> Com
 
 
 def _spacing(scans: Sequence[SurveyScan]) -> float:
-    distances = np.concatenate([nearest_of_class_m(scan.positions[:, :2], scan.labels) for scan in scans])
+    distances = nearest_of_class_m(scans, is_level=True)
     distances = distances[np.isfinite(distances)]
     return np.median(distances) if len(distances) else float("nan")
 
@@ -395,8 +396,7 @@ def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -
     exp(-pi d r^2), for any field of view; half of them are farther than the median.
     """
     heights = np.concatenate([scan.positions[:, 2] for scan in scans])
-    nearest_m = [nearest_of_class_m(scan.positions[:, :2], np.zeros_like(scan.labels)) for scan in scans]
-    median_m = np.median(np.concatenate(nearest_m))
+    median_m = np.median(nearest_of_class_m([replace(scan, labels=0 * scan.labels) for scan in scans], is_level=True))
     share = 1.0 - tracked / len(heights)
     # The width of an even distribution with the entropy of a Gaussian; a detection and a landmark both err.
     height_m = np.sqrt(2.0 * np.pi * np.e * (np.var(heights) + 2.0 * sigma_m**2))

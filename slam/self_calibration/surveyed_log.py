@@ -13,7 +13,7 @@ from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
-from slam.self_calibration.object_tracks import SurveyScan, headings_of, poses_of, ranges_m
+from slam.self_calibration.object_tracks import SurveyScan, headings_of, poses_of
 from slam.self_calibration.variance_components import CLIP
 
 MAX_DETECTIONS = 150_000
@@ -73,12 +73,12 @@ class SurveyedLog:
         usable.sort(key=lambda detections: detections.stamp_ns)
         T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
         T_upright_body = invert(gravity_frame(T_odom_body)) @ T_odom_body
-        scans = []
+        placed = []
         for detections, T, T_upright in zip(usable, T_odom_body, T_upright_body, strict=True):
             T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T, calibration.detection)
             if T_body_sensor is not None:
-                scans.append(_upright_scan(detections, T, T_upright @ T_body_sensor, vocabulary, calibration))
-        scans = _without_far_off(scans)
+                placed.append((in_metres(detections, calibration.detection), T, T_upright @ T_body_sensor))
+        scans = _upright_scans(placed, vocabulary, calibration) if placed else []
         return scans, _motion(scans, stamps, poses, delay_ns)
 
     def poses_at(self, stamps_ns: IntArray, calibration: Calibration, delay_s: float) -> FloatArray:
@@ -93,8 +93,10 @@ class SurveyedLog:
         """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry, corrected by the calibration."""
         if self._latest_track is not None and self._latest_track[0] == calibration.odometry:
             return self._latest_track[1:]
-        calibrated = CalibratedOdometry(calibration.odometry)
-        odometry = [calibrated.correct(each) for each in self._odometry]
+        odometry = self._odometry
+        if calibration.odometry != OdometryCalibration():
+            calibrated = CalibratedOdometry(calibration.odometry)
+            odometry = [calibrated.correct(each) for each in odometry]
         stamps = np.array([each.stamp_ns for each in odometry], dtype=np.int64)
         if len(stamps) == 0:
             return stamps, np.zeros((0, 4, 4))
@@ -149,33 +151,34 @@ def _path_length(poses: FloatArray) -> float:
     return np.minimum(steps_m, CLIP * np.median(steps_m[moved])).sum() if moved.any() else 0.0
 
 
-def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
-    """The scans without detections that are implausibly far away."""
-    if not scans:
-        return scans
-    limit_m = FAR_OFF * np.median(ranges_m(scans))
-    near = [ranges_m([scan]) <= limit_m for scan in scans]
-    return [
-        replace(scan, positions=scan.positions[kept], labels=scan.labels[kept], variances=scan.variances[kept])
-        for scan, kept in zip(scans, near, strict=True)
-        if kept.any()
-    ]
-
-
-def _upright_scan(
-    detections: ObjectDetections,
-    T_odom_body: FloatArray,
-    T_upright_sensor: FloatArray,
+def _upright_scans(
+    placed: Sequence[tuple[ObjectDetections, FloatArray, FloatArray]],
     vocabulary: dict[str, int],
     calibration: Calibration,
-) -> SurveyScan:
-    detections = in_metres(detections, calibration.detection)
-    positions = apply(T_upright_sensor, detections.positions)
-    used = np.isfinite(positions).all(axis=1) & is_wanted(detections, calibration.detection)
-    variances = np.full(len(positions), np.nan)
-    if detections.covariances is not None:
-        variances = np.trace(detections.covariances, axis1=1, axis2=2) / 3.0
-        variances[variances == 0.0] = np.nan
-    labels = np.array([vocabulary.setdefault(label, len(vocabulary)) for label in detections.labels], dtype=np.int64)
-    np.minimum(labels, calibration.objects.max_classes - 1, out=labels)
-    return SurveyScan(detections.stamp_ns, T_odom_body, positions[used], labels[used], variances[used])
+) -> list[SurveyScan]:
+    """Scans of messages, each with ``T_odom_body`` (4, 4) and ``T_upright_sensor`` (4, 4), without detections that are
+    implausibly far away, and without empty scans.
+    """
+    messages, T_odom_body, T_upright_sensor = zip(*placed, strict=True)
+    counts = [len(each.positions) for each in messages]
+    unknown = np.full((max(counts), 3, 3), np.nan)
+    covariances = [
+        unknown[:count] if each.covariances is None else each.covariances
+        for each, count in zip(messages, counts, strict=True)
+    ]
+    variances = np.trace(np.concatenate(covariances), axis1=1, axis2=2) / 3.0
+    variances[variances == 0.0] = np.nan
+    names = [vocabulary.setdefault(label, len(vocabulary)) for each in messages for label in each.labels]
+    labels = np.minimum(np.array(names, dtype=np.int64), calibration.objects.max_classes - 1)
+    positions = np.concatenate([apply(T, each.positions) for T, each in zip(T_upright_sensor, messages, strict=True)])
+    used = np.isfinite(positions).all(axis=1)
+    used &= np.concatenate([is_wanted(each, calibration.detection) for each in messages])
+    ranges = np.hypot(positions[:, 0], positions[:, 1])
+    if used.any():
+        used &= ranges <= FAR_OFF * np.median(ranges[used])
+    scans, ends = [], np.cumsum(counts).tolist()
+    for message, T, count, end in zip(messages, T_odom_body, counts, ends, strict=True):
+        kept = end - count + np.flatnonzero(used[end - count : end])
+        if len(kept):
+            scans.append(SurveyScan(message.stamp_ns, T, positions[kept], labels[kept], variances[kept]))
+    return scans

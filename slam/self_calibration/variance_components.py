@@ -28,6 +28,7 @@ that the pairs have of a component while all others are held.
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import roots_genlaguerre
 
 from logs.records import frozen
@@ -218,6 +219,7 @@ class _Fit:
         self._group, self._start = pairs.group, np.flatnonzero(np.diff(pairs.group, prepend=-1))
         axes = _axes(pairs)
         self._A = axes @ _jacobians(pairs)
+        self._products = np.einsum("ndi,ndj->ndij", self._A, self._A)
         y = np.einsum("nij,nj->ni", axes, pairs.d)
         limit = CLIP * 1.4826 * np.median(np.abs(y), axis=0)
         self._y = np.where(limit > 0.0, np.clip(y, -limit, limit), y)
@@ -251,6 +253,13 @@ class _Fit:
         counts = np.diff(np.append(self._start, len(self._y)))[:, None]
         return np.add.reduceat((self._A**2).mean(axis=1), self._start, axis=0) / counts
 
+    def _sums_of_groups(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        """Sums (G, ...) of values (P, D, ...) times weights (P, D)."""
+        rows = weights.size
+        ends = np.append(self._start * weights.shape[1], rows)
+        sums = csr_array((weights.ravel(), np.arange(rows), ends)) @ values.reshape(rows, -1)
+        return sums.reshape(-1, *values.shape[2:])
+
     def _sums(self) -> tuple[FloatArray, FloatArray]:
         """For each component and block (18, BLOCKS) d' S^-1 V S^-1 d and tr(S^-1 V); updates the weights."""
         (own, shared), (weights, group_weights) = self._parts, self._weights
@@ -258,30 +267,29 @@ class _Fit:
         D = np.einsum("c,cnd->nd", self.variances[:OWN], own)
         Q = np.einsum("c,cgi->gi", self.variances[OWN:], shared)
         inverse = weights[:, None] / np.maximum(D, ROUNDING)
-        M = np.add.reduceat(A.swapaxes(1, 2) @ (inverse[:, :, None] * A), self._start, axis=0)
-        v = np.add.reduceat(np.einsum("ndi,nd->ni", A, inverse * y), self._start, axis=0)
+        M, v = self._sums_of_groups(inverse, self._products), self._sums_of_groups(inverse * y, A)
         root = np.sqrt(Q / group_weights[:, None])
-        scaled = root[:, :, None] * M * root[:, None, :]
+        roots = root[:, :, None] * root[:, None, :]
+        scaled = roots * M
         # Not singular by rounding, however much the variances differ.
         least = np.maximum(1.0, root.shape[1] * np.finfo(np.float64).eps * np.einsum("gii->g", scaled))
-        C = np.linalg.inv(least[:, None, None] * np.eye(7) + scaled)
-        C = root[:, :, None] * C * root[:, None, :]  # posterior covariance of xi
+        C = roots * _inverses(least[:, None, None] * np.eye(7) + scaled)  # posterior covariance of xi
         xi = np.einsum("gij,gj->gi", C, v)
         e = y - np.einsum("ndi,ni->nd", A, xi[group])
-        unknown = np.sum(A @ C[group] * A, axis=2)
+        unknown = np.einsum("ndij,nij->nd", self._products, C[group])
         own_expected = np.maximum(inverse - inverse**2 * unknown, 0.0)
-        shared_expected = np.maximum(np.einsum("gii->gi", M - M @ C @ M), 0.0)
+        shared_expected = np.maximum(np.einsum("gii->gi", M) - np.einsum("gij,gij->gi", M @ C, M), 0.0)
         of_own = [each / weights[:, None] for each in ((e * inverse) ** 2, own_expected)]
         of_shared = [
             each / group_weights[:, None] for each in ((v - np.einsum("gij,gj->gi", M, xi)) ** 2, shared_expected)
         ]
         block = self._pairs.block
         sums = [
-            np.concatenate([_by_block(own * a, block[group]), _by_block(shared * b, block)])
+            np.concatenate([_by_block(own, a, block[group]), _by_block(shared, b, block)])
             for a, b in zip(of_own, of_shared, strict=True)
         ]
-        information = [(own * of_own[1]) ** 2, (shared * of_shared[1]) ** 2]
-        held = np.concatenate([0.5 * each.sum(axis=(1, 2)) for each in information])
+        information = (own**2, of_own[1] ** 2), (shared**2, of_shared[1] ** 2)
+        held = np.concatenate([0.5 * np.einsum("cnd,nd->c", *each) for each in information])
         self._held_errors = np.where(held > 0.0, 1.0 / np.sqrt(np.maximum(held, 1e-300)), 0.0)
         shares = [
             ((e**2 + unknown) * inverse / weights[:, None]).sum(axis=1),
@@ -292,6 +300,18 @@ class _Fit:
         return sums[0], sums[1]
 
 
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Inverses of positive definite matrices (G, N, N), all at a time: each entry of the diagonal is swept."""
+    swept = np.ascontiguousarray(matrices.transpose(1, 2, 0))
+    for k in range(len(swept)):
+        pivot = swept[k, k].copy()
+        row = swept[k] / pivot
+        swept -= row[:, None] * swept[k]
+        swept[k] = swept[:, k] = row
+        swept[k, k] = -1.0 / pivot
+    return np.negative(swept.transpose(2, 0, 1), order="C")
+
+
 def _weights(squares: FloatArray, size: int) -> FloatArray:
     """Weights of Student's t-distribution for squared distances of vectors, 1 in the mean where these are Gaussian."""
     halves, shares = roots_genlaguerre(QUADRATURE, 0.5 * size - 1.0)  # of the chi-squared distribution
@@ -299,9 +319,10 @@ def _weights(squares: FloatArray, size: int) -> FloatArray:
     return size / mean * (FREEDOM + size) / (FREEDOM + squares)
 
 
-def _by_block(values: FloatArray, block: IntArray) -> FloatArray:
-    """Sums (C, BLOCKS) of values (C, N, D) by the block (N,)."""
-    return np.array([np.bincount(block, each, minlength=BLOCKS) for each in values.sum(axis=2)], dtype=np.float64)
+def _by_block(parts: FloatArray, values: FloatArray, block: IntArray) -> FloatArray:
+    """Sums (C, BLOCKS) of parts (C, N, D) of values (N, D) by the block (N,)."""
+    sums = np.einsum("cnd,nd->cn", parts, values)
+    return np.array([np.bincount(block, each, minlength=BLOCKS) for each in sums], dtype=np.float64)
 
 
 def _axes(pairs: _Displacements) -> FloatArray:

@@ -137,7 +137,7 @@ def test_scans_of_many_objects_take_no_memory_of_all_their_pairs():
     tracemalloc.start()
     try:
         follow_objects([scan_of(objects), scan_of(objects, number=1)])
-        nearest_of_class_m(objects, np.zeros(3000))
+        nearest_of_class_m([scan_of(objects)])
         assert tracemalloc.get_traced_memory()[1] < 60e6
     finally:
         tracemalloc.stop()
