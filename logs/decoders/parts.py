@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -157,6 +156,6 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
     if covariances is not None:
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
-    labels = tuple(label or UNKNOWN_LABEL for label in record.labels)
-    scores = np.clip(record.scores, 0.0, 1.0)
-    return replace(record, labels=labels, scores=scores, covariances=covariances)
+    labels = tuple(label or UNKNOWN_LABEL for label in record.labels) if "" in record.labels else record.labels
+    scores = record.scores.clip(0.0, 1.0)
+    return ObjectDetections(record.stamp_ns, record.frame_id, record.positions, labels, scores, covariances)

@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
+from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
@@ -161,6 +162,11 @@ def _plain(frame: str) -> str:
 
 def corrected_mount(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
     """``T_body_sensor`` (4, 4) with the sensor turned where it sits and shifted, both in the axes of the body."""
-    angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
-    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    R = _rotation(config.roll_deg, config.pitch_deg, config.yaw_deg)
     return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [config.x_m, config.y_m, 0.0])
+
+
+@lru_cache(maxsize=64)
+def _rotation(*angles_deg: float) -> FloatArray:
+    """(3, 3) of the angles about the fixed axes x, y, z, in this order; a drive has few mounts and many scans."""
+    return Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
