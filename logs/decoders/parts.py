@@ -147,8 +147,7 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
     ("ignored_covariances"), and None where none is known.
     """
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(record.positions) <= MAX_COORDINATE_M).all(axis=1) & np.isfinite(record.scores)
+    good = (np.abs(record.positions).max(axis=1) <= MAX_COORDINATE_M) & np.isfinite(record.scores)
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
         record = take_rows(record, N=np.flatnonzero(good))
@@ -157,5 +156,5 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
     labels = tuple(label or UNKNOWN_LABEL for label in record.labels) if "" in record.labels else record.labels
-    scores = record.scores.clip(0.0, 1.0)
+    scores = np.minimum(np.maximum(record.scores, 0.0), 1.0)
     return ObjectDetections(record.stamp_ns, record.frame_id, record.positions, labels, scores, covariances)
