@@ -20,9 +20,9 @@ from logs.validation import ROTATION_TOLERANCE, is_rotation, rotation_errors
 from logs.writer import LogWriter
 
 
-def raw(message, topic="/topic", log_time_ns=77):
+def raw(message):
     schema = Schema(1, message.DESCRIPTOR.full_name, "protobuf", b"")
-    return RawMessage(Channel(1, topic, "protobuf", schema), log_time_ns, log_time_ns, 0, message.SerializeToString())
+    return RawMessage(Channel(1, "/topic", "protobuf", schema), 77, 77, 0, message.SerializeToString())
 
 
 def pose(x=0.0, qx=0.0, qy=0.0, qz=0.0, qw=1.0):

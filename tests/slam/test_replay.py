@@ -37,7 +37,6 @@ from tests.helpers.short_drives import (
     odometry_of,
     raw_messages,
     records_of,
-    run,
     write_log,
 )
 from tests.tools import runs
@@ -121,14 +120,6 @@ def test_the_summary_agrees_with_the_output(noisy_replay):
     assert summary.final_status == status.message
     assert summary.log_s == pytest.approx(summary.counters["odometry_used"] * 0.1, abs=0.2)
     assert summary.wall_s > 0.0
-
-
-def test_an_output_that_is_there_is_replaced(noisy_drive, tmp_path):
-    output = tmp_path / "out.mcap"
-    output.write_bytes(b"old")
-    run(keep_until(noisy_drive, 2.0), output)
-    assert final_status(output).message == "optimised"
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["in.mcap", "out.mcap"]
 
 
 class PowerCutError(RuntimeError):
