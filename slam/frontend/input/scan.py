@@ -59,7 +59,7 @@ class Scan:
         return Scan(
             stamp_ns=self.stamp_ns,
             sensor=self.sensor,
-            positions=apply(T_frame_body, self.positions),
+            positions=self.positions @ R.T + T_frame_body[:3, 3],
             covariances=R @ self.covariances @ R.T,
             labels=self.labels,
             used=self.used,

@@ -17,6 +17,7 @@ from slam.common.errors import InputDataError
 from slam.common.geometry import blend, invert, make_transform
 
 _Edge = tuple[str, str]
+_IN_BODY = np.eye(4)
 
 
 class SensorFrames:
@@ -118,7 +119,7 @@ def find_sensor(
     if config.assume_odometry_frame:
         return invert(T_odom_body)
     if frame in ("", body_frame) or config.assume_body_frame:
-        return corrected_mount(np.eye(4), config)
+        return corrected_mount(_IN_BODY, config)
     if frame != odometry_frame and (T_body_sensor := frames.find(body_frame, frame, detections.stamp_ns)) is not None:
         return corrected_mount(T_body_sensor, config)
     T_odom_frame = frames.find(odometry_frame, frame, detections.stamp_ns)
@@ -162,11 +163,15 @@ def _plain(frame: str) -> str:
 
 def corrected_mount(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
     """``T_body_sensor`` (4, 4) with the sensor turned where it sits and shifted, both in the axes of the body."""
-    R = _rotation(config.roll_deg, config.pitch_deg, config.yaw_deg)
-    return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [config.x_m, config.y_m, 0.0])
+    angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
+    return _corrected(T_body_sensor.tobytes(), angles_deg, config.x_m, config.y_m)
 
 
 @lru_cache(maxsize=64)
-def _rotation(*angles_deg: float) -> FloatArray:
-    """(3, 3) of the angles about the fixed axes x, y, z, in this order; a drive has few mounts and many scans."""
-    return Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+def _corrected(mount: bytes, angles_deg: tuple[float, ...], x_m: float, y_m: float) -> FloatArray:
+    """The corrected mount, which nobody writes to: a drive has few mounts and many scans."""
+    T_body_sensor = np.frombuffer(mount).reshape(4, 4)
+    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    T = make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [x_m, y_m, 0.0])
+    T.flags.writeable = False
+    return T
