@@ -17,7 +17,6 @@ from slam.common.errors import InputDataError
 from slam.common.geometry import blend, invert, make_transform
 
 _Edge = tuple[str, str]
-_IN_BODY = np.eye(4)
 
 
 class SensorFrames:
@@ -119,7 +118,7 @@ def find_sensor(
     if config.assume_odometry_frame:
         return invert(T_odom_body)
     if frame in ("", body_frame) or config.assume_body_frame:
-        return corrected_mount(_IN_BODY, config)
+        return corrected_mount(np.eye(4), config)
     if frame != odometry_frame and (T_body_sensor := frames.find(body_frame, frame, detections.stamp_ns)) is not None:
         return corrected_mount(T_body_sensor, config)
     T_odom_frame = frames.find(odometry_frame, frame, detections.stamp_ns)
