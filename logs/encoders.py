@@ -9,7 +9,6 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
@@ -55,43 +54,35 @@ def definition_of(message_type: Any) -> tuple[str, str, bytes]:
     return message_type.full_name, "protobuf", definition.SerializeToString(deterministic=True)
 
 
-def _pose(T: FloatArray) -> Pose:
-    return Pose(position=_position(T), orientation=_quaternion(T))
-
-
-def _position(T: FloatArray) -> Vector3:
-    x, y, z = T[:3, 3].tolist()
-    return Vector3(x=x, y=y, z=z)
-
-
-def _quaternion(T: FloatArray) -> Quaternion:
-    x, y, z, w = quaternion_xyzw(T)
-    return Quaternion(x=x, y=y, z=z, w=w)
+def _place(position: Vector3, orientation: Quaternion, T: FloatArray) -> None:
+    position.x, position.y, position.z = T[:3, 3].tolist()
+    orientation.x, orientation.y, orientation.z, orientation.w = quaternion_xyzw(T)
 
 
 def _pose_in_frame(stamp_ns: int, frame_id: str, T: FloatArray) -> Message:
-    return PoseInFrame(timestamp=timestamp(stamp_ns), frame_id=frame_id, pose=_pose(T))
+    message = PoseInFrame(timestamp=timestamp(stamp_ns), frame_id=frame_id)
+    _place(message.pose.position, message.pose.orientation, T)
+    return message
 
 
 def _odometry(r: m.Odometry) -> Message:
-    return Odometry(
+    message = Odometry(
         timestamp=timestamp(r.stamp_ns),
         frame_id=r.frame_id,
         body_frame_id=r.child_frame_id,
-        pose=_pose(r.T_odom_body),
         # Unknown.
         pose_covariance=(0.0,) * 36,
     )
+    _place(message.pose.position, message.pose.orientation, r.T_odom_body)
+    return message
 
 
 def _transform(r: m.Transform) -> FrameTransform:
-    return FrameTransform(
-        timestamp=timestamp(r.stamp_ns),
-        parent_frame_id=r.parent_frame_id,
-        child_frame_id=r.child_frame_id,
-        translation=_position(r.T_parent_child),
-        rotation=_quaternion(r.T_parent_child),
+    message = FrameTransform(
+        timestamp=timestamp(r.stamp_ns), parent_frame_id=r.parent_frame_id, child_frame_id=r.child_frame_id
     )
+    _place(message.translation, message.rotation, r.T_parent_child)
+    return message
 
 
 def _location_fix(r: m.GeodeticFix) -> Message:

@@ -3,13 +3,15 @@
 Positions and scores that are not finite pass: such objects are left out, as those of a log.
 """
 
+import math
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
 from logs.errors import InvalidRecordError
-from logs.validation import ROTATION_TOLERANCE, rotation_errors
+from logs.validation import is_rotation, rotation_errors
 
 _T = TypeVar("_T")
 
@@ -29,14 +31,15 @@ def check_pose(record: Any, name: str, frames: tuple[str, ...]) -> None:
     """
     _check_stamp_and_frames(record, frames)
     _check_array(record, name, (4, 4))
-    T = getattr(record, name).astype(np.float64)
-    if not np.isfinite(T).all():
+    T = getattr(record, name)
+    *rows, last = T.tolist()
+    if not all(map(math.isfinite, chain(*rows, last))):
         raise _error(record, name, "not finite; leave such a record out")
-    error = float(rotation_errors(T[None, :3, :3])[0])
-    if error > ROTATION_TOLERANCE:
-        det = np.linalg.det(T[:3, :3])
+    if not is_rotation(rows):
+        R = T[:3, :3].astype(np.float64)
+        error, det = float(rotation_errors(R[None])[0]), np.linalg.det(R)
         raise _error(record, name, f"not a rotation (R^T R is off by {error:.4g}, det R = {det:.4g})")
-    if (last := T[3].tolist()) != [0.0, 0.0, 0.0, 1.0]:
+    if last != [0.0, 0.0, 0.0, 1.0]:
         raise _error(record, name, f"a matrix with the last row {last}; give 0 0 0 1: a transform maps columns")
 
 

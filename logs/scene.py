@@ -4,7 +4,6 @@ import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -57,7 +56,8 @@ def encode_lines(lines: SceneLines) -> Message:
     for polyline in lines.polylines:
         strip = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=2.0, scale_invariant=True, color=color)
         strip.pose.orientation.w = 1.0
-        strip.points.extend(Point3(x=x, y=y, z=z) for x, y, z in polyline.tolist())
+        for x, y, z in polyline.tolist():
+            strip.points.add(x=x, y=y, z=z)
     return update
 
 

@@ -130,6 +130,23 @@ def rotation_errors(R: FloatArray) -> FloatArray:
         return np.where(np.isfinite(errors) & (np.linalg.det(R) > 0.0), errors, np.inf)
 
 
+def is_rotation(rows: Sequence[Sequence[float]]) -> bool:
+    """Whether the first three columns of three ``rows`` of finite numbers are a rotation: what ``rotation_errors`` says
+    of many matrices, sooner for one.
+    """
+    (a, b, c, *_), (d, e, f, *_), (g, h, i, *_) = rows
+    errors = (
+        a * a + d * d + g * g - 1.0,
+        b * b + e * e + h * h - 1.0,
+        c * c + f * f + i * i - 1.0,
+        a * b + d * e + g * h,
+        a * c + d * f + g * i,
+        b * c + e * f + h * i,
+    )
+    determinant = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+    return max(map(abs, errors)) <= ROTATION_TOLERANCE and determinant > 0.0
+
+
 def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | None:
     """``P`` (n, n), symmetrised; None if all zero ("unknown"); None, counted, if not positive definite.
 
@@ -141,14 +158,15 @@ def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | Non
 
 def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        finite = (np.abs(P) <= MAX_COORDINATE_M**2).all(axis=(1, 2))
-        symmetric = 0.5 * (P + np.swapaxes(P, -1, -2))
-    symmetric[~finite] = 0.0
-    known = P.any(axis=(1, 2))
-    largest = np.abs(symmetric).max(axis=(1, 2), initial=0.0)
+    largest = np.abs(P).max(axis=(1, 2), initial=0.0)
+    finite = largest <= MAX_COORDINATE_M**2
+    if not finite.all():
+        P = np.where(finite[:, None, None], P, 0.0)
+    symmetric = 0.5 * (P + P.swapaxes(-1, -2))
     # Singular to double precision.
-    good = known & finite & (np.linalg.eigvalsh(symmetric)[:, 0] > 1e-14 * largest)
-    if ignored := int((known & ~good).sum()):
+    good = finite & (np.linalg.eigvalsh(symmetric)[:, 0] > 1e-14 * largest)
+    if good.all():
+        return symmetric
+    if ignored := int((~good & (largest != 0.0)).sum()):
         counters["ignored_covariances"] += ignored
     return np.where(good[:, None, None], symmetric, 0.0)

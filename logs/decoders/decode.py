@@ -113,7 +113,7 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         if len(record.labels) > limits.objects:
             raise Refusal("too many objects for memory_mb", f"{len(record.labels)}, more than {limits.objects}")
         names += record.labels
-    if any(type(name) is not str for name in names):
+    if {*map(type, names)} - {str}:
         raise Refusal("name is not text")
     if max(map(len, names), default=0) > limits.name_length:
         raise Refusal("name too long for memory_mb", f"more than {limits.name_length} characters")

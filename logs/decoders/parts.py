@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -148,8 +147,7 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
     ("ignored_covariances"), and None where none is known.
     """
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(record.positions) <= MAX_COORDINATE_M).all(axis=1) & np.isfinite(record.scores)
+    good = (np.abs(record.positions).max(axis=1) <= MAX_COORDINATE_M) & np.isfinite(record.scores)
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
         record = take_rows(record, N=np.flatnonzero(good))
@@ -157,6 +155,6 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
     if covariances is not None:
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
-    labels = tuple(label or UNKNOWN_LABEL for label in record.labels)
-    scores = np.clip(record.scores, 0.0, 1.0)
-    return replace(record, labels=labels, scores=scores, covariances=covariances)
+    labels = tuple(label or UNKNOWN_LABEL for label in record.labels) if "" in record.labels else record.labels
+    scores = np.minimum(np.maximum(record.scores, 0.0), 1.0)
+    return ObjectDetections(record.stamp_ns, record.frame_id, record.positions, labels, scores, covariances)

@@ -15,11 +15,13 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.geometry import apply_each, invert, squared_mahalanobis
 from slam.fleet.joins import Join
 from slam.fleet.part import Part, Visit, common_metadata
-from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.loop_closure.landmark_fusion import fuse_landmarks
+from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
 
 MAX_DEVIATIONS = 7.0
@@ -138,7 +140,7 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
     graph.restore(T_map_place, [*group.edges(), *map(group.closure, joins)], observations)
     _merge_matched(object_map, joins, rows_of)
     graph.alias_landmarks(object_map.aliases)
-    _optimize(graph, object_map, group, radius_m=2.0 * config.calibration.objects.landmark_sigma_m)
+    _optimize(graph, object_map, config.calibration.objects)
     stamps_ns = np.concatenate([part.saved.graph.keyframe_stamps_ns for part in group.parts.values()])
     objects = confirmed(object_map.to_record(int(stamps_ns.max())))
     record = observing(graph.to_record(objects.stamp_ns, stamps_ns), objects, np.ones(len(stamps_ns), dtype=np.bool_))
@@ -182,74 +184,12 @@ def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mappin
                 maps_of[kept] |= maps_of[dropped]
 
 
-def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radius_m: float) -> None:
-    """Optimise a graph and fuse its duplicate landmarks, until there are none; the object map takes the estimates."""
+def _optimize(graph: FactorGraph, object_map: ObjectMap, config: ObjectCalibration) -> None:
+    """Optimise a graph and fuse its duplicate landmarks; the object map takes the estimates."""
     graph.optimize()
-    # Better positions show more duplicates.
-    while fuse_across_drives(object_map, graph, group.numbers, radius_m=radius_m):
+    if fuse_landmarks(object_map, graph, config):
         graph.optimize()
     landmarks = graph.landmarks
     object_map.assign(
         landmarks, position_map=graph.landmark_positions(landmarks), covariance_map=graph.covariances()[1]
     )
-
-
-def fuse_across_drives(object_map: ObjectMap, graph: FactorGraph, drives: IntArray, *, radius_m: float) -> int:
-    """Merge duplicate landmarks of many drives until there are none; returns how many were merged into another.
-
-    Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
-    ``radius_m`` in the plane, and no keyframe, or only those of the fewer drives that passed, observed both. The
-    older one stays where it is and is compared again, with the keyframes of both.
-
-    Args:
-        object_map: the landmarks.
-        graph: their positions, at its current estimate.
-        drives: (K,) number of the drive of each keyframe, by date.
-        radius_m: largest horizontal distance of duplicates [m].
-    """
-    merged = 0
-    while True:
-        observers = graph.observers()
-        rows = np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks)
-        nearest = _nearest_alike(graph.landmark_positions(rows), object_map.labels.classes(rows), radius_m)
-        before = merged
-        for index, other in enumerate(nearest.tolist()):
-            kept, dropped = rows[[index, other]].tolist()
-            is_mutual = index < other and nearest[other] == index
-            if is_mutual and _may_be_one(observers[kept], observers[dropped], drives):
-                object_map.merge(kept, dropped)
-                merged += 1
-        if merged == before:
-            return merged
-        graph.alias_landmarks(object_map.aliases)
-
-
-def _may_be_one(a: set[int], b: set[int], drives: IntArray) -> bool:
-    """Whether no keyframe observed both landmarks, or most drives that passed have one of them rather than both.
-
-    Only drives from the one before the first that has the rarer landmark to the one after the last count: an object
-    that came later than the one beside it was not there for the others to see.
-    """
-    if a.isdisjoint(b):
-        return True
-    rare, common = sorted(({int(drives[keyframe]) for keyframe in each} for each in (a, b)), key=len)
-    first = max((drive for drive in common if drive < min(rare)), default=min(rare))
-    last = min((drive for drive in common if drive > max(rare)), default=max(rare))
-    passed = [drive for drive in rare | common if first <= drive <= last]
-    return 2 * len(rare & common) < len(passed)
-
-
-def _nearest_alike(positions: FloatArray, classes: IntArray, radius_m: float) -> IntArray:
-    """Index (N,) of the nearest other landmark of the same class within the radius, -1 where there is none."""
-    nearest = np.full(len(positions), -1, dtype=np.int64)
-    pairs = cKDTree(positions[:, :2]).query_pairs(radius_m, output_type="ndarray").astype(np.int64)
-    # Heights are less exact, as the centre of a partly visible object moves up and down.
-    alike = (classes[pairs[:, 0]] == classes[pairs[:, 1]]) & (
-        np.abs(positions[pairs[:, 0], 2] - positions[pairs[:, 1], 2]) < radius_m / 0.7
-    )
-    pairs = np.concatenate([pairs[alike], pairs[alike][:, ::-1]])
-    apart_m = np.linalg.norm(positions[pairs[:, 0], :2] - positions[pairs[:, 1], :2], axis=1)
-    # The last assignment to an index counts, so the nearest comes last; ties go to the lower index.
-    order = np.lexsort((-pairs[:, 1], -apart_m))
-    nearest[pairs[order, 0]] = pairs[order, 1]
-    return nearest

@@ -100,6 +100,7 @@ class DriveCheck:
         self._sigma_m = calibration.objects.landmark_sigma_m
         self._stride, self._offered = 1, 0
         self._scans: list[SampledScan] = []
+        self._detections = 0  # in these scans
 
     def add(self, tracked: Tracked, pose: OdometryPose, T_map_body: FloatArray) -> None:
         """Take the next scan with detections if it is due, at a ``pose`` that it has not corrected, and where that was
@@ -111,9 +112,11 @@ class DriveCheck:
         if self._offered % self._stride == 0:
             scan = SampledScan(pose.stamp_ns, positions, tracked.labels, pose.travel_m, T_odom_body, T_map_body)
             self._scans.append(scan)
-            while sum(len(kept.positions) for kept in self._scans) > MAX_DETECTIONS and len(self._scans) > 1:
+            self._detections += len(positions)
+            while self._detections > MAX_DETECTIONS and len(self._scans) > 1:
                 del self._scans[1::2]
                 self._stride *= 2
+                self._detections = sum(len(kept.positions) for kept in self._scans)
         self._offered += 1
 
     def judge(self, final: TrajectoryRecord) -> TrajectoryCheck:

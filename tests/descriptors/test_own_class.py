@@ -92,12 +92,12 @@ def _short_epochs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
 
 
-def small_training(name: str) -> Recipe:
-    return Recipe(ContrastTraining(architecture=default_architecture(name), epochs=1, validation_maps=1))
+def small_training() -> Recipe:
+    return Recipe(ContrastTraining(architecture=default_architecture("mine:Net"), epochs=1, validation_maps=1))
 
 
 def test_network_of_the_page_is_trained_and_its_weights_describe(mine: Path) -> None:
-    train(small_training("mine:Net"), mine / "out", threads=1)
+    train(small_training(), mine / "out", threads=1)
     vectors = described(str(mine / "out" / "weights.safetensors"))
     assert vectors.shape == (20, 32)
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=1e-5)
@@ -124,4 +124,4 @@ def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: 
         f"{weights}    {body}\n"
     )
     with pytest.raises(DescriptorError, match=rf"^mine:Net: .*{message}"):
-        train(small_training("mine:Net"), mine / "out", threads=1)
+        train(small_training(), mine / "out", threads=1)

@@ -11,8 +11,6 @@ import pytest
 import torch
 
 from descriptors.descriptellation.network import DescriptellationArchitecture
-from descriptors.errors import DescriptorError
-from descriptors.learned.networks import default_architecture
 from descriptors.learned.weights import read_weights
 from descriptors.training import trainer
 from descriptors.training.contrast import ContrastTraining
@@ -109,9 +107,3 @@ def test_weights_that_are_trained_further_compete_with_the_weights_before(tmp_pa
     assert kept.metrics["epoch"] == best
     are_equal = all(np.array_equal(kept.tensors[name], before.tensors[name]) for name in before.tensors)
     assert are_equal is (best == 0)
-
-
-def test_network_that_does_not_exist_is_refused():
-    assert default_architecture("descriptellation") == DescriptellationArchitecture()
-    with pytest.raises(DescriptorError, match=r"unknown network 'transformer'; choose descriptellation_lr, d"):
-        default_architecture("transformer")

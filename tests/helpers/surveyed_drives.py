@@ -42,12 +42,11 @@ class SurveyedDrive:
         *,
         scans: int = 1200,
         objects: int = 350,
-        range_m: float = 15.0,
         scale: float = 1.0,
         turns: bool = True,
     ) -> None:
         self._rng = np.random.default_rng(seed)
-        self.scale, self.range_m = scale, range_m
+        self.scale, self.range_m = scale, 15.0
         self.noise = replace(NO_NOISE, **{name: sigma**2 for name, sigma in sigmas.items()})
         self._drive(scans, turns)
         self._odometry()

@@ -122,19 +122,19 @@ def test_times_after_the_next_century_are_left_out(file, tmp_path, time_ns):
     assert summarize(tmp_path / "log.mcap").counters["messages_without_time"] == 1
 
 
-def objects_log(path: Path, labels: list[tuple[str, ...]]) -> Path:
+def objects_log(folder: Path, labels: list[tuple[str, ...]]) -> Path:
     scans = (detections_of(np.zeros((len(names), 3)), names, stamp_ns=i + 1) for i, names in enumerate(labels))
-    return write_records(path, (("/objects", scan) for scan in scans))
+    return write_records(folder / "log.mcap", (("/objects", scan) for scan in scans))
 
 
 @pytest.mark.parametrize("labels", [("tree",) * 11, ("x" * 1001,)])
 def test_messages_with_too_many_objects_or_long_names_are_left_out(tmp_path, labels):
-    path = objects_log(tmp_path / "log.mcap", [("tree",) * 10, labels])
+    path = objects_log(tmp_path, [("tree",) * 10, labels])
     assert read(path, limits=ReadingLimits(objects=10)) == (1, {"invalid_messages": 1})
 
 
 def test_summary_counts_the_rarest_of_too_many_classes_as_one(tmp_path, monkeypatch):
     monkeypatch.setattr("logs.summary.MAX_CLASSES", 10)
     labels = [("tree", *(f"class {i}" for i in range(k, k + 8))) for k in range(0, 80, 8)]
-    counts = summarize(objects_log(tmp_path / "log.mcap", labels)).class_counts
+    counts = summarize(objects_log(tmp_path, labels)).class_counts
     assert (counts["tree"], sum(counts.values()), len(counts) <= 12) == (10, 90, True)

@@ -58,7 +58,8 @@ def test_cut_message_is_refused() -> None:
             decode(replace(raw, data=raw.data[:length]), "odometry")  # type: ignore[arg-type]
 
 
-def with_definition(raw: RawMessage, encoding: str, text: str) -> RawMessage:
+def with_definition(encoding: str, text: str) -> RawMessage:
+    raw = stamped()
     assert raw.channel.schema is not None
     schema = replace(raw.channel.schema, encoding=encoding, data=text.encode())
     return replace(raw, channel=replace(raw.channel, schema=schema))
@@ -88,7 +89,7 @@ module std_msgs { module msg { struct Header { builtin_interfaces::msg::Time sta
 def test_definitions_in_idl() -> None:
     text = "".join(f"{'=' * 80}\nIDL: {name}\n{part}" for name, part in IDL.items())
     (expected,) = decode(stamped(), "odometry")  # type: ignore[arg-type]
-    (record,) = decode(with_definition(stamped(), "ros2idl", text), "odometry")  # type: ignore[arg-type]
+    (record,) = decode(with_definition("ros2idl", text), "odometry")  # type: ignore[arg-type]
     assert_same_record(record, expected, tolerance=0.0)
 
 
@@ -101,7 +102,7 @@ def test_definitions_in_idl() -> None:
     ],
 )
 def test_unusable_definition_is_refused(encoding: str, text: str, fault: str) -> None:
-    raw = with_definition(stamped(), encoding, text)
+    raw = with_definition(encoding, text)
     with pytest.raises(InvalidRecordError, match=fault):
         decode(replace(raw, data=b"\0\1\0\0" + bytes(8)), "odometry")  # type: ignore[arg-type]
 

@@ -41,16 +41,13 @@ def test_files_of_a_bag_are_read_as_one(bags: dict[str, Path]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("has_definitions", [True, False])
-def test_databases_are_refused_with_the_command_that_converts_them(
-    messages: list[Message], tmp_path: Path, has_definitions: bool
-) -> None:
+def test_databases_are_refused_with_the_command_that_converts_them(messages: list[Message], tmp_path: Path) -> None:
+    """As before ROS 2 Iron, without the definitions of messages."""
     bag = write_bag(tmp_path / "bag", messages, storage="sqlite3")
-    if not has_definitions:  # as before ROS 2 Iron
-        with sqlite3.connect(bag / "part_0.db3") as database:
-            database.executescript("DROP TABLE message_definitions; DROP TABLE schema")
-        described = (bag / "metadata.yaml").read_text()
-        (bag / "metadata.yaml").write_text(described.replace("version: 8", "version: 4"))
+    with sqlite3.connect(bag / "part_0.db3") as database:
+        database.executescript("DROP TABLE message_definitions; DROP TABLE schema")
+    described = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(described.replace("version: 8", "version: 4"))
     with pytest.raises(UnreadableLogError, match=r"part_0\.db3 is a database of rosbag2; convert it by") as refused:
         LogReader(bag)
     command = re.search("'rosbags-convert (.*)'", str(refused.value))[1].replace("NEW", str(tmp_path / "new")).split()

@@ -16,12 +16,13 @@ from logs.reader import LogReader
 from logs.schemas import dslam_pb2 as pb
 from logs.selection import Selection
 from logs.topics import Channel, RawMessage, Schema
+from logs.validation import ROTATION_TOLERANCE, is_rotation, rotation_errors
 from logs.writer import LogWriter
 
 
-def raw(message, topic="/topic", log_time_ns=77):
+def raw(message):
     schema = Schema(1, message.DESCRIPTOR.full_name, "protobuf", b"")
-    return RawMessage(Channel(1, topic, "protobuf", schema), log_time_ns, log_time_ns, 0, message.SerializeToString())
+    return RawMessage(Channel(1, "/topic", "protobuf", schema), 77, 77, 0, message.SerializeToString())
 
 
 def pose(x=0.0, qx=0.0, qy=0.0, qz=0.0, qw=1.0):
@@ -45,6 +46,15 @@ def test_poses_that_are_none_are_refused(fields, reason):
     with pytest.raises(InvalidRecordError, match=r"/topic at 77 ns: ") as caught:
         decode(pose(**fields), "odometry")
     assert caught.value.reason == reason
+
+
+def test_one_matrix_is_judged_as_many_are():
+    rng = np.random.default_rng(0)
+    R = Rotation.random(500, rng).as_matrix() * rng.choice([1.0, 1.0, -1.0], (500, 1, 1))
+    R += rng.uniform(-1.0, 1.0, R.shape) * 2e-3 * (rng.random(R.shape) < 0.2)
+    expected = rotation_errors(R) <= ROTATION_TOLERANCE
+    assert 100 < expected.sum() < 400
+    assert [is_rotation(each) for each in R.tolist()] == expected.tolist()
 
 
 @given(

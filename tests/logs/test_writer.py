@@ -94,11 +94,9 @@ def test_a_disk_that_fills_up_is_one_clear_error(tmp_path, monkeypatch):
     assert (tmp_path / "log.mcap.part").exists()
 
 
-def test_paths_that_cannot_be_written(tmp_path):
+def test_a_path_that_cannot_be_written(tmp_path):
     with pytest.raises(UnwritableLogError, match="No such file"):
         LogWriter(tmp_path / "no folder" / "log.mcap")
-    with pytest.raises(UnwritableLogError, match="is a folder"):
-        LogWriter(tmp_path)
 
 
 @pytest.mark.parametrize("time_ns", [-1, 2**62])

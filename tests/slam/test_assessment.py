@@ -42,11 +42,11 @@ def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGrap
     )
 
 
-def landmarks(*, confirmed: int = 10, moving: int = 0) -> ObjectMapRecord:
-    count = confirmed + moving
+def landmarks(moving: int = 0) -> ObjectMapRecord:
+    count = 10 + moving
     record = ObjectMapRecord.of_objects(tuple(map(str, range(count))), np.zeros((count, 3)), [0] * count, ("car",))
-    states = ("confirmed",) * confirmed + ("retired",) * moving
-    return replace(record, states=states, reasons=("",) * confirmed + ("moving",) * moving)
+    states = ("confirmed",) * 10 + ("retired",) * moving
+    return replace(record, states=states, reasons=("",) * 10 + ("moving",) * moving)
 
 
 def doubts(

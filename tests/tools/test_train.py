@@ -97,7 +97,7 @@ def test_train_refuses_a_map_with_too_few_objects(dslam: Run, tmp_path: Path, ro
     ("options", "told"),
     [
         (("--anew",), ("--anew", "--maps")),
-        (("--network", "transformer"), ("'transformer'", "descriptellation")),
+        (("--network", "transformer"), ("unknown network 'transformer'; choose descriptellation_lr, d",)),
         (("--network", "descriptellation", "--device", "gpu"), ("gpu",)),
         (("--network", "descriptellation", "--device", "cuda:99"), ("cuda:99",)),
     ],

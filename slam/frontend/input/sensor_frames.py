@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
+from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
@@ -162,5 +163,14 @@ def _plain(frame: str) -> str:
 def corrected_mount(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
     """``T_body_sensor`` (4, 4) with the sensor turned where it sits and shifted, both in the axes of the body."""
     angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
+    return _corrected(T_body_sensor.tobytes(), angles_deg, config.x_m, config.y_m)
+
+
+@lru_cache(maxsize=64)
+def _corrected(mount: bytes, angles_deg: tuple[float, ...], x_m: float, y_m: float) -> FloatArray:
+    """The corrected mount, which nobody writes to: a drive has few mounts and many scans."""
+    T_body_sensor = np.frombuffer(mount).reshape(4, 4)
     R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
-    return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [config.x_m, config.y_m, 0.0])
+    T = make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [x_m, y_m, 0.0])
+    T.flags.writeable = False
+    return T

@@ -31,8 +31,8 @@ def edge(kind: str, **changed: FloatArray) -> Edge:
     return Edge(0, 1, parts["T_from_to"], parts["covariance"], kind)
 
 
-def observed(position: FloatArray = FAR, inflation: float = 1.0, sigma_m: float = SIGMA_M) -> Observation:
-    return Observation(0, 0, position, sigma_m**2 * np.eye(3), inflation)
+def observed(position: FloatArray = FAR, inflation: float = 1.0) -> Observation:
+    return Observation(0, 0, position, SIGMA_M**2 * np.eye(3), inflation)
 
 
 def error(kind: str, off_m: float) -> float:

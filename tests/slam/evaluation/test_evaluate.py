@@ -150,6 +150,7 @@ def test_unmeasured_parts_are_empty_with_reason() -> None:
     assert at_json(result, "closures.accepted_count") == 2
     assert at_json(result, "closures.precision") is None
     assert "--reference" in result.unavailable["trajectory"]
+    assert "truth of the detections" in result.unavailable["associations"]
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
@@ -164,12 +165,6 @@ def test_revisits_need_keyframes() -> None:
     assert "/slam/graph" in result.unavailable["closures"]
     assert at_json(result, "closures.precision") == 0.5
     assert "recall" not in result.to_json_dict()["closures"]
-
-
-def test_landmarks_need_truth_of_detections() -> None:
-    result = evaluate(collect_records(without("/ground_truth/detections")))
-    assert at_json(result, "landmarks") == {}
-    assert "detections" in result.unavailable["associations"]
 
 
 def test_a_reference_of_another_drive_is_told() -> None:

@@ -46,9 +46,9 @@ def test_a_place_that_a_map_has_twice_is_not_recognised(maps: list[SavedMap]) ->
     assert find_joins(maps[1], [twice], CONFIG) == []
 
 
-def join(log_odds: float, *, reference_map: int = 0, query_map: int = 1) -> Join:
+def join(log_odds: float, *, query_map: int = 1) -> Join:
     nothing = np.zeros((0, 2), int)
-    return Join(query_map, reference_map, 0, np.eye(4), np.eye(4), np.eye(6), log_odds, nothing)
+    return Join(query_map, 0, 0, np.eye(4), np.eye(4), np.eye(6), log_odds, nothing)
 
 
 def test_accept_joins_takes_all_joins_of_two_maps_that_the_surest_joins() -> None:

@@ -59,12 +59,12 @@ def random_scene(rng: np.random.Generator, detections: int, landmarks: int) -> S
     return Scene(Objects(places[0], P[0], rng.integers(3, size=detections)), places[1], P[1], beliefs)
 
 
-def plain_scene(seen, landmarks, *, labels=None, beliefs=None, sigma_m: float = SIGMA_M) -> Scene:
+def plain_scene(seen, landmarks, *, labels=None, beliefs=None) -> Scene:
     """Detections and landmarks (N,) along x or (N, 3) m, of two classes, all of the first one unless given."""
     places = [np.array(each, float) for each in (seen, landmarks)]
     places = [each if each.ndim == 2 else np.column_stack([each, np.zeros((len(each), 2))]) for each in places]
     D, L = map(len, places)
-    P = [spheres(sigma_m, count) for count in (D, L)]
+    P = [spheres(SIGMA_M, count) for count in (D, L)]
     labels = np.zeros(D, int) if labels is None else np.array(labels)
     beliefs = np.tile([1.0, 0.0], (L, 1)) if beliefs is None else np.array(beliefs)
     return Scene(Objects(places[0], P[0], labels), places[1], P[1], beliefs)

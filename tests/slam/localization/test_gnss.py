@@ -46,7 +46,8 @@ def fixes_of(positions: FloatArray, sigma_m: float = 2.0, *, seed: int = 1) -> l
     ]
 
 
-def path(count: int = 200, step_m: float = 3.0) -> TrajectoryRecord:
+def path(step_m: float = 3.0) -> TrajectoryRecord:
+    count = 200
     yaw = 0.02 * np.arange(count)
     xyz = np.cumsum(step_m * np.stack([np.cos(yaw), np.sin(yaw), np.zeros(count)], axis=1), axis=0)
     stamps_ns = SECOND * np.arange(count)
@@ -140,8 +141,9 @@ def test_location_fix_comes_back_as_written(tmp_path: Path) -> None:
     assert found[1].covariance is None
 
 
-def with_fixes(entries: list[Entry]) -> list[Entry]:
-    """The drive with a receiver that sees the robot once in five poses."""
+def with_fixes() -> list[Entry]:
+    """A drive with a receiver that sees the robot once in five poses."""
+    entries = drive()
     poses = [entry for entry in entries if entry[0] == "/ground_truth"][::5]
     fixes = far_off(fixes_of(np.array([pose.T_world_body[:3, 3] for _, _, pose in poses]), 0.3), 0.2)
     made = [("/fix", at, replace(fix, stamp_ns=pose.stamp_ns)) for fix, (_, at, pose) in zip(fixes, poses, strict=True)]
@@ -164,7 +166,7 @@ def test_fixes_at_a_pole_tell_nothing() -> None:
 
 def test_fixes_of_a_drive_are_edges_of_its_graph_from_the_first_keyframe() -> None:
     slam = Slam(Config())
-    for _, _, record in with_fixes(drive()):
+    for _, _, record in with_fixes():
         if isinstance(record, Odometry | GeodeticFix):
             slam.process(record)
     graph = slam.finish().graph
@@ -177,7 +179,7 @@ def test_fixes_of_a_drive_are_edges_of_its_graph_from_the_first_keyframe() -> No
 
 @pytest.mark.slow
 def test_a_drive_with_fixes_tells_where_on_earth_it_was(tmp_path: Path) -> None:
-    source = write_log(tmp_path / "in.mcap", with_fixes(drive()))
+    source = write_log(tmp_path / "in.mcap", with_fixes())
     replay(source, tmp_path / "out.mcap", Config())
     with LogReader(tmp_path / "out.mcap") as reader:
         found = Georeference.from_json(reader.metadata()["dslam_georeference"]["georeference"])
@@ -193,7 +195,7 @@ def test_a_drive_with_fixes_tells_where_on_earth_it_was(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_saved_map_with_a_place_on_earth_locates_later_drives(tmp_path: Path) -> None:
-    source = write_log(tmp_path / "in.mcap", with_fixes(drive()))
+    source = write_log(tmp_path / "in.mcap", with_fixes())
     replay(source, tmp_path / "first.mcap", Config(), map_path=tmp_path / "map.mcap")
     saved = load_map(tmp_path / "map.mcap")
     placed = replace(saved, metadata={**saved.metadata, "georeference": TRUE.to_json()})

@@ -30,12 +30,12 @@ def town() -> World:
     return replace(world, positions=world.positions + shift, tour=world.tour + shift[:2])
 
 
-def city_map(town: World, sigma_m: float = 0.3) -> PriorMap:
+def city_map(town: World) -> PriorMap:
     rng = np.random.default_rng(5)
     kept = np.flatnonzero(rng.random(len(town.labels)) > 0.2)
     positions = town.positions[kept] * [1.0, 1.0, 0.0]
     return make_imported_map(
-        positions, [town.labels[row] for row in kept], [town.object_ids[row] for row in kept], sigma_m=sigma_m
+        positions, [town.labels[row] for row in kept], [town.object_ids[row] for row in kept], sigma_m=0.3
     )
 
 

@@ -16,12 +16,11 @@ def make_keyframe(number: int, travel_m: float, *, segment: int = 0, is_prior: b
     return keyframe_at(pose_at(travel_m), number, travel_m=travel_m, segment=segment, is_prior=is_prior)
 
 
-def make_submap(positions: FloatArray, labels: list[int] | None = None, *, first_row: int = 0) -> Submap:
-    """Landmarks at ``positions`` (N, 3) m, of one class unless it is said."""
+def make_submap(positions: FloatArray, *, first_row: int = 0) -> Submap:
+    """Landmarks at ``positions`` (N, 3) m, of one class."""
     count = len(positions)
-    classes = np.array(labels if labels is not None else [0] * count, int)
     rows = np.arange(first_row, first_row + count)
-    return Submap(np.asarray(positions, float).reshape(-1, 3), np.full(count, 0.3), classes, rows)
+    return Submap(np.asarray(positions, float).reshape(-1, 3), np.full(count, 0.3), np.zeros(count, int), rows)
 
 
 def part_of(submap: Submap, count: int) -> Submap:

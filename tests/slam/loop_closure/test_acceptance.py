@@ -27,8 +27,8 @@ def candidate(x_m: float, llr: float) -> Candidate:
     return replace(made, unpredicted_penalty=PENALTY + 10.0)
 
 
-def query(travel_m: float = 300.0) -> Query:
-    return make_query(make_keyframe(50, travel_m))
+def query() -> Query:
+    return make_query(make_keyframe(50, 300.0))
 
 
 @pytest.fixture

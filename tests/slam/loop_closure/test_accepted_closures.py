@@ -48,9 +48,9 @@ class Drive:
         assert not any(record.accepted or record.inserted for record in records)
         return sorted(record.query_keyframe_id for record in records)
 
-    def condense(self, query: int) -> None:
-        """Let the factor of a closure be condensed."""
-        self.graph.remove_factors([self.factors[query]])
+    def condense_95(self) -> None:
+        """Let the factor of the closure of that query be condensed."""
+        self.graph.remove_factors([self.factors[95]])
         self.closures.forget_condensed()
 
     @property
@@ -117,7 +117,7 @@ def test_a_condensed_closure_is_part_of_the_map_for_good(street):
     street.accept(95)
     street.accept(94)
     street.accept(110)
-    street.condense(95)
+    street.condense_95()
     assert street.closed == [95, 94, 110]
     assert street.declare_lost(since=0) == [110]
     assert street.closed == [95, 94]
@@ -127,7 +127,7 @@ def test_segments_stay_connected_by_a_condensed_closure():
     street = Drive(second_segment=1)
     street.accept(95)
     assert street.closures.is_localized(street.keyframes[95])
-    street.condense(95)
+    street.condense_95()
     street.accept(110)
     street.closures.revoke_since(make_keyframe(street.keyframes[-1].id, STEP_M * 95 + 61.0, segment=1), 110)
     assert street.closures.is_localized(street.keyframes[95])

@@ -81,8 +81,8 @@ class Street:
     def accepted(self) -> list[Accepted]:
         return list(self.closures._accepted)
 
-    def revoke(self, number: int) -> None:
-        self.closures._remove([self.accepted[number]])
+    def revoke(self) -> None:
+        self.closures._remove([self.accepted[0]])
 
     def names(self) -> list[int]:
         return self.map.canonical.tolist()
@@ -170,8 +170,8 @@ def test_withdrawing_closures_in_the_order_of_their_insertion_restores_everythin
     street.close(7, 2, SAME_STATIONS)
     street.close(12, 7, [(10 + station, STATIONS + station) for station in range(STATIONS)])
     assert set(street.names()) == set(range(STATIONS))
-    street.revoke(0)
-    street.revoke(0)
+    street.revoke()
+    street.revoke()
     assert street.facts() == before
 
 
@@ -182,10 +182,10 @@ def test_a_fusion_outlives_the_closures_around_it(pair):
     for each in (street, alone):
         each.fuse(*pair)
     street.close(12, 7, [(12, 7), (14, 9)])
-    street.revoke(0)
+    street.revoke()
     assert len({street.names()[row] for row in pair}) == 1
     assert street.names()[2] == 2
-    street.revoke(0)
+    street.revoke()
     assert street.facts() == alone.facts()
 
 
@@ -209,6 +209,6 @@ def test_segments_are_connected_as_long_as_a_closure_does_it(street):
     street.close(7, 2, [])
     street.close(12, 7, [])
     assert street.closures.is_localized(street.keyframes[14])
-    street.revoke(0)
+    street.revoke()
     assert not street.closures.is_localized(street.keyframes[14])
     assert street.closures._component_of(7) == street.closures._component_of(12)

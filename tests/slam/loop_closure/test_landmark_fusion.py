@@ -7,7 +7,6 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
-from slam.fleet.joint_map import fuse_across_drives
 from slam.frontend.data_association import DECIDED
 from slam.loop_closure.landmark_fusion import fuse_landmarks
 from slam.object_map.landmarks import ObjectMap
@@ -129,31 +128,3 @@ def test_fuse_landmarks_leaves_a_fixed_map_as_it_is() -> None:
     seen = [Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN) for row in (0, 1)]
     graph.restore(np.tile(np.eye(4), (2, 1, 1)), [Edge(0, 1, np.eye(4), np.eye(6), "odometry")], seen)
     assert fuse_landmarks(object_map, graph, OBJECTS) == 0
-
-
-def test_fuse_across_drives_merges_what_one_drive_has_twice() -> None:
-    landmarks = [("tree", (5.0, 4.0, 0.0), (0, 1, 2, 4)), ("tree", (5.3, 3.8, 0.2), (2,))]
-    assert fuse_across_drives(*mapped(landmarks), np.zeros(KEYFRAMES, np.int64), radius_m=0.7) == 0
-    assert fuse_across_drives(*mapped(landmarks), np.arange(KEYFRAMES), radius_m=0.7) == 1
-
-
-@pytest.mark.parametrize(
-    "seen",
-    [
-        pytest.param(((0, 1, 2, 3), (0, 1, 2)), id="most drives have both"),
-        pytest.param(((0, 1, 2, 3, 4), (3, 4)), id="it came later"),
-        pytest.param(((0, 1, 2, 3, 4), (0, 1)), id="it went"),
-    ],
-)
-def test_fuse_across_drives_keeps_what_most_drives_saw_beside_another(seen: tuple[tuple[int, ...], ...]) -> None:
-    landmarks = [("tree", (5.0, 4.0, 0.0), seen[0]), ("tree", (5.3, 3.8, 0.2), seen[1])]
-    assert fuse_across_drives(*mapped(landmarks), np.arange(KEYFRAMES), radius_m=0.7) == 0
-
-
-def test_fuse_across_drives_merges_nearest_neighbours_and_compares_again() -> None:
-    """The third is 0.8 m from the second, and 0.6 m from the first, where the merged landmark stays."""
-    passes = [FIRST, ("tree", (5.0, 4.2, 0.0), (3,)), ("tree", (5.0, 3.4, 0.0), (4,))]
-    drives = np.array([0, 0, 0, 1, 1, 1])
-    assert fuse_across_drives(*mapped(passes), drives, radius_m=0.7) == 2
-    other = [FIRST, ("lamp", (5.0, 4.2, 0.0), (3,)), ("tree", (5.8, 4.0, 0.0), (4,))]
-    assert fuse_across_drives(*mapped(other), drives, radius_m=0.7) == 0

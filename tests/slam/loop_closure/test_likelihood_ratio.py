@@ -55,15 +55,15 @@ def ratios_of(
     return compute_log_likelihood_ratios(query, reference, T, pairs, RANGE_M, shares)
 
 
-def row_llr(count: int, spacing_m: float, *, row_heading_rad: float, heading_rad: float) -> float:
+def row_llr(spacing_m: float, *, row_heading_rad: float, heading_rad: float) -> float:
     """Evidence of a row of equal objects, placed with that heading, wrongly: shifted by one object along the row."""
-    row = np.zeros((count, 3))
-    row[:, 0] = spacing_m * np.arange(count)
+    row = np.zeros((10, 3))
+    row[:, 0] = spacing_m * np.arange(len(row))
     row = apply(pose_at(yaw=row_heading_rad), row)
     T_right = pose_at(yaw=heading_rad)
     T_wrong = T_right.copy()
     T_wrong[:3, 3] = row[1]
-    pairs = np.column_stack([np.arange(count - 1), np.arange(1, count)])
+    pairs = np.column_stack([np.arange(9), np.arange(1, 10)])
     return ratios_of(submap(apply(invert(T_right), row)), submap(row), pairs, T_wrong).sum()
 
 
@@ -72,14 +72,14 @@ def test_a_row_of_parked_cars_shifted_by_one_car_says_far_less_than_scattered_ob
     positions, labels = scattered(10, seed=1)
     query = seen(positions, labels)
     apart = ratios_of(query, submap(positions, labels), each_with_its_own(10)[1:], T_REFERENCE_QUERY).sum()
-    row = row_llr(10, 6.0, row_heading_rad=heading_rad, heading_rad=heading_rad)
+    row = row_llr(6.0, row_heading_rad=heading_rad, heading_rad=heading_rad)
     assert row < 0.6 * apart
 
 
 @pytest.mark.parametrize("turn_rad", [0.3, 0.9, np.pi / 2.0, -2.0])
 def test_a_row_says_as_little_if_it_does_not_run_along_the_heading(turn_rad):
-    along = row_llr(10, 11.0, row_heading_rad=0.4, heading_rad=0.4)
-    turned = row_llr(10, 11.0, row_heading_rad=0.4, heading_rad=0.4 + turn_rad)
+    along = row_llr(11.0, row_heading_rad=0.4, heading_rad=0.4)
+    turned = row_llr(11.0, row_heading_rad=0.4, heading_rad=0.4 + turn_rad)
     assert turned == pytest.approx(along, rel=0.1)
 
 

@@ -66,16 +66,14 @@ class Landmarks:
 class Scene:
     """Objects around a keyframe of the first round, seen again from the same place on the second one."""
 
-    def __init__(
-        self, objects: FloatArray, labels: list[int] | None = None, *, second_segment: int = 0, **settings: Any
-    ) -> None:
+    def __init__(self, objects: FloatArray, *, second_segment: int = 0, **settings: Any) -> None:
         self.config = Config.model_validate(settings)
         self.keyframes = make_keyframes(second_segment=second_segment)
         world = objects + np.array([STEP_M * HERE, 0.0, 0.0])
-        self.landmarks = Landmarks(make_submap(world, labels, first_row=0))
+        self.landmarks = Landmarks(make_submap(world, first_row=0))
         self.verifier = self.make_verifier()
         T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
-        seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
+        seen = make_submap(apply(invert(T_local_gravity), world), first_row=500)
         before_m = STEP_M * QUERY - self.config.closure_travel_m
         self.query = Query(self.keyframes[QUERY], seen, T_local_gravity, before_m)
         self.place = Place(T_local_gravity, STEP_M * HERE, 0, "descriptor")
@@ -101,8 +99,8 @@ class Scene:
         return found.reason
 
 
-def scattered(count: int = 12) -> FloatArray:
-    return np.random.default_rng(5).uniform([-20.0, -15.0, -1.0], [20.0, 15.0, 1.0], (count, 3))
+def scattered() -> FloatArray:
+    return np.random.default_rng(5).uniform([-20.0, -15.0, -1.0], [20.0, 15.0, 1.0], (12, 3))
 
 
 def test_the_relative_pose_is_that_of_the_bodies_tilt_included():

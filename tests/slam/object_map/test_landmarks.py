@@ -10,11 +10,11 @@ SECOND_NS = 1_000_000_000
 CONFIG = ObjectCalibration(label_accuracy=0.8)
 
 
-def new_map(vocabulary: str = "abc", count: int = 1, positions=None) -> ObjectMap:
+def new_map(vocabulary: str = "abc", count: int = 1) -> ObjectMap:
     """A map of ``count`` landmarks of class "a", each seen once at time 0, scan 1."""
     object_map = ObjectMap(CONFIG)
     object_map.labels.indices(tuple(vocabulary))
-    see_new(object_map, np.zeros((count, 3)) if positions is None else np.array(positions, float))
+    see_new(object_map, np.zeros((count, 3)))
     return object_map
 
 

@@ -50,11 +50,11 @@ def odometry_noise(**sigmas: float) -> OdometryCalibration:
     return OdometryCalibration(**(silent | least | sigmas))
 
 
-def monte_carlo_sigmas(config: OdometryCalibration, first: int, last: int, runs: int = 4000) -> tuple[float, float]:
+def monte_carlo_sigmas(config: OdometryCalibration, first: int, last: int) -> tuple[float, float]:
     """Rms error of the place, each coordinate, and of the heading, where each step adds its share of noise."""
     rng = np.random.default_rng(0)
     positions, headings = winding_path()
-    count = last - first
+    runs, count = 4000, last - first
     turn_rad = np.abs(np.diff(headings[first : last + 1]))
     turn_sigmas = np.sqrt(
         config.yaw_sigma**2 * STEP_M + config.yaw_sigma_by_turn**2 * turn_rad + config.yaw_sigma_by_time**2 * STEP_S

@@ -14,8 +14,8 @@ from tests.helpers.poses import pose_at
 SIGMA_M = 0.2
 
 
-def town(count: int = 3000, *, classes: int = 1, seed: int = 0) -> tuple[FloatArray, IntArray]:
-    rng = np.random.default_rng(seed)
+def town(count: int = 3000, *, classes: int = 1) -> tuple[FloatArray, IntArray]:
+    rng = np.random.default_rng(0)
     positions = np.column_stack([rng.uniform(0.0, 10.0 * np.sqrt(count), (count, 2)), np.full(count, 3.0)])
     return positions, rng.integers(classes, size=count)
 

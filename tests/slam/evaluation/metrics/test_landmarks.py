@@ -17,8 +17,9 @@ from tests.slam.evaluation.maps import object_map
 WALK = PoseSeries(np.arange(201) * 1_000_000_000, straight_path(201))
 
 
-def street(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def street(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Positions (N, 3) beside a street of 200 m, and how far along each was first seen."""
+    count = 400
     along = np.sort(rng.uniform(0.0, 200.0, count))
     return np.stack([along, rng.uniform(-10, 10, count), rng.uniform(0, 3, count)], axis=1), along
 
@@ -51,7 +52,7 @@ def quality(
 
 def test_windowed_errors_ignore_drift_and_measure_noise() -> None:
     rng = np.random.default_rng(0)
-    positions, along = street(400, rng)
+    positions, along = street(rng)
     bent = apply(pose_at(30.0, -4.0, z=2.0, yaw=1.0), positions)
     np.testing.assert_allclose(windowed_errors_m(bent, positions, along, 200.0), 0.0, atol=1e-9)
 
@@ -66,7 +67,7 @@ def test_windowed_errors_ignore_drift_and_measure_noise() -> None:
 
 
 def test_path_with_jump_takes_no_longer() -> None:
-    positions, along = street(400, np.random.default_rng(0))
+    positions, along = street(np.random.default_rng(0))
     far = np.where(along > 100.0, along + 1e15, along)
     assert set(np.round(windowed_errors_m(positions, positions, far, 1e15 + 200.0), 6)) == {0.0}
 

@@ -108,9 +108,9 @@ def test_place_tag_finds_a_tag_of_known_size(turned: float) -> None:
     np.testing.assert_allclose(blurred, center, rtol=1e-9)
 
 
-def boxes(stamp_ns: int = 100, frame: str = "camera") -> ImageDetections:
+def boxes(stamp_ns: int = 100) -> ImageDetections:
     found = np.stack([BOX, [320.0, 20.0, 30.0, 20.0]])
-    return ImageDetections(stamp_ns, frame, found, ("tree", "bird"), np.array([0.9, 0.8]))
+    return ImageDetections(stamp_ns, "camera", found, ("tree", "bird"), np.array([0.9, 0.8]))
 
 
 def lifter(**settings: float) -> ImageLifter:

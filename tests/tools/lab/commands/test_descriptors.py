@@ -56,5 +56,4 @@ def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
         ("descriptellation_lr", 50, 3),
         ("random", 50, 3),
     ]
-    assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")
     assert_refused(dslam(*asked, "--query", "speed=1"), "'speed=1'", "objects, missing")

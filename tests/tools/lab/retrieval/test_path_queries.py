@@ -7,8 +7,8 @@ from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.path_queries import Scenario, draw_path_queries
 
 
-def forest(count: int, extent_m: float, seed: int = 0) -> np.ndarray:
-    xy = np.random.default_rng(seed).uniform(0.0, extent_m, (count, 2))
+def forest(count: int, extent_m: float) -> np.ndarray:
+    xy = np.random.default_rng(0).uniform(0.0, extent_m, (count, 2))
     return np.column_stack([xy, np.zeros(count)])
 
 
