@@ -37,8 +37,6 @@ FIRST_STEP, COARSE, FINE = 0.25, 5, 9
 or of the way; how often it is halved until it is known whether the term matters, and after all.
 """
 ROUNDS = 10
-TRIED = 64
-"""Values whose distances are held: searches of all terms begin at the same ones, and end at those that are judged."""
 
 _Values = dict[str, float]
 
@@ -144,7 +142,7 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         T_body_sensor[:2, 3] = pairs[number].spacing_m * np.array([values["x_spacings"], values["y_spacings"]])
         return pairs[number].log_distances(seen_by(T_body_sensor, motions))
 
-    @lru_cache(maxsize=TRIED)
+    @lru_cache  # searches of all terms begin at the same values, and end at those that are judged
     def of_logs(items: frozenset[tuple[str, float]]) -> FloatArray:
         values = dict(items)
         return np.concatenate([np.zeros((0, 2)), *(of_log(number, values) for number in range(len(pairs)))])

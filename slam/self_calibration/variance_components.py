@@ -26,6 +26,7 @@ that the pairs have of a component while all others are held.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -53,8 +54,8 @@ LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
-HEIGHT, OWN, SHARED = 4, 7, 11
-"""Row of the variance of heights; numbers of the components of single detections, and of the odometry."""
+OWN, SHARED = 7, 11
+"""Numbers of the components of single detections, and of the odometry."""
 TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
 
@@ -129,11 +130,12 @@ def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstima
         fit.step()
     scale = pairs.unit_m**LENGTH_POWERS
     values, errors = fit.variances * scale, fit.standard_errors() * scale
-    if not _has_heights(pairs):
-        values[HEIGHT] = 0.5 * np.mean((pairs.d[:, 2] * pairs.unit_m) ** 2)
     if not np.isfinite([values, errors]).all():
         return None
-    return ComponentEstimate(NoiseComponents(*values.tolist()), NoiseComponents(*errors.tolist()), len(pairs.d))
+    variances = NoiseComponents(*values.tolist())
+    if not _has_heights(pairs):
+        variances = replace(variances, height=0.5 * float(np.mean((pairs.d[:, 2] * pairs.unit_m) ** 2)))
+    return ComponentEstimate(variances, NoiseComponents(*errors.tolist()), len(pairs.d))
 
 
 def _well_apart(tracks: ObjectTracks) -> ObjectTracks:

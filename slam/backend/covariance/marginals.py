@@ -11,9 +11,6 @@ from scipy.sparse.linalg import SuperLU, splu
 from slam.backend.solver import graph_of
 from slam.common.arrays import FloatArray, IntArray
 
-MAX_ENTRIES = 2**24
-"""Of the right sides that are solved for at a time, 128 MB."""
-
 
 def compute_marginals(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> dict[int, FloatArray]:
     """Covariances, (6, 6) of poses and (3, 3) of points, of all variables of an optimised graph, by their keys.
@@ -64,14 +61,13 @@ def offset_covariances(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.V
     sizes = np.array([3 if gtsam.symbolChr(key) == ord("l") else 6 for key in values.keys()])  # noqa: SIM118
     columns = (np.cumsum(sizes) - sizes)[np.searchsorted(keys, pairs)][:, :, None] + np.arange(3)
     size, found = values.dim(), np.zeros((len(pairs), 3, 3))
-    some = max(MAX_ENTRIES // (3 * size), 1)
-    for start in range(0, len(pairs), some):
-        first, second = columns[start : start + some].swapaxes(0, 1)
+    for some in np.array_split(np.arange(len(pairs)), max(len(pairs) // 50, 1)):  # a few at a time, for memory
+        first, second = columns[some].swapaxes(0, 1)
         pair, axis = np.arange(len(first))[:, None], np.arange(3)
         sides = np.zeros((size, len(first), 3))
         sides[first, pair, axis], sides[second, pair, axis] = 1.0, -1.0
         solved = information.solve(sides.reshape(size, -1)).reshape(sides.shape)
-        found[start : start + some] = solved[first, pair] - solved[second, pair]
+        found[some] = solved[first, pair] - solved[second, pair]
     return found
 
 
