@@ -256,8 +256,7 @@ class Tracker:
         if assignment.is_inconsistent:
             return True
         positions = self.active.positions
-        matched = np.zeros(len(positions), dtype=np.bool_)
-        matched[assignment.landmark_rows[assignment.matched]] = True
+        matched = np.bincount(assignment.landmark_rows[assignment.matched], minlength=len(positions)) > 0
         count = int(matched.sum())
         unmatched = len(seen) - count
         self._unmatched = 0 if count else self._unmatched + unmatched
