@@ -83,8 +83,7 @@ def prepare_log(
     if not is_surveyed or not config.calibrate or config.calibration.is_complete:
         return log
     surveyed, delays, drift = _survey(reader, log, MAX_DETECTIONS)
-    with threadpool_limits(1, user_api="blas"):
-        found = survey([surveyed], config.calibration)
+    found = survey([surveyed], config.calibration)
     return replace(log, calibration=calibrate(config, found, delays), drift=drift)
 
 
@@ -98,12 +97,12 @@ def calibrate_logs(paths: Sequence[Path], config: Config, *, topics: Mapping[str
     if not paths:
         raise InputDataError("no log to calibrate from; give at least one")
     surveyed, delays = [], []
-    for path in paths:
-        with LogReader(path, config.reading_limits) as reader:
-            log, logged_after, _ = _survey(reader, _open(reader, config, topics, ()), MAX_DETECTIONS // len(paths))
-            surveyed.append(log)
-            delays.append(logged_after)
     with threadpool_limits(1, user_api="blas"):
+        for path in paths:
+            with LogReader(path, config.reading_limits) as reader:
+                log, logged_after, _ = _survey(reader, _open(reader, config, topics, ()), MAX_DETECTIONS // len(paths))
+                surveyed.append(log)
+                delays.append(logged_after)
         found = calibrate(config, survey(surveyed, config.calibration), delays[0])
     # What kept its default is known now, too.
     known = Calibration.model_validate(found.config.calibration.model_dump(exclude_none=True))
@@ -172,7 +171,6 @@ def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[S
         clocks = StampClocks(drift)
         items = reader.items(log.mapped)
         records = inputs.prepare(record for item in items for record in clocks.follow(item))
-        with threadpool_limits(1, user_api="blas"):
-            surveyed = SurveyedLog(records, log.frames, max_detections=max_detections)
+        surveyed = SurveyedLog(records, log.frames, max_detections=max_detections)
         if drift.rate or not (drift := clocks.drift()).rate:
             return surveyed, clocks.delays(), drift

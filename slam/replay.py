@@ -93,7 +93,8 @@ def replay(
         )
     started = time.perf_counter()
     source, output = Path(source), Path(output)
-    with LogReader(source, config.reading_limits) as reader:
+    # One thread: the products are small, and threads would add them up in another order on another machine.
+    with threadpool_limits(1, user_api="blas"), LogReader(source, config.reading_limits) as reader:
         _check_drive(reader, source, output)
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
         clocks = StampClocks(prepared.drift)
@@ -105,8 +106,7 @@ def replay(
             frames=prepared.frames,
             delays=clocks.delays,
         )
-        # One thread: the products are small, and threads would add them up in another order on another machine.
-        with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
+        with LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = None if prior_map is None else prior_map.georeference
             mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, None, georeference))
             final = _map(mapper, prepared, reader, writer, progress)

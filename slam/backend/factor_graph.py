@@ -433,7 +433,7 @@ class FactorGraph(EditableGraph):
             FactorGraphError: the graph does not determine all variables.
         """
         self.update()
-        keys = np.array([[L(row) for row in pair] for pair in pairs.tolist()], dtype=np.int64).reshape(-1, 2)
+        keys = np.vectorize(L, otypes=[np.int64])(pairs)
         with gtsam_errors("the covariances of landmarks"):
             return offset_covariances(self._solver.factors.values(), self._solver.values(), keys)
 

@@ -123,10 +123,6 @@ def _log_density(positions: FloatArray, classes: IntArray, observers: Sequence[s
 
 
 def _pairs_alike(positions: FloatArray, classes: IntArray, reach_m: float) -> IntArray:
-    """Pairs (P, 2) of landmarks of one class that are within reach of one another, ascending."""
-    found = [np.zeros((0, 2), dtype=np.int64)]
-    for each in np.unique(classes).tolist():
-        alike = np.flatnonzero(classes == each)
-        near = cKDTree(positions[alike, :2]).query_pairs(reach_m, output_type="ndarray")
-        found.append(alike[np.sort(near, axis=1)])
-    return np.concatenate(found)
+    """Pairs (P, 2) of landmarks of one class that are within reach of one another along the ground, ascending."""
+    apart = np.column_stack([positions[:, :2], 2.0 * reach_m * classes])
+    return cKDTree(apart).query_pairs(reach_m, output_type="ndarray")

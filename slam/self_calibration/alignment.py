@@ -147,7 +147,5 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         values = dict(items)
         return np.concatenate([np.zeros((0, 2)), *(of_log(number, values) for number in range(len(pairs)))])
 
-    def distances(values: _Values) -> FloatArray:
-        return of_logs(frozenset(values.items()))
-
-    return distances, float(np.median(np.concatenate([np.ones(1), *seconds])))
+    median_s = float(np.median(np.concatenate([np.ones(1), *seconds])))
+    return lambda values: of_logs(frozenset(values.items())), median_s

@@ -39,9 +39,12 @@ OCTAVES = 20
 
 def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequence[SurveyScan]]) -> str | None:
     """The name of another frame of the same scans (K) for which there is more evidence, or None."""
-    found = {name: scans for name, scans in others.items() if len(scans) == len(as_they_are) > 1}
     # In a wrong frame of the odometry the body leaves its objects behind, also where they seem to stand still there.
-    found = {name: scans for name, scans in found.items() if median_range(scans) < FACTOR * median_range(as_they_are)}
+    found = {
+        name: scans
+        for name, scans in others.items()
+        if len(scans) == len(as_they_are) > 1 and median_range(scans) < FACTOR * median_range(as_they_are)
+    }
     if not found:
         return None
     pairs = ScanPairs.of(as_they_are, min(spacing_of(scans) for scans in (as_they_are, *found.values())))

@@ -275,7 +275,7 @@ class _Fit:
         scaled = roots * M
         # Not singular by rounding, however much the variances differ.
         least = np.maximum(1.0, root.shape[1] * np.finfo(np.float64).eps * np.einsum("gii->g", scaled))
-        C = roots * _inverses(least[:, None, None] * np.eye(7) + scaled)  # posterior covariance of xi
+        C = roots * np.linalg.inv(least[:, None, None] * np.eye(7) + scaled)  # posterior covariance of xi
         xi = np.einsum("gij,gj->gi", C, v)
         e = y - np.einsum("ndi,ni->nd", A, xi[group])
         unknown = np.einsum("ndij,nij->nd", self._products, C[group])
@@ -300,18 +300,6 @@ class _Fit:
         sizes = y.shape[1], max(int((Q > 0.0).any(axis=0).sum()), 1)
         self._weights = _weights(shares[0], sizes[0]), _weights(shares[1], sizes[1])
         return sums[0], sums[1]
-
-
-def _inverses(matrices: FloatArray) -> FloatArray:
-    """Inverses of positive definite matrices (G, N, N), all at a time: each entry of the diagonal is swept."""
-    swept = np.ascontiguousarray(matrices.transpose(1, 2, 0))
-    for k in range(len(swept)):
-        pivot = swept[k, k].copy()
-        row = swept[k] / pivot
-        swept -= row[:, None] * swept[k]
-        swept[k] = swept[:, k] = row
-        swept[k, k] = -1.0 / pivot
-    return np.negative(swept.transpose(2, 0, 1), order="C")
 
 
 def _weights(squares: FloatArray, size: int) -> FloatArray:

@@ -55,10 +55,9 @@ def offset_covariances(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.V
     Raises:
         RuntimeError: the graph does not determine all variables.
     """
-    jacobian, _ = linearize(factors, values)
-    information = factorize(jacobian)
-    keys = np.array(values.keys(), dtype=np.int64)  # in the order of the columns
-    sizes = np.array([3 if gtsam.symbolChr(key) == ord("l") else 6 for key in values.keys()])  # noqa: SIM118
+    information = factorize(linearize(factors, values)[0])
+    keys = values.keys()  # in the order of the columns
+    sizes = np.array([3 if gtsam.symbolChr(key) == ord("l") else 6 for key in keys])
     columns = (np.cumsum(sizes) - sizes)[np.searchsorted(keys, pairs)][:, :, None] + np.arange(3)
     size, found = values.dim(), np.zeros((len(pairs), 3, 3))
     for some in np.array_split(np.arange(len(pairs)), max(len(pairs) // 50, 1)):  # a few at a time, for memory

@@ -56,15 +56,7 @@ class Scan:
     def seen_from(self, T_frame_body: FloatArray) -> "Scan":
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]
-        return Scan(
-            stamp_ns=self.stamp_ns,
-            sensor=self.sensor,
-            positions=self.positions @ R.T + T_frame_body[:3, 3],
-            covariances=R @ self.covariances @ R.T,
-            labels=self.labels,
-            used=self.used,
-            has_own_covariance=self.has_own_covariance,
-        )
+        return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
 
 
 def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> BoolArray:

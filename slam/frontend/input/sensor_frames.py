@@ -166,7 +166,7 @@ def corrected_mount(T_body_sensor: FloatArray, config: DetectionCalibration) -> 
     return _corrected(T_body_sensor.tobytes(), angles_deg, config.x_m, config.y_m)
 
 
-@lru_cache(maxsize=64)
+@lru_cache
 def _corrected(mount: bytes, angles_deg: tuple[float, ...], x_m: float, y_m: float) -> FloatArray:
     """The corrected mount, which nobody writes to: a drive has few mounts and many scans."""
     T_body_sensor = np.frombuffer(mount).reshape(4, 4)
