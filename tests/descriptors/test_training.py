@@ -55,7 +55,7 @@ def curves(folder: Path) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_network_learns_what_holds_for_other_maps_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 15)
+    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 30)
     config = replace(NETWORK, epochs=4, validation_maps=8, views=3, objects_per_map=60)
     learned = train(Recipe(replace(config, learning_rate=1e-2)), tmp_path / "learned", threads=1)
     idle = train(Recipe(replace(config, learning_rate=1e-9, last_rate=1e-9)), tmp_path / "idle", threads=1)
