@@ -39,7 +39,7 @@ OCTAVES = 20
 
 def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequence[SurveyScan]]) -> str | None:
     """The name of another frame of the same scans (K) for which there is more evidence, or None."""
-    # In a wrong frame of the odometry the body leaves its objects behind, also where they seem to stand still there.
+    # Ranges in the frame of the odometry grow with the travel if the detections are not in that frame.
     found = {
         name: scans
         for name, scans in others.items()

@@ -324,8 +324,8 @@ def _axes(pairs: _Displacements) -> FloatArray:
 
 
 def _has_heights(pairs: _Displacements) -> bool:
-    """Whether most heights differ between two scans. No robust fit tells the noise of rounded ones, or of the few that
-    a faulty scan has in a plane.
+    """Whether most objects change their height between two scans. Where they do not, as with rounded heights or a few
+    faulty scans of a planar sensor, the scale of a robust fit is zero, and the fit diverges.
     """
     return bool(np.median(np.abs(pairs.d[:, 2])) > 1e-9)
 

@@ -168,7 +168,7 @@ def corrected_mount(T_body_sensor: FloatArray, config: DetectionCalibration) -> 
 
 @lru_cache
 def _corrected(mount: bytes, angles_deg: tuple[float, ...], x_m: float, y_m: float) -> FloatArray:
-    """The corrected mount, which nobody writes to: a drive has few mounts and many scans."""
+    """The corrected mount (4, 4), read-only, of one given by its bytes; kept, as the same mount serves many scans."""
     T_body_sensor = np.frombuffer(mount).reshape(4, 4)
     R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
     T = make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3] + [x_m, y_m, 0.0])
