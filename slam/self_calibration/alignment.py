@@ -4,10 +4,9 @@ climb or whose heading drifts: what brings the detections of scans nearest to on
 The terms are found one after another, the one that explains most first, each by a search from what was found so far. If
 lengths or turns of the odometry that are wrong by a share, or a sensor that sits elsewhere, explain more, no further
 term but a climb is found: over pairs of scans all these look much the same, and objects that are followed tell them
-apart. Over them a climb also looks like the pitch of a sensor, and a drift like its yaw. A climb and a drift grow
-without bounds, and angles do not, so that the angle is corrected instead, unless the other brings scans nearer to one
-another when all other terms are fitted beside it. A climb that is less steep than the least angle that is corrected
-stays.
+apart. Over them a climb also looks like the pitch of a sensor, and a drift like its yaw: that is corrected for which
+there is more evidence, by the factor of the term, when all other terms are fitted beside it. A climb that is less steep
+than the least angle that is corrected stays.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +17,7 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import rotation_of, transform_from_xyz_yaw, yaw_rad
-from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, seen_by, spacing_of
+from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, spacing_of
 from slam.self_calibration.surveyed_log import SurveyedLog
 
 ANGLES = "roll_rad", "pitch_rad", "yaw_rad"
@@ -84,7 +83,8 @@ def find_alignment(
             others = [each for each in values if each not in (term, bounded)]
             growing = _best(distances, values, others, seconds)
             steady = _best(distances, values | {term: 0.0}, [bounded, *others], seconds)
-            if not is_better(distances(growing), distances(steady), 1.0):
+            for_term, for_angle = (np.sum(evidence(distances(each))) for each in (growing, steady))
+            if for_term <= FACTORS[term] * for_angle:
                 angle = steady[bounded]
                 values |= {term: 0.0, bounded: angle if abs(angle) > MIN_VALUES[bounded] else 0.0}
     return {term: value for term, value in values.items() if value}, suspected
@@ -140,7 +140,7 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         T_body_sensor = np.eye(4)
         T_body_sensor[:3, :3] = rotation_of(np.array([values[angle] for angle in ANGLES]))
         T_body_sensor[:2, 3] = pairs[number].spacing_m * np.array([values["x_spacings"], values["y_spacings"]])
-        return pairs[number].log_distances(seen_by(T_body_sensor, motions))
+        return pairs[number].log_distances(pairs[number].seen_by(T_body_sensor, motions))
 
     @lru_cache  # searches of all terms begin at the same values, and end at those that are judged
     def of_logs(items: frozenset[tuple[str, float]]) -> FloatArray:

@@ -19,15 +19,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.geometry import make_transform
 from slam.self_calibration.object_tracks import SurveyScan, poses_of
-from slam.self_calibration.scan_pairs import (
-    ScanPairs,
-    evidence,
-    is_better,
-    is_positive,
-    median_range,
-    seen_by,
-    spacing_of,
-)
+from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, is_positive, median_range, spacing_of
 
 FACTOR = 1.25
 """By which there is more evidence for another frame: with less, it is a matter of degrees. By so much, at least,
@@ -68,7 +60,7 @@ def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
     """
     pairs = ScanPairs.of(scans, spacing_of(scans))
     turns = sorted(np.rint(Rotation.create_group("O").as_matrix()), key=lambda turn: -np.trace(turn))
-    distances = [pairs.log_distances(seen_by(make_transform(turn, np.zeros(3)), pairs.motions)) for turn in turns]
+    distances = [pairs.log_distances(pairs.seen_by(make_transform(turn, np.zeros(3)), pairs.motions)) for turn in turns]
     best = np.argmax([np.sum(evidence(each)) for each in distances])
     return turns[best] if is_better(distances[best], distances[0], FACTOR) else np.eye(3)
 

@@ -29,7 +29,9 @@ class ScanPairs:
     def __init__(self, scans: Sequence[SurveyScan], rows: IntArray, spacing_m: float) -> None:
         self.rows = rows
         self.spacing_m = spacing_m
-        self.motions = self.motions_by(poses_of(scans))
+        T_odom_body = poses_of(scans)
+        self.motions = self.motions_by(T_odom_body)
+        self._T_upright_body = (invert(gravity_frame(T_odom_body)) @ T_odom_body)[rows.T]
         # Only detections of one pair and class are near one another.
         reference, self._detections = (layered([scans[row] for row in side], 10.0 * spacing_m) for side in rows.T)
         self._pair = np.repeat(np.arange(len(rows)), [len(scans[row].labels) for row in rows[:, 1]])
@@ -58,6 +60,11 @@ class ScanPairs:
         poses = gravity_frame(T_odom_body)
         return invert(poses[self.rows[:, 0]]) @ poses[self.rows[:, 1]]
 
+    def seen_by(self, T_body_sensor: FloatArray, motions: FloatArray) -> FloatArray:
+        """Motions (P, 4, 4) of a sensor at a pose (4, 4) on the body, which may lean, by those of the upright body."""
+        first, second = (T @ T_body_sensor @ invert(T) for T in self._T_upright_body)
+        return invert(first) @ motions @ second
+
     def log_distances(self, motions: FloatArray) -> FloatArray:
         """Mean log distances (P, 2) of the detections of the second scan from the nearest of their class in the first
         one, at most the spacing, by the motions (P, 4, 4) and by their inverse.
@@ -71,11 +78,6 @@ class ScanPairs:
             squares = np.minimum(distances, self.spacing_m) ** 2 + (RESOLVED_SPACINGS * self.spacing_m) ** 2
             found[:, column] = 0.5 * np.bincount(self._pair, np.log(squares), minlength=len(found)) / counts
         return found
-
-
-def seen_by(T_body_sensor: FloatArray, motions: FloatArray) -> FloatArray:
-    """Motions (P, 4, 4) of a sensor at a pose (4, 4) on the body, from those of the body."""
-    return invert(T_body_sensor) @ motions @ T_body_sensor
 
 
 def evidence(distances: FloatArray) -> FloatArray:

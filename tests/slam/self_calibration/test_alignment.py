@@ -88,12 +88,18 @@ def test_a_drift_of_the_heading_is_found() -> None:
 
 @pytest.mark.slow
 @needs_robots
-@pytest.mark.parametrize(("drive", "climb"), [("cones", {}), ("mrclam6/robot2", {"climb_share": 0.05})])
-def test_a_small_yaw_is_no_drift_and_a_small_climb_no_pitch(drive: str, climb: dict[str, float]) -> None:
-    """Of a car that drives ahead, and of a robot with a narrow view."""
+@pytest.mark.parametrize(
+    ("drive", "odometry", "right"),
+    [
+        ("cones", {}, {}),
+        ("mrclam6/robot2", {"climb": -0.05}, {"climb_share": 0.05}),
+        ("mrclam3/robotA", {"drift_deg_per_s": 1.0}, {"drift_rad_per_s": np.deg2rad(-1.0)}),
+    ],
+)
+def test_a_drift_is_no_yaw_and_a_small_climb_no_pitch(drive, odometry, right) -> None:
+    """Of a car that drives ahead, of a robot with a narrow view, and of one that sees few objects."""
     log = read_text_log(detections=ROBOTS / drive / "detections.csv.gz", odometry=ROBOTS / drive / "odometry.tum.gz")
-    records = with_odometry(log.records(), climb=-climb.get("climb_share", 0.0))
-    assert found(SurveyedLog(records)) == pytest.approx(climb, abs=5e-3)
+    assert found(SurveyedLog(with_odometry(log.records(), **odometry))) == pytest.approx(right, abs=5e-3)
 
 
 @pytest.mark.parametrize("scales", [{"length_scale": 0.7}, {"turn_scale": 0.6}])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
-from slam.common.geometry import apply, invert, roll_pitch_yaw_deg
+from slam.common.geometry import apply, invert, make_transform, roll_pitch_yaw_deg
 from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.scan_pairs import spacing_of
@@ -30,10 +30,13 @@ def turned(scans: list[SurveyScan], R: FloatArray) -> list[SurveyScan]:
 
 
 @pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL])
-def test_quarter_turns_are_found(drive, angles_deg):
-    R = rotation(angles_deg)
-    found = find_orientation(turned(drive.scans, R))
-    np.testing.assert_allclose(found, R, atol=1e-9)
+@pytest.mark.parametrize("roll_deg", [0.0, 60.0])
+def test_quarter_turns_are_found_also_where_the_body_leans(drive, angles_deg, roll_deg):
+    R, lean = rotation(angles_deg), rotation((roll_deg, 0.0, 0.0))
+    T_upright_body = make_transform(lean, np.zeros(3))
+    scans = turned(drive.scans, lean @ R @ lean.T)
+    leaning = [replace(scan, T_odom_body=scan.T_odom_body @ T_upright_body) for scan in scans]
+    np.testing.assert_allclose(find_orientation(leaning), R, atol=1e-9)
 
 
 def test_a_robot_that_only_goes_straight_on_tells_nothing():
