@@ -52,9 +52,7 @@ def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[Part], parts: l
     assert np.equal(is_seen, is_true).all(axis=0).mean() > 0.98
 
 
-def test_landmarks_that_no_join_matched_are_fused_where_their_offset_is_noise(
-    joint: list[Part], parts: list[Part], joins: list[Join]
-) -> None:
+def test_landmarks_that_no_join_matched_are_fused_where_their_offset_is_noise(joint, parts, joins):
     unmatched = [replace(join, pairs=join.pairs[:0]) for join in joins]
     found, matched = (len(each[0].objects.ids) for each in (join_parts(parts, unmatched, CONFIG), joint))
     assert matched <= found <= 1.02 * matched
