@@ -32,7 +32,7 @@ FACTORS = 10.0 ** np.array([-1.0, -0.75, -0.5])
 
 def hold_tilt(graph: FactorGraph) -> None:
     """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
-    free = graph.optimize()
+    free = graph.optimize(roughly=True)
     steps = {
         number: each
         for number, each in graph.factors.items()
@@ -49,12 +49,12 @@ def hold_tilt(graph: FactorGraph) -> None:
         return
     for factor in FACTORS:
         graph.replace_covariances(_scaled(graph, steps, factor))
-        held = graph.optimize()
+        held = graph.optimize(roughly=True)
         # A tilt that gravity holds is freed in one drive of a hundred.
         if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > 0.01:
             return
     graph.replace_covariances(configured)
-    graph.optimize()
+    graph.optimize(roughly=True)
 
 
 def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:

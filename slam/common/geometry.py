@@ -200,7 +200,7 @@ def blend(T_start: FloatArray, T_end: FloatArray, fraction: FloatArray | float) 
     """
     share = np.asarray(fraction)[..., None]
     start, end = T_start[..., :3, :3], T_end[..., :3, :3]
-    turn = Rotation.from_matrix(np.swapaxes(start, -1, -2) @ end).as_rotvec()
+    turn = Rotation.from_matrix(np.swapaxes(start, -1, -2) @ end, assume_valid=True).as_rotvec()
     translation = (1.0 - share) * T_start[..., :3, 3] + share * T_end[..., :3, 3]
     return make_transform(start @ rotation_of(share * turn), translation)
 

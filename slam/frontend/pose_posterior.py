@@ -334,7 +334,8 @@ def fit_of(offsets: FloatArray) -> FloatArray:
     """Matrix (6, 3 L) of the least-squares fit of xi to differences z - m of detections at ``offsets`` (L, 3) m."""
     scale = max(np.sqrt(np.mean(np.sum(offsets**2, axis=1))), 1e-9)
     units = np.repeat([scale, 1.0], 3)
-    return np.linalg.pinv(_jacobians(offsets).reshape(-1, 6) / units, rcond=1e-3) / units[:, None]
+    A = _jacobians(offsets).reshape(-1, 6) / units
+    return np.linalg.pinv(A.T @ A, rcond=1e-6, hermitian=True) @ A.T / units[:, None]
 
 
 def _motion_of(xi: FloatArray, origin: FloatArray) -> FloatArray:

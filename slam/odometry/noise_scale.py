@@ -48,7 +48,7 @@ class NoiseScale:
         """
         none = np.zeros(3)
         # Earlier steps had other lever arms, so that effects may be larger than the innovations allow, which is 1.
-        error = effects.T @ innovation / max(float(np.linalg.norm(effects, 2)), 1.0) ** 2
+        error = effects.T @ innovation / max(float(np.linalg.eigvalsh(effects.T @ effects)[-1]), 1.0)
         heading, x, y = error
         ratios = self.factors * [(x**2 + y**2) / 3.0, heading**2]
         if np.max(ratios) < GATE * (1.0 if has_slipped else SLIP_INFLATION**2):

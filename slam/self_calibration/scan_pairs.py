@@ -109,7 +109,7 @@ def spacing_of(scans: Sequence[SurveyScan]) -> float:
 
 def median_range(scans: Sequence[SurveyScan]) -> float:
     """Median distance [m] of detections from the body."""
-    return float(np.median(np.concatenate([np.linalg.norm(scan.positions, axis=1) for scan in scans])))
+    return float(np.median(np.linalg.norm(np.concatenate([scan.positions for scan in scans]), axis=1)))
 
 
 def _travels(scans: Sequence[SurveyScan], spacing_m: float) -> IntArray:

@@ -8,7 +8,7 @@ import numpy as np
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration, OdometryCalibration
-from slam.common.geometry import apply, gravity_frame, interpolate, invert, step_lengths, yaw_rad
+from slam.common.geometry import apply_each, gravity_frame, interpolate, invert, step_lengths, yaw_rad
 from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
@@ -170,7 +170,8 @@ def _upright_scans(
     variances[variances == 0.0] = np.nan
     names = [vocabulary.setdefault(label, len(vocabulary)) for each in messages for label in each.labels]
     labels = np.minimum(np.array(names, dtype=np.int64), calibration.objects.max_classes - 1)
-    positions = np.concatenate([apply(T, each.positions) for T, each in zip(T_upright_sensor, messages, strict=True)])
+    T = np.repeat(T_upright_sensor, counts, axis=0)
+    positions = apply_each(T, np.concatenate([each.positions for each in messages]))
     used = np.isfinite(positions).all(axis=1)
     used &= np.concatenate([is_wanted(each, calibration.detection) for each in messages])
     ranges = np.hypot(positions[:, 0], positions[:, 1])
