@@ -46,6 +46,8 @@ class OdometryCalibration(Branch):
     """height that the odometry lacks per metre of travel [m / m]"""
     drift_deg_per_s: float = 0.0
     """turn that the odometry lacks per second, as by the bias of a gyroscope [deg / s]"""
+    curvature_deg_per_m: float = 0.0
+    """turn that the odometry lacks per metre of travel, as by wheels of unequal diameter [deg / m]"""
 
 
 class DetectionCalibration(Branch):

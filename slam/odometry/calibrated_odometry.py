@@ -1,5 +1,6 @@
 """The odometry after the corrections of a calibration: stamps; lengths and turns that are wrong by a factor, as of a
-wheel of another radius or track; a climb, as of a LiDAR whose beams are tilted; a drift, as by a gyroscope's bias.
+wheel of another radius or track; a climb, as of a LiDAR whose beams are tilted; a drift, as by a gyroscope's bias; a
+curvature, as of wheels of unequal diameter.
 """
 
 from dataclasses import replace
@@ -16,14 +17,15 @@ class CalibratedOdometry:
     """Corrects the messages of a drive, in their order.
 
     Multiplies each step by ``length_scale`` and its turn about the vertical by ``turn_scale``; raises each by ``climb``
-    of its length, and turns it by ``drift_deg_per_s``. Roll and pitch stay, since gravity gives them. A body that turns
-    on the way goes along the chord of its arc.
+    of its length, and turns it by ``drift_deg_per_s`` and ``curvature_deg_per_m``. Roll and pitch stay, since gravity
+    gives them. A body that turns on the way goes along the chord of its arc.
     """
 
     def __init__(self, calibration: OdometryCalibration) -> None:
         self._calibration = calibration
         scales = calibration.length_scale, calibration.turn_scale
-        self._is_right = scales == (1.0, 1.0) and not (calibration.climb or calibration.drift_deg_per_s)
+        lacking = calibration.climb, calibration.drift_deg_per_s, calibration.curvature_deg_per_m
+        self._is_right = scales == (1.0, 1.0) and not any(lacking)
         self._offset_ns = round(calibration.time_offset_s * 1e9)
         self._reported: Odometry | None = None
         self._corrected = np.eye(4)
@@ -42,13 +44,15 @@ class CalibratedOdometry:
             step_m = reported[:3, 3] - last.T_odom_body[:3, 3]
             turn_rad = float(yaw_rad(reported) - yaw_rad(last.T_odom_body))
             turn_rad = (turn_rad + np.pi) % (2.0 * np.pi) - np.pi
-            drift_rad = np.deg2rad(self._calibration.drift_deg_per_s) * (odometry.stamp_ns - last.stamp_ns) * 1e-9
-            further_rad = (self._calibration.turn_scale - 1.0) * turn_rad + drift_rad
+            length_m = float(np.linalg.norm(step_m[:2]))
+            lacking_deg = self._calibration.drift_deg_per_s * (odometry.stamp_ns - last.stamp_ns) * 1e-9
+            lacking_deg += self._calibration.curvature_deg_per_m * length_m
+            further_rad = (self._calibration.turn_scale - 1.0) * turn_rad + np.deg2rad(lacking_deg)
             on_chord = _rotation(self._turned_rad + 0.5 * further_rad)
             self._turned_rad += further_rad
             corrected = np.eye(4)
             corrected[:3, :3] = _rotation(self._turned_rad) @ reported[:3, :3]
-            step_m[2] += self._calibration.climb * float(np.linalg.norm(step_m[:2]))
+            step_m[2] += self._calibration.climb * length_m
             corrected[:3, 3] = self._corrected[:3, 3] + self._calibration.length_scale * (on_chord @ step_m)
             self._corrected = corrected
         self._reported = odometry

@@ -1,12 +1,12 @@
 """Detections that are of another time than their stamps say, a sensor that is turned, and an odometry that lacks a
-climb or whose heading drifts: what brings the detections of scans nearest to one another.
+climb or a turn, by the time or by the way: what brings the detections of scans nearest to one another.
 
 The terms are found one after another, the one that explains most first, each by a search from what was found so far. If
 lengths or turns of the odometry that are wrong by a share, or a sensor that sits elsewhere, explain more, no further
 term but a climb is found: over pairs of scans all these look much the same, and objects that are followed tell them
-apart. Over them a climb also looks like the pitch of a sensor, and a drift like its yaw: that is corrected for which
-there is more evidence, by the factor of the term, when all other terms are fitted beside it. A climb that is less steep
-than the least angle that is corrected stays.
+apart. Over them a climb also looks like the pitch of a sensor, and a turn like its yaw: that is corrected for which
+there is more evidence when all other terms are fitted beside it. A climb that is less steep than the least angle that
+is corrected stays.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,16 +21,14 @@ from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, spa
 from slam.self_calibration.surveyed_log import SurveyedLog
 
 ANGLES = "roll_rad", "pitch_rad", "yaw_rad"
-MIN_VALUES = {"delay_s": 0.0, "drift_rad_per_s": 0.0} | dict.fromkeys(ANGLES, 0.09) | {"climb_share": 0.005}
+GROWING = {"pitch_rad": ("climb_share",), "yaw_rad": ("drift_rad_per_s", "curvature_rad_per_m")}
+"""Terms whose effect grows all the way, by the angle of a sensor that looks like them over pairs of scans."""
+MIN_VALUES = dict.fromkeys(("delay_s", *GROWING["yaw_rad"]), 0.0) | dict.fromkeys(ANGLES, 0.09) | {"climb_share": 0.005}
 """Terms, and what they must exceed to be corrected: less of an angle may be the road's."""
 RIVALS = "length_share", "turn_share", "x_spacings", "y_spacings"
 """Other terms that may explain more; shifts of the sensor are in spacings of the objects."""
-FACTORS = dict.fromkeys(MIN_VALUES, 1.03) | {"climb_share": 1.0}
-"""By which a term must increase the evidence. A climb explains little of how objects seem to move, but adds up."""
-BOUNDED = {"climb_share": "pitch_rad", "drift_rad_per_s": "yaw_rad"}
-"""Terms that lead away from the ground, or turn the body, all the way, and the angles of a sensor that look like them
-over pairs of scans.
-"""
+FACTORS = dict.fromkeys(("delay_s", *ANGLES), 1.03)
+"""By which a term must increase the evidence. What grows explains little of how objects seem to move, but adds up."""
 FIRST_STEP, COARSE, FINE = 0.25, 5, 9
 """The first step of a search, as a share of the median time between the scans of pairs, of 1 rad, also over that time,
 or of the way; how often it is halved until it is known whether the term matters, and after all.
@@ -46,11 +44,11 @@ def find_alignment(
     """Values of the ``terms``, of those of ``MIN_VALUES``, on top of what the calibration corrects: those to be
     corrected, and others that bring scans nearer to one another but are too small.
 
-    ``delay_s``: by how much detections are of a later time than their stamps say; ``drift_rad_per_s``: turn that the
-    odometry lacks, by the time; the angles: a rotation vector of the detections in the axes of the body;
-    ``climb_share``: height that the odometry lacks, by the way.
+    ``delay_s``: by how much detections are of a later time than their stamps say; ``drift_rad_per_s`` and
+    ``curvature_rad_per_m``: turn that the odometry lacks, by the time and by the way; the angles: a rotation vector of
+    the detections in the axes of the body; ``climb_share``: height that the odometry lacks, by the way.
     """
-    distances, seconds = _compared(logs, calibration)
+    distances, units = _compared(logs, calibration)
     values, suspected = dict.fromkeys([*MIN_VALUES, *RIVALS], 0.0), _Values()
 
     def better(candidates: Sequence[str]) -> dict[str, _Values]:
@@ -58,7 +56,7 @@ def find_alignment(
         found, now = {}, distances(values)
         for term in candidates:
             factor, each = FACTORS.get(term, 1.0), values
-            step = _first_step(term, seconds)
+            step = FIRST_STEP * units.get(term, 1.0)
             for first, last in ((0, COARSE), (COARSE + 1, FINE)):
                 each = _search(distances, each, term, step / 2**first, last - first)
                 if not is_better(distances(each), now, factor):
@@ -78,29 +76,24 @@ def find_alignment(
         if nearest not in large:
             break
         values = large[nearest]
-    for term, bounded in BOUNDED.items():
-        if bounded in terms and abs(values[term]) > (MIN_VALUES[bounded] if term == "climb_share" else 0.0):
-            others = [each for each in values if each not in (term, bounded)]
-            growing = _best(distances, values, others, seconds)
-            steady = _best(distances, values | {term: 0.0}, [bounded, *others], seconds)
-            for_term, for_angle = (np.sum(evidence(distances(each))) for each in (growing, steady))
-            if for_term <= FACTORS[term] * for_angle:
-                angle = steady[bounded]
-                values |= {term: 0.0, bounded: angle if abs(angle) > MIN_VALUES[bounded] else 0.0}
+    for angle, growing in GROWING.items():
+        least = MIN_VALUES[angle] if "climb_share" in growing else 0.0
+        if angle in terms and any(abs(values[term]) > least for term in growing):
+            others = [each for each in values if each not in (angle, *growing)]
+            without = values | dict.fromkeys(growing, 0.0)
+            with_terms = _best(distances, values, others, units)
+            steady = _best(distances, without, [angle, *others], units)
+            for_terms, for_angle = (np.sum(evidence(distances(each))) for each in (with_terms, steady))
+            if for_terms <= for_angle:
+                values = without | {angle: steady[angle] if abs(steady[angle]) > MIN_VALUES[angle] else 0.0}
     return {term: value for term, value in values.items() if value}, suspected
 
 
-def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Sequence[str], seconds: float) -> _Values:
+def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Sequence[str], units: _Values) -> _Values:
     """The values with those of the terms for which there is most evidence, one after the other, and again."""
-    for _ in range(2):
-        for term in terms:
-            values = _search(distances, values, term, _first_step(term, seconds), COARSE)
+    for term in (*terms, *terms):
+        values = _search(distances, values, term, FIRST_STEP * units.get(term, 1.0), COARSE)
     return values
-
-
-def _first_step(term: str, seconds: float) -> float:
-    """The first step of a search, with the median time between the scans of pairs."""
-    return FIRST_STEP * {"delay_s": seconds, "drift_rad_per_s": 1.0 / max(seconds, 1e-9)}.get(term, 1.0)
 
 
 def _search(
@@ -121,20 +114,23 @@ def _search(
     return start | {term: best} if best != start[term] else start
 
 
-def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Callable[[_Values], FloatArray], float]:
-    """A function that gives the log distances (P, 2) of pairs of scans for values of the terms, and the median time [s]
-    between the scans of pairs.
+def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Callable[[_Values], FloatArray], _Values]:
+    """A function that gives the log distances (P, 2) of pairs of scans for values of the terms, and what a unit of each
+    term is, if not 1, by the median time and way between the scans of pairs.
     """
-    surveyed = [(log, scans) for log in logs if len(scans := log.scans(calibration, {})[0]) > 1]
-    pairs = [ScanPairs.of(scans, spacing_of(scans), fastest=False) for _, scans in surveyed]
-    stamps = [np.array([scan.stamp_ns for scan in scans]) for _, scans in surveyed]
-    seconds = [np.diff(each[found.rows])[:, 0] * 1e-9 for each, found in zip(stamps, pairs, strict=True)]
+    surveyed = [(log, *found) for log in logs if len((found := log.scans(calibration, {}))[0]) > 1]
+    pairs = [ScanPairs.of(scans, spacing_of(scans), fastest=False) for _, scans, _ in surveyed]
+    stamps = [np.array([scan.stamp_ns for scan in scans]) for _, scans, _ in surveyed]
+    grown = [
+        np.diff(np.stack([motion.seconds, motion.travels])[:, each.rows])[..., 0]
+        for each, (_, _, motion) in zip(pairs, surveyed, strict=True)
+    ]
 
     def of_log(number: int, values: _Values) -> FloatArray:
         T_odom_body = surveyed[number][0].poses_at(stamps[number], calibration, values["delay_s"])
         motions = pairs[number].motions_by(T_odom_body)
         shares = 1.0 + values["length_share"], 1.0 + values["turn_share"]
-        turns = shares[1] * yaw_rad(motions) + values["drift_rad_per_s"] * seconds[number]
+        turns = shares[1] * yaw_rad(motions) + np.array([values[term] for term in GROWING["yaw_rad"]]) @ grown[number]
         motions = transform_from_xyz_yaw(shares[0] * motions[:, :3, 3], turns)
         motions[:, 2, 3] += values["climb_share"] * np.linalg.norm(motions[:, :2, 3], axis=1)
         T_body_sensor = np.eye(4)
@@ -147,5 +143,7 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         values = dict(items)
         return np.concatenate([np.zeros((0, 2)), *(of_log(number, values) for number in range(len(pairs)))])
 
-    median_s = float(np.median(np.concatenate([np.ones(1), *seconds])))
-    return lambda values: of_logs(frozenset(values.items())), median_s
+    medians = np.median(np.concatenate([np.ones((2, 1)), *grown], axis=1), axis=1)
+    second, metre = (1.0 / np.maximum(medians, 1e-9)).tolist()
+    units = {"delay_s": 1.0 / second, "drift_rad_per_s": second, "curvature_rad_per_m": metre}
+    return lambda values: of_logs(frozenset(values.items())), units

@@ -3,11 +3,12 @@
 An object at the offset x from the body at P, in the axes of the odometry, seems to stand at W = P + x. Assume that the
 detections are later by tau than their stamps, that the sensor is turned by the rotation vector phi and sits farther by
 e, both in the axes R of the body, that the odometry's lengths and turns are too short by the shares s and g, that it
-climbs too little by a share a of its way, which is L so far, that detections lie too near by b and too low by a share c
-of their range. Then it stands, with v and omega the velocity and rate of turn of the body, h the angle that it turned
-so far, u = x / |x| and J = [0 -1; 1 0], at
+climbs too little by a share a of its way, which is L so far, that it turns too little by k per metre of it and by d per
+second, that detections lie too near by b and too low by a share c of their range. Then it stands, with v and omega the
+velocity and rate of turn of the body, h the angle that it turned so far, u = x / |x| and J = [0 -1; 1 0], at
 
-    W + tau (v + omega J x) + R phi x x + R e + s P + g (h J x + integral of h J v) + a L z + b u + c |x| z
+    W + tau (v + omega J x) + R phi x x + R e + s P + T(g h + k L + d t) + a L z + b u + c |x| z,
+    T(f) = f J x + integral of f J v,
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of all
 terms finds them. A term is *earned* if blocks of the log that the regression was not fitted to are predicted better
@@ -21,10 +22,12 @@ A term *changes* at the begin of a block if a second value of it from there on i
 terms.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from scipy.special import stdtrit
 
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -39,6 +42,8 @@ TERMS = (
     "yaw_rad",
     "length_share",
     "turn_share",
+    "drift_rad_per_s",
+    "curvature_rad_per_m",
     "climb_share",
     "x_m",
     "y_m",
@@ -65,26 +70,34 @@ _SIGNS = np.array(list(product((1.0, -1.0), repeat=BLOCKS)))
 @frozen
 class BodyMotion:
     """At each scan (K), in the axes of the odometry: ``positions`` (K, 3) m, ``headings`` (K,) rad, ``velocities``
-    (K, 2) m/s and ``turn_rates`` (K,) rad/s.
+    (K, 2) m/s, ``turn_rates`` (K,) rad/s; ``seconds`` (K,) since the first one and ``travels`` (K,) m until then.
     """
 
     positions: FloatArray
     headings: FloatArray
     velocities: FloatArray
     turn_rates: FloatArray
+    seconds: FloatArray
+    travels: FloatArray
+
+    @property
+    def growing(self) -> dict[str, FloatArray]:
+        """What the heading lacks (K,) rad, by a unit of each term whose error of it grows."""
+        return {"turn_share": self.headings, "drift_rad_per_s": self.seconds, "curvature_rad_per_m": self.travels}
 
 
 @frozen
 class Correction:
-    """The ``value`` of a term without the others; ``gain``: share of the held-out motion
-    that it explains, among all others and by its value there alone, the smaller one; ``is_sure``: whether both are more
-    than chance gains.
+    """The ``value`` of a term without the others, and its ``value_among_all``, 0 where that may be chance (a jackknife
+    over the blocks); ``gain``: share of the held-out motion that it explains, among all others and by its value there
+    alone, the smaller one; ``is_sure``: whether both are more than chance gains.
     """
 
     term: str
     value: float
     gain: float
     is_sure: bool
+    value_among_all: float = 0.0
 
     @property
     def is_earned(self) -> bool:
@@ -110,16 +123,24 @@ class _Regression:
     scans: IntArray
 
 
-def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Correction, ...]:
-    """The terms, the one with the largest gain first; none where too few objects could be tracked."""
+def estimate_corrections(
+    tracks: ObjectTracks, motion: BodyMotion, absent: Collection[str] = ()
+) -> tuple[Correction, ...]:
+    """The terms, the one with the largest gain first; none where too few objects could be tracked.
+
+    ``absent``: terms that are 0, as another one that looks like them was found.
+    """
     regression = _regression(tracks, motion)
     if regression is None:
         return ()
-    sums, everything = regression.sums, np.ones(len(TERMS), dtype=np.bool_)
+    sums, everything = regression.sums, np.array([term not in absent for term in TERMS])
     parts, with_all = _held_out(*sums, everything)
-    _, with_none = _held_out(*sums, ~everything)
+    _, with_none = _held_out(*sums, np.zeros(len(TERMS), dtype=np.bool_))
+    error = np.sqrt(BLOCKS - 1) * np.std(parts, axis=0)
+    may_be_0 = np.abs(parts.mean(axis=0)) <= stdtrit(BLOCKS - 1, 1.0 - 0.5 * CHANCE) * error
+    among_all = np.where(may_be_0, 0.0, parts.mean(axis=0) / regression.scale)
     found = []
-    for number, term in enumerate(TERMS):
+    for number in np.flatnonzero(everything).tolist():
         is_term = np.arange(len(TERMS)) == number
         _, without = _held_out(*sums, everything & ~is_term)
         alone, _ = _held_out(*sums, is_term)
@@ -127,20 +148,18 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
         gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
         values = alone[:, number] / regression.scale[number]
         gain, is_sure = min(gain, gain_of_part), is_sure and is_sure_of_part
-        found.append(Correction(term, values.mean(), gain, is_sure))
+        found.append(Correction(TERMS[number], values.mean(), gain, is_sure, among_all[number]))
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
-def is_climb_chance(tracks: ObjectTracks, motion: BodyMotion, climb_share: float) -> bool:
-    """Whether a climb that was found otherwise explains the motion of blocks no better than chance does; not where they
-    do not tell.
-    """
+def is_chance(tracks: ObjectTracks, motion: BodyMotion, term: str, value: float) -> bool:
+    """Whether a value that was found otherwise explains blocks no better than chance; not where they do not tell."""
     regression = _regression(tracks, motion)
     if regression is None:
         return False
-    number = TERMS.index("climb_share")
+    number = TERMS.index(term)
     parts = np.zeros((BLOCKS, len(TERMS)))
-    parts[:, number] = climb_share * regression.scale[number]
+    parts[:, number] = value * regression.scale[number]
     gain, is_sure = _gain(regression.sums[2], _left_of(*regression.sums, parts))
     return gain != 0.0 and not is_sure
 
@@ -180,7 +199,8 @@ def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     X = effects[first] - effects[second]  # (P, 3, terms)
     # Turns before the first scan of a pair would multiply the errors of its offsets: they turn all that comes after.
     at = motion.positions[tracks.scan, :2] + tracks.offsets
-    X[:, :2, TERMS.index("turn_share")] -= motion.headings[tracks.scan[first], None] * ((at[first] - at[second]) @ J.T)
+    for term, lacking in motion.growing.items():
+        X[:, :2, TERMS.index(term)] -= lacking[tracks.scan[first], None] * ((at[first] - at[second]) @ J.T)
     y = tracks.places[second] - tracks.places[first]
     block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
@@ -214,20 +234,20 @@ def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
     c, s, zero = np.cos(headings), np.sin(headings), np.zeros(len(headings))
     along, across = np.column_stack([c, s, zero]), np.column_stack([-s, c, zero])
     steps = np.diff(motion.positions[:, :2], axis=0, prepend=motion.positions[:1, :2])
-    swept = np.cumsum(motion.headings[:, None] * (steps @ J.T), axis=0)[tracks.scan]
-    travel = np.cumsum(np.linalg.norm(steps, axis=1))[tracks.scan]
     ranges = np.linalg.norm(tracks.offsets, axis=1)
     level = {
         "delay_s": motion.velocities[tracks.scan] + motion.turn_rates[tracks.scan][:, None] * turned,
         "yaw_rad": turned,
-        "turn_share": headings[:, None] * turned + swept,
         "near_m": tracks.rays,
     }
+    for term, lacking in motion.growing.items():
+        swept = np.cumsum(lacking[:, None] * (steps @ J.T), axis=0)
+        level[term] = lacking[tracks.scan, None] * turned + swept[tracks.scan]
     in_space = {name: np.column_stack([effect, zero]) for name, effect in level.items()} | {
         "roll_rad": np.cross(along, offsets),
         "pitch_rad": np.cross(across, offsets),
         "length_share": positions,
-        "climb_share": np.column_stack([zero, zero, travel]),
+        "climb_share": np.column_stack([zero, zero, motion.travels[tracks.scan]]),
         "x_m": along,
         "y_m": across,
         "low_share": np.column_stack([zero, zero, ranges]),

@@ -59,6 +59,11 @@ def poses_of(scans: Sequence[SurveyScan]) -> FloatArray:
     return np.array([scan.T_odom_body for scan in scans]).reshape(-1, 4, 4)
 
 
+def seconds_of(scans: Sequence[SurveyScan]) -> FloatArray:
+    """Times (K,) s of scans since the first one."""
+    return np.array([scan.stamp_ns - scans[0].stamp_ns for scan in scans]) * 1e-9
+
+
 def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
     """Unwrapped headings (K,) rad of the body at scans."""
     return np.unwrap(yaw_rad(poses_of(scans)))

@@ -10,14 +10,14 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, rotation_of, travelled_m
 from slam.frontend.input.sensor_frames import corrected_mount
-from slam.self_calibration.alignment import ANGLES, find_alignment
+from slam.self_calibration.alignment import ANGLES, GROWING, find_alignment
 from slam.self_calibration.corrections import (
     Change,
     Correction,
     centroid_biases,
     estimate_corrections,
     find_change,
-    is_climb_chance,
+    is_chance,
     without_bias,
 )
 from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
@@ -33,6 +33,7 @@ from slam.self_calibration.object_tracks import (
     objects_among,
     poses_of,
     ranges_m,
+    seconds_of,
 )
 from slam.self_calibration.resolution import find_resolution
 from slam.self_calibration.surveyed_log import SurveyedLog, scans_of
@@ -49,7 +50,8 @@ ANGLES_DEG = "roll_deg", "pitch_deg", "yaw_deg"
 SHIFTS = "x_m", "y_m"
 """Terms and settings of where the sensor sits on the body."""
 SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
-SETTINGS = SCALES | {name: f"detection.{name}" for name in SHIFTS}
+TURNS = {"drift_rad_per_s": "odometry.drift_deg_per_s", "curvature_rad_per_m": "odometry.curvature_deg_per_m"}
+SETTINGS = SCALES | TURNS | {name: f"detection.{name}" for name in SHIFTS}
 """Settings of the terms that are found from tracks."""
 ROUNDS = 10
 """Corrections are found one after another, the one that explains most first: a large one is seen in part at first."""
@@ -139,20 +141,20 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         known = known.with_values({"objects.max_classes": 1})
     aligned, unaligned = find_alignment(logs, known, _unknown(given))
     delay_s = aligned.pop("delay_s", 0.0)
-    if "climb_share" in aligned:
-        level = {"detection.time_offset_s": known.detection.time_offset_s + delay_s} | _of_sensor(
-            {term: value for term, value in aligned.items() if term != "climb_share"}, known
-        )
-        scans, motion = scans_of(logs, known.with_values(level))
+    late = {"detection.time_offset_s": known.detection.time_offset_s + delay_s}
+    for term in [each for growing in GROWING.values() for each in growing if each in aligned]:
+        others = {each: value for each, value in aligned.items() if each != term}
+        scans, motion = scans_of(logs, known.with_values(late | _of_sensor(others, known)))
         tracks = objects_among(follow_objects(scans))
-        if is_climb_chance(tracks, motion, aligned["climb_share"]):  # by how followed objects seem to move
-            unaligned = unaligned | {"climb_share": aligned.pop("climb_share")}
+        if is_chance(tracks, motion, term, aligned[term]):  # by how followed objects seem to move
+            aligned, unaligned = others, unaligned | {term: aligned[term]}
     corrected |= _of_sensor(aligned, known)
+    absent = TURNS.keys() - aligned.keys() if TURNS.keys() & aligned.keys() else ()
     for _ in range(ROUNDS):
         late_s = known.detection.time_offset_s + delay_s
         scans, motion = scans_of(logs, known.with_values(corrected | {"detection.time_offset_s": late_s}))
         tracks = objects_among(follow_objects(scans))
-        found = estimate_corrections(tracks, motion)
+        found = estimate_corrections(tracks, motion, absent)
         change = _first_change(found, corrected, known, given, scans)
         if not change:
             break
@@ -216,7 +218,7 @@ def _log_likelihood_ratio(followed: IntArray, changes: IntArray) -> FloatArray:
 def _unknown(given: Calibration) -> list[str]:
     """Terms of the alignment that were not given by hand."""
     angles = () if _is_turned_by_hand(given) else ANGLES
-    own = {"climb_share": "odometry.climb", "drift_rad_per_s": "odometry.drift_deg_per_s"}
+    own = {"climb_share": "odometry.climb"} | TURNS
     return ["delay_s", *angles, *(term for term, key in own.items() if not given.is_given(key))]
 
 
@@ -227,9 +229,8 @@ def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]
     changed = _angles(rotation @ mount) if not found.keys().isdisjoint(ANGLES) else {}
     if "climb_share" in found:
         changed |= {"odometry.climb": now.odometry.climb + found["climb_share"]}
-    if "drift_rad_per_s" in found:
-        drift_deg_per_s = now.odometry.drift_deg_per_s + np.rad2deg(found["drift_rad_per_s"])
-        changed |= {"odometry.drift_deg_per_s": float(drift_deg_per_s)}
+    for term in TURNS.keys() & found.keys():
+        changed |= {TURNS[term]: float(now.value_of(TURNS[term]) + np.rad2deg(found[term]))}
     return changed
 
 
@@ -248,8 +249,6 @@ def _first_change(
     now = known.with_values(corrected)
     for each in found:
         key = SETTINGS.get(each.term, "")
-        # What is left of a correction is small, and needs to be sure only.
-        is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
         if each.is_earned and each.term == "delay_s":
             return {"delay_s": each.value}
         if each.is_earned and each.term in SHIFTS and not given.is_given(key):
@@ -260,6 +259,12 @@ def _first_change(
                 # No body is so large by what its sensor sees.
                 is_possible = abs(shift_m) < MAX_SHARE * np.quantile(ranges_m(scans), RANGE_QUANTILE)
                 return {key: shift_m} if is_possible else {}
+        if each.term in TURNS and not given.is_given(key):
+            lacking = each.value_among_all if key in corrected else each.value * each.is_earned
+            if lacking:
+                return {key: _value(replace(each, value=lacking), now)}
+        # What is left of a correction is small, and needs to be sure only.
+        is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
         is_wanted = is_rest or (each.is_earned and abs(each.value) > MIN_SHARE)
         if each.term in SCALES and is_wanted and not given.is_given(key):
             scale = _value(each, now)
@@ -271,7 +276,9 @@ def _first_change(
 def _value(each: Correction, now: Calibration) -> float:
     """What the correction changes its setting to."""
     value = now.value_of(SETTINGS[each.term])
-    return value * (1.0 + each.value) if each.term in SCALES else value + each.value
+    if each.term in SCALES:
+        return value * (1.0 + each.value)
+    return float(value + (np.rad2deg(each.value) if each.term in TURNS else each.value))
 
 
 def _is_turned_by_hand(given: Calibration) -> bool:
@@ -317,7 +324,7 @@ def _orientation(scans: Sequence[SurveyScan], known: Calibration, given: Calibra
 def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     """The survey of scans (at least one), in the order of their stamps, by the ``tracks`` of their objects."""
     poses = poses_of(scans)
-    stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
+    stamps_s = seconds_of(scans)
     motion = Motion(travelled_m(poses[:, :2, 3]), headings_of(scans), stamps_s, poses[:, 2, 3])
     ranges = ranges_m(scans)
     biases = centroid_biases(tracks)

@@ -1,19 +1,19 @@
 """The odometry and the detections of a log as scans that are corrected by a calibration."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration, OdometryCalibration
-from slam.common.geometry import apply_each, gravity_frame, interpolate, invert, step_lengths, yaw_rad
+from slam.common.geometry import apply_each, gravity_frame, interpolate, invert, step_lengths, travelled_m, yaw_rad
 from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.self_calibration.corrections import BodyMotion
-from slam.self_calibration.object_tracks import SurveyScan, headings_of, poses_of
+from slam.self_calibration.object_tracks import SurveyScan, headings_of, poses_of, seconds_of
 from slam.self_calibration.variance_components import CLIP
 
 MAX_DETECTIONS = 150_000
@@ -121,19 +121,15 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
             motion = replace(motion, positions=motion.positions + shift[:3, 3])
         scans += more
         motions.append(motion)
-    return scans, BodyMotion(
-        np.concatenate([each.positions for each in motions]),
-        np.unwrap(np.concatenate([each.headings for each in motions])),
-        np.concatenate([each.velocities for each in motions]),
-        np.concatenate([each.turn_rates for each in motions]),
-    )
+    joined = (np.concatenate([getattr(each, field.name) for each in motions]) for field in fields(BodyMotion))
+    return scans, BodyMotion(*joined)
 
 
 def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_ns: int) -> BodyMotion:
     """By the odometry half an interval of the scans before and after each."""
     positions, headings = poses_of(scans)[:, :3, 3], headings_of(scans)
     if len(scans) < 2:
-        return BodyMotion(positions, headings, np.zeros((len(scans), 2)), np.zeros(len(scans)))
+        return BodyMotion(positions, headings, np.zeros((len(scans), 2)), *np.zeros((3, len(scans))))
     at = np.array([scan.stamp_ns for scan in scans], dtype=np.int64) + delay_ns
     half = max(int(np.median(np.diff(at))), int(np.median(np.diff(stamps))), 1)
     before, after = np.maximum(at - half, stamps[0]), np.minimum(at + half, stamps[-1])
@@ -141,7 +137,8 @@ def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_
     seconds = np.maximum((after - before) * 1e-9, 1e-9)
     turned = (yaw_rad(T_after) - yaw_rad(T_before) + np.pi) % (2.0 * np.pi) - np.pi
     velocities = (T_after - T_before)[:, :2, 3] / seconds[:, None]
-    return BodyMotion(positions, headings, velocities, turn_rates=turned / seconds)
+    travels = np.interp(at - stamps[0], stamps - stamps[0], travelled_m(poses[:, :2, 3]))
+    return BodyMotion(positions, headings, velocities, turned / seconds, seconds_of(scans), travels)
 
 
 def _path_length(poses: FloatArray) -> float:
@@ -170,8 +167,8 @@ def _upright_scans(
     variances[variances == 0.0] = np.nan
     names = [vocabulary.setdefault(label, len(vocabulary)) for each in messages for label in each.labels]
     labels = np.minimum(np.array(names, dtype=np.int64), calibration.objects.max_classes - 1)
-    T = np.repeat(T_upright_sensor, counts, axis=0)
-    positions = apply_each(T, np.concatenate([each.positions for each in messages]))
+    seen = np.concatenate([each.positions for each in messages])
+    positions = apply_each(np.repeat(T_upright_sensor, counts, axis=0), seen)
     used = np.isfinite(positions).all(axis=1)
     used &= np.concatenate([is_wanted(each, calibration.detection) for each in messages])
     ranges = np.hypot(positions[:, 0], positions[:, 1])

@@ -48,8 +48,9 @@ def test_each_step_climbs_by_a_share_of_its_length():
     np.testing.assert_allclose(corrected(found, climb=0.1), poses, atol=1e-9)
 
 
-def test_each_step_turns_by_the_drift_of_its_time():
-    found = corrected(chained(0.5, turns() - np.deg2rad(3.0)), drift_deg_per_s=3.0)
+@pytest.mark.parametrize("calibration", [{"drift_deg_per_s": 3.0}, {"curvature_deg_per_m": 6.0}])
+def test_each_step_turns_by_its_time_and_length(calibration):
+    found = corrected(chained(0.5, turns() - np.deg2rad(3.0)), **calibration)
     np.testing.assert_allclose(found, chained(0.5, turns()), atol=1e-6)
 
 

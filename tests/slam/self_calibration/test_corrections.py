@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
+from slam.common.geometry import travelled_m
 from slam.self_calibration import corrections
 from slam.self_calibration.corrections import (
     BLOCKS,
@@ -35,7 +36,8 @@ def motion() -> BodyMotion:
         SPEED_MPS * (1.0 + 0.5 * np.sin(1.3 * time_s))[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)
     )
     positions = np.column_stack([np.cumsum(velocities * PERIOD_S, axis=0), np.zeros(SCANS)])
-    return BodyMotion(positions, headings, velocities, np.gradient(headings, PERIOD_S))
+    travels = travelled_m(positions)
+    return BodyMotion(positions, headings, velocities, np.gradient(headings, PERIOD_S), time_s, travels)
 
 
 def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02) -> ObjectTracks:
@@ -87,7 +89,7 @@ def test_is_beyond_chance_if_few_changes_of_signs_gain_as_much(scale):
     assert found == [True, False]
 
 
-@pytest.mark.parametrize("term", ["pitch_rad", "roll_rad", "yaw_rad", "turn_share", "length_share"])
+@pytest.mark.parametrize("term", TERMS[1:8])
 def test_each_error_is_told_from_the_others(motion, term):
     made = tracks(motion)
     heights = np.random.default_rng(5).uniform(-2.0, 2.0, made.track.max() + 1)[made.track]
@@ -107,6 +109,14 @@ def changed(
     made = tracks(motion, noise_m=noise_m)
     size = np.where(made.scan < first, before, after)[:, None]
     return replace(made, points=made.points - size * _effects(made, motion)[:, :2, TERMS.index(term)])
+
+
+def test_turn_by_the_time_looks_like_one_by_the_way_at_a_constant_speed(motion):
+    steady = replace(motion, travels=SPEED_MPS * motion.seconds)
+    wrong = changed("drift_rad_per_s", steady, before=0.1, after=0.1)
+    assert earned(wrong, steady) == {}
+    first = estimate_corrections(wrong, steady, {"curvature_rad_per_m"})[0]
+    assert (first.term, first.value, first.value_among_all) == ("drift_rad_per_s", *2 * [pytest.approx(0.1, abs=0.01)])
 
 
 @pytest.mark.parametrize("term", ["yaw_rad", "turn_share", "length_share", "delay_s"])

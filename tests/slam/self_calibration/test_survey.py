@@ -17,6 +17,7 @@ from slam.self_calibration.survey import ANGLES_DEG, Survey, _of_sensor, _unknow
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.self_calibration.variance_components import ComponentEstimate
+from slam.simulation.faults.recording import joined
 from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import motion_by, pose_at
 from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, summary_of, with_odometry
@@ -264,12 +265,7 @@ def doubled(records: list[Record]) -> list[Record]:
     """With a second detection of each object, off by 0.1 m."""
     rng = np.random.default_rng(0)
     return [
-        replace(
-            each,
-            positions=np.concatenate([each.positions, each.positions + rng.normal(0.0, 0.1, each.positions.shape)]),
-            labels=each.labels * 2,
-            scores=np.tile(each.scores, 2),
-        )
+        joined([each, replace(each, positions=each.positions + rng.normal(0.0, 0.1, each.positions.shape))])
         if isinstance(each, ObjectDetections)
         else each
         for each in records
