@@ -107,17 +107,17 @@ def test_three_common_landmarks_and_half_of_those_seen_are_needed():
 
 
 def test_a_keyframe_that_is_not_settled_stays():
-    seen = [(number, [1, 2, 3]) for number in range(3)]
+    seen = [*enumerate([[1, 2, 3]] * 3)]
     assert find(seen, [0.0, 99.0, 198.0], is_settled=[True, True, False]) == {}
 
 
 def test_an_attached_keyframe_is_no_anchor_and_neither_is_one_that_may_not_be():
-    laps = [(number, [1, 2, 3]) for number in range(5)]
+    laps = [*enumerate([[1, 2, 3]] * 5)]
     travel_m = [99.0 * number for number in range(5)]
     assert find(laps, travel_m) == {2: 1, 3: 1, 4: 1}
     assert find(laps, travel_m, may_anchor=[True, False, True, True, True]) == {3: 2, 4: 2}
 
 
 def test_keyframes_that_saw_nothing_go_with_the_next_one_that_did():
-    seen = [(0, [1, 2, 3]), (1, [1, 2, 3]), (2, []), (3, []), (4, [1, 2, 3]), (5, []), (6, [7, 8])]
-    assert find(seen, [0.0, 99.0, 196.0, 197.0, 198.0, 199.0, 200.0]) == {2: 1, 3: 1, 4: 1}
+    seen = [*enumerate([*[[1, 2, 3]] * 2, [], [], [1, 2, 3], [], [7, 8]])]
+    assert find(seen, [0.0, 99.0, *np.arange(196.0, 201.0)]) == {2: 1, 3: 1, 4: 1}

@@ -55,8 +55,7 @@ def test_what_few_of_many_sessions_have_neither_came_nor_went() -> None:
     rows = [*["11111111"] * 40, "00100000", "00010000", "01000010", "00001000", "00001111"]
     seen = np.array([[*map(int, row)] for row in rows], bool).repeat(4, axis=1)
     seen[40:44] &= np.arange(32) % 4 == 0
-    stamps_ns = np.arange(32) * 7 * DAY_NS
-    result = estimate_presence(seen, np.full(seen.shape, SEEN), stamps_ns)
+    result = estimate_presence(seen, np.full(seen.shape, SEEN), np.arange(32) * 7 * DAY_NS)
     assert (np.array([result.appeared, result.gone, result.useful])[:, 40:44] < 0.5).all()
     assert min(*result.useful[:40], result.useful[44], result.appeared[44]) > 0.9
 

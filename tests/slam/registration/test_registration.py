@@ -166,7 +166,8 @@ def test_covariance_against_monte_carlo() -> None:
 def test_crowded_objects_are_assigned_so_that_most_agree() -> None:
     """Greedy nearest neighbours would give the pair in the middle away and leave two objects alone."""
     reference = np.array([[0.0, 0, 0], [40.0, 0, 0], [0.0, 40, 0], [20.0, 20.0, 0], [20.4, 20.0, 0]])
-    query = np.array([[0.0, 0, 0], [40.0, 0, 0], [0.0, 40, 0], [20.25, 20.0, 0], [20.65, 20.0, 0]])
+    query = reference.copy()
+    query[3:, 0] += 0.25
     same = np.zeros(5, np.int64)
     registration = from_near(query, same, reference, same, np.eye(4))
     np.testing.assert_array_equal(registration.pairs, np.stack([np.arange(5)] * 2, axis=1))
@@ -181,8 +182,7 @@ def test_an_object_counts_with_the_one_that_it_prefers_only(doubled: str) -> Non
     more = np.vstack([CORNERS, [20.4, 0.0, 0.0]])
     query, reference = (more, CORNERS) if doubled == "query" else (CORNERS, more)
     labels = [np.append(np.arange(6), 1)[: len(each)] for each in (query, reference)]
-    T_near = pose_at(0.05)
-    found = from_near(query, labels[0], reference, labels[1], T_near)
+    found = from_near(query, labels[0], reference, labels[1], pose_at(0.05))
     np.testing.assert_allclose(found.T_reference_query, np.eye(4), atol=1e-4)
 
 

@@ -89,21 +89,25 @@ def test_a_drift_of_the_heading_is_found() -> None:
 @pytest.mark.slow
 @needs_robots
 @pytest.mark.parametrize(
-    ("drive", "odometry", "right"),
+    ("drive", "near", "odometry", "right"),
     [
-        ("cones", {}, {}),
-        ("cones", {"curvature_deg_per_m": 1.0}, {"curvature_rad_per_m": np.deg2rad(-1.0)}),
-        ("victoria_park", {}, {"curvature_rad_per_m": np.deg2rad(0.115)}),
-        ("mrclam6/robot2", {"climb": -0.05}, {"climb_share": 0.05}),
-        ("mrclam3/robotA", {"drift_deg_per_s": 1.0}, {"drift_rad_per_s": np.deg2rad(-1.0)}),
+        ("cones", 1.0, {}, {}),
+        pytest.param("cones", 0.92, {}, {}, marks=pytest.mark.xfail),  # looks like a drift of 2.5 deg/s
+        ("victoria_park", 1.0, {}, {"curvature_rad_per_m": np.deg2rad(0.115)}),
+        ("mrclam6/robot2", 1.0, {"climb": -0.05}, {"climb_share": 0.05}),
+        ("mrclam3/robotA", 1.0, {"drift_deg_per_s": 1.0}, {"drift_rad_per_s": np.deg2rad(-1.0)}),
     ],
 )
-def test_a_turn_that_the_odometry_lacks_is_no_yaw_and_a_small_climb_no_pitch(drive, odometry, right) -> None:
-    """Of a car that drives ahead, of one whose GNSS shows the turn, too, of a robot with a narrow view, and of one that
-    sees few objects.
+def test_a_turn_that_the_odometry_lacks_is_no_yaw_and_a_small_climb_no_pitch(drive, near, odometry, right) -> None:
+    """Of a car that drives ahead, also where it sees objects on its left too near, of one whose GNSS shows the turn,
+    too, of a robot with a narrow view, and of one that sees few objects.
     """
     log = read_text_log(detections=ROBOTS / drive / "detections.csv.gz", odometry=ROBOTS / drive / "odometry.tum.gz")
-    assert found(SurveyedLog(with_odometry(log.records(), **odometry))) == pytest.approx(right, abs=5e-3)
+    records = [*with_odometry(log.records(), **odometry)]
+    for each in records:
+        if isinstance(each, ObjectDetections):
+            each.positions[each.positions[:, 1] > 0.0] *= near
+    assert found(SurveyedLog(records)) == pytest.approx(right, abs=5e-3)
 
 
 @pytest.mark.parametrize("scales", [{"length_scale": 0.7}, {"turn_scale": 0.6}])

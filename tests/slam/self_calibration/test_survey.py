@@ -316,10 +316,16 @@ def test_climb_that_may_be_chance_is_suspected_only(monkeypatch, climb, is_corre
     assert ("odometry.climb" in found.corrected) == is_corrected
 
 
+def test_turn_of_an_alignment_is_measured_by_followed_objects(monkeypatch):
+    """At one speed, so that a turn by the way would explain the rest as well."""
+    monkeypatch.setattr("slam.self_calibration.survey.find_alignment", lambda *_: ({"drift_rad_per_s": -0.03}, {}))
+    found = survey(with_odometry(turned_records(0.0), drift_deg_per_s=3.0), ON_BODY)
+    assert found.corrected == {"odometry.drift_deg_per_s": pytest.approx(-3.0, abs=0.1)}
+
+
 def test_drift_of_an_alignment_adds_to_that_which_is_known():
     known = Calibration(odometry=OdometryCalibration(drift_deg_per_s=1.5))
-    changed = _of_sensor({"drift_rad_per_s": np.deg2rad(-2.0)}, known)
-    assert changed == {"odometry.drift_deg_per_s": pytest.approx(-0.5)}
+    assert _of_sensor({"drift_rad_per_s": np.deg2rad(-2.0)}, known) == {"odometry.drift_deg_per_s": pytest.approx(-0.5)}
     assert "drift_rad_per_s" not in _unknown(known)
     assert "drift_rad_per_s" in _unknown(Calibration())
 
