@@ -38,6 +38,7 @@ class RetirementReason(StrEnum):
 LANDMARK = np.dtype(
     [
         ("state", np.int8),
+        ("reason", "U13"),  # why it was retired, empty before
         ("observations", np.int64),  # detections assigned to it
         ("log_likelihood_ratio", np.float64),  # of all of them but the first, against none of them
         ("first_scan", np.int64),  # numbers of the first and the last scan that saw it
@@ -81,7 +82,8 @@ class ClassBeliefs:
 
     def __init__(self, config: ObjectCalibration) -> None:
         self._config = config
-        self._label_counts = np.zeros((64, 8))
+        self.label_counts = np.zeros((64, 8))
+        """How often each landmark was given each label; columns beyond the vocabulary are zero."""
         self._label_index: dict[str, int] = {}
         self.vocabulary: tuple[str, ...] = ()
         """Class names in the order in which they were first seen; the index of a label is its place here."""
@@ -89,47 +91,38 @@ class ClassBeliefs:
 
     def indices(self, labels: tuple[str, ...]) -> IntArray:
         """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
+        index, most, indices = self._label_index, self._config.max_classes, list[int]()
         for label in labels:
             # The last class that fits represents all later ones.
-            is_listed = label in self._label_index or len(self._label_index) < self._config.max_classes - 1
-            self._label_index.setdefault(label if is_listed else OTHER_CLASS, len(self._label_index))
-        self.vocabulary = tuple(self._label_index)
-        if len(self._label_index) > self._label_counts.shape[1]:
-            self.reserve(classes=2 * len(self._label_index))
-        other = self._label_index.get(OTHER_CLASS, 0)
-        indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
-        if self._config.max_classes > 1:
-            self.unlisted += sum(label not in self._label_index for label in labels)
-        return indices
+            is_listed = label in index or len(index) < most - 1
+            indices.append(index.setdefault(label if is_listed else OTHER_CLASS, len(index)))
+            self.unlisted += label not in index and most > 1
+        self.vocabulary = tuple(index)
+        if len(index) > self.label_counts.shape[1]:
+            self.reserve(classes=2 * len(index))
+        return np.array(indices, dtype=np.int64)
 
     def reserve(self, *, rows: int = 0, classes: int = 0) -> None:
         """Make room for so many landmarks and classes at least."""
-        counts = self._label_counts
-        self._label_counts = np.zeros((max(rows, counts.shape[0]), max(classes, counts.shape[1])))
-        self._label_counts[: counts.shape[0], : counts.shape[1]] = counts
+        missing = np.maximum((rows, classes), self.label_counts.shape) - self.label_counts.shape
+        self.label_counts = np.pad(self.label_counts, [(0, each) for each in missing.tolist()])
 
     def count(self, rows: IntArray, labels: IntArray) -> None:
         """Count one more label (N,) of each of different landmarks (N,)."""
-        self._label_counts[rows, labels] += 1.0
+        self.label_counts[rows, labels] += 1.0
 
     def restore(self, rows: IntArray, labels: IntArray, counts: FloatArray) -> None:
         """Set how often landmarks (N,) were given labels (C,), (N, C)."""
-        self._label_counts[rows] = 0.0
-        np.add.at(self._label_counts, np.ix_(rows, labels), counts)
-
-    def label_counts(self, rows: IntArray | int | slice) -> FloatArray:
-        """Counts of the labels of landmarks; columns beyond the vocabulary are zero."""
-        return self._label_counts[rows]
+        self.label_counts[rows] = 0.0
+        np.add.at(self.label_counts, np.ix_(rows, labels), counts)
 
     def beliefs(self, rows: IntArray) -> FloatArray:
         """Class probabilities (N, C) of each landmark."""
-        return self.posterior(self._label_counts[rows])
+        return self.posterior(self.label_counts[rows])
 
     def classes(self, rows: IntArray) -> IntArray:
         """The most probable class (N,) of each landmark."""
-        if not self._label_index:
-            return np.zeros(len(rows), dtype=np.int64)
-        return self._label_counts[rows, : len(self._label_index)].argmax(axis=1)
+        return self.label_counts[rows].argmax(axis=1)
 
     def posterior(self, label_counts: FloatArray) -> FloatArray:
         """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
@@ -153,7 +146,6 @@ class ObjectMap:
         """(L,) structured array of ``LANDMARK``: a view that cannot be written to, another one with more landmarks."""
         self.labels = ClassBeliefs(config)
         self._size = 0
-        self._reasons: dict[int, str] = {}
         self._merges: list[tuple[int, int, int | None]] = []  # kept, dropped, and the factor of the closure, if any
         self.canonical = np.zeros(0, dtype=np.int64)
         """The row (L,) of the landmark that each row is in the map: its own, or that of what it was merged into."""
@@ -297,15 +289,13 @@ class ObjectMap:
     @property
     def never_confirmed(self) -> BoolArray:
         """Which landmarks (L,) were retired because they were not observed often enough."""
-        reasons = [self._reasons.get(row) for row in range(self._size)]
-        return np.array([reason == RetirementReason.NOT_CONFIRMED for reason in reasons], dtype=np.bool_)
+        return np.asarray(self.rows["reason"] == RetirementReason.NOT_CONFIRMED)
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> list[int]:
         """Retire landmarks and all that were merged into them; returns the rows of all these, ascending."""
-        ended: list[int] = np.union1d(rows, np.flatnonzero(np.isin(self.canonical, rows))).tolist()
-        self._rows["state"][ended] = LandmarkState.RETIRED
-        self._reasons.update(dict.fromkeys(ended, reason.value))
-        return ended
+        ended = np.union1d(rows, np.flatnonzero(np.isin(self.canonical, rows)))
+        self.assign(ended, state=LandmarkState.RETIRED, reason=reason)
+        return ended.tolist()
 
     def merge(self, kept: int, dropped: int, *, closure: int | None = None) -> None:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
@@ -344,14 +334,14 @@ class ObjectMap:
         """
         kept = np.flatnonzero(~self.never_confirmed)
         landmarks, aliases, rows = self.rows[kept], self.aliases, kept.tolist()
-        states = [LandmarkState(state).name.lower() for state in landmarks["state"].tolist()]
         counts, first, last = (self.rows[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
-        labels = self.labels.label_counts(slice(self._size)).copy()
-        dropped, into = np.array(list(aliases.items()), dtype=np.int64).reshape(-1, 2).T
+        labels = self.labels.label_counts[: self._size].copy()
+        dropped, into = list(aliases), list(aliases.values())
         np.add.at(counts, into, self.rows["observations"][dropped])
         np.minimum.at(first, into, self.rows["first_seen_ns"][dropped])
         np.maximum.at(last, into, self.rows["last_seen_ns"][dropped])
-        np.add.at(labels, into, self.labels.label_counts(dropped))
+        np.add.at(labels, into, self.labels.label_counts[dropped])
+        landmarks["state"][np.isin(kept, dropped)] = LandmarkState.RETIRED
         return ObjectMapRecord(
             stamp_ns=stamp_ns,
             frame_id="map",
@@ -360,10 +350,10 @@ class ObjectMap:
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
             class_probabilities=self.labels.posterior(labels[kept]),
-            states=tuple("retired" if row in aliases else state for row, state in zip(rows, states, strict=True)),
+            states=tuple(LandmarkState(state).name.lower() for state in landmarks["state"].tolist()),
             reasons=tuple(
-                f"{RetirementReason.MERGED.value} into {aliases[row]}" if row in aliases else self._reasons.get(row, "")
-                for row in rows
+                f"{RetirementReason.MERGED.value} into {aliases[row]}" if row in aliases else reason
+                for row, reason in zip(rows, landmarks["reason"].tolist(), strict=True)
             ),
             merged_into=tuple(str(aliases.get(row, "")) for row in rows) if aliases else (),
             observation_counts=counts[kept],
