@@ -3,7 +3,6 @@ parts of the drive that nothing joins, and moving objects.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -36,13 +35,16 @@ def assess(
         counters: those of the drive, with ``odometry_corrected`` and ``closures_inserted``.
         check: whether the final trajectory is the best.
     """
-    return (
-        *_unobserved(graph, calibration.detection.sensor_range_m),
+    share = moving_share(object_map)
+    moving = f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"
+    doubts = (
+        _unobserved(graph, calibration.detection.sensor_range_m),
         *_unexplained(graph, calibration.detection.sensor_range_m),
-        *_parted(graph),
-        *_moving(object_map),
-        *explain(check, moving_share(object_map), counters, calibration),
+        _parted(graph),
+        moving if share >= 0.25 else "",
+        explain(check, share, counters, calibration),
     )
+    return tuple(filter(None, doubts))
 
 
 def diagnose_uncorrected(graph: FactorGraphRecord, counters: Mapping[str, int]) -> str:
@@ -61,9 +63,10 @@ def diagnose_uncorrected(graph: FactorGraphRecord, counters: Mapping[str, int]) 
     return "no scan has an object"
 
 
-def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
+def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> str:
+    """A long way without landmarks; empty for a usual one."""
     if not len(graph.observation_keyframe_ids):
-        return []  # see diagnose_uncorrected
+        return ""  # see diagnose_uncorrected
     travel_m = _travel_m(graph)
     keyframes = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
     # Two landmarks fix the position and the heading of a keyframe in the plane.
@@ -71,10 +74,10 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     ways_m = np.diff(np.concatenate([[0.0], travel_m[observed], travel_m[-1:]]))
     share = ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9)
     if share < 0.1:
-        return []
-    return [
+        return ""
+    return (
         f"fewer than two landmarks in view over {100.0 * share:.0f} % of the way: only the odometry constrains it there"
-    ]
+    )
 
 
 def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
@@ -102,19 +105,19 @@ def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     ]
 
 
-def _parted(graph: FactorGraphRecord) -> list[str]:
-    """Parts of a drive between which the odometry broke off, and that neither closures nor landmarks join."""
+def _parted(graph: FactorGraphRecord) -> str:
+    """Parts of a drive between which the odometry broke off, and that neither closures nor landmarks join, or empty."""
     is_break = are_of_kind(graph, EdgeKind.DISCONTINUITY)
-    landmarks = np.unique(graph.observation_landmark_ids, return_inverse=True)[1]
-    order = np.argsort(landmarks, kind="stable")
-    observers, is_same = graph.observation_keyframe_ids[order], np.diff(landmarks[order]) == 0
-    joins = np.concatenate([graph.edge_keyframe_ids, np.column_stack([observers[:-1], observers[1:]])[is_same]])
-    part = parts(replace(graph, edge_keyframe_ids=joins), np.append(~is_break, np.ones(is_same.sum(), dtype=np.bool_)))
+    # A landmark joins all keyframes that saw it with the first of these.
+    _, first, landmark = np.unique(graph.observation_landmark_ids, return_index=True, return_inverse=True)
+    observers = graph.observation_keyframe_ids
+    by_landmarks = np.column_stack([observers, observers[first[landmark]]])
+    part = parts(graph.keyframe_ids, np.concatenate([graph.edge_keyframe_ids[~is_break], by_landmarks]))
     ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_break])
     count = len(np.unique(part[ends]))
     if count < 2:
-        return []
-    return [f"the drive is in {count} parts: the odometry broke off, and neither closures nor landmarks join them"]
+        return ""
+    return f"the drive is in {count} parts: the odometry broke off, and neither closures nor landmarks join them"
 
 
 def _travel_m(graph: FactorGraphRecord) -> FloatArray:
@@ -138,17 +141,8 @@ def moving_share(object_map: ObjectMapRecord) -> float:
     return moving / max(moving + object_map.states.count("confirmed"), 1)
 
 
-def _moving(object_map: ObjectMapRecord) -> list[str]:
-    share = moving_share(object_map)
-    if share < 0.25:
-        return []
-    return [f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"]
-
-
-def explain(
-    check: TrajectoryCheck, moving_share: float, counters: Mapping[str, int], calibration: Calibration
-) -> tuple[str, ...]:
-    """A warning with the likely reason if another trajectory is better than the final one; else nothing.
+def explain(check: TrajectoryCheck, moving_share: float, counters: Mapping[str, int], calibration: Calibration) -> str:
+    """A warning with the likely reason if another trajectory is better than the final one; else empty.
 
     Args:
         check: of the trajectories.
@@ -157,7 +151,7 @@ def explain(
         calibration: by which the map was built.
     """
     if check.better is None:
-        return ()
+        return ""
     name = "online estimate" if check.better == ONLINE else "odometry alone"
     gained = check.gains[check.better] - check.gains[FINAL]
     reason = "; ".join(_signs_of_confusion(moving_share, counters, calibration))
@@ -169,7 +163,7 @@ def explain(
         reason = "no closure corrects it; check the stamps, the frames and the calibration of the detections"
     return (
         f"the {name} is better than the final trajectory: it predicts detections on other visits better by "
-        f"{gained:.1f} nats; {reason}",
+        f"{gained:.1f} nats; {reason}"
     )
 
 

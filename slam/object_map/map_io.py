@@ -225,7 +225,8 @@ def _condensed(graph: FactorGraphRecord) -> BoolArray:
 
 def _tied(graph: FactorGraphRecord, *, to_first: bool) -> BoolArray:
     """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
-    part = parts(graph, ~are_of_kind(graph, EdgeKind.DISCONTINUITY))
+    is_break = are_of_kind(graph, EdgeKind.DISCONTINUITY)
+    part = parts(graph.keyframe_ids, graph.edge_keyframe_ids[~is_break])
     return part == (part[0] if to_first else np.bincount(part).argmax())
 
 

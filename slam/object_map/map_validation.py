@@ -5,10 +5,12 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
-from slam.common.arrays import BoolArray, IntArray, least_eigenvalues
+from slam.common.arrays import IntArray, least_eigenvalues
 
 
 def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
@@ -29,19 +31,14 @@ def find_graph_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     return next(chain(_faults_of_names(objects, graph), _faults_of_noise(graph)), "")
 
 
-def parts(graph: FactorGraphRecord, counts: BoolArray) -> IntArray:
-    """Number (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,); parts are
+def parts(keyframes: IntArray, edges: IntArray) -> IntArray:
+    """Number (K,) of the part to which each of the keyframes (K,) belongs, by the edges (E, 2) between them; parts are
     in the order of their first keyframes.
     """
-    order = np.argsort(graph.keyframe_ids)
-    ends = order[np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[counts].T, sorter=order)]
-    part = np.arange(len(order))
-    while (part[ends[0]] != part[ends[1]]).any():
-        least = part[ends].min(axis=0)
-        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
-            np.minimum.at(part, part[end], least)
-        part = part[part]
-    return np.unique(part, return_inverse=True)[1]
+    order = np.argsort(keyframes)
+    start, end = order[np.searchsorted(keyframes, edges.T, sorter=order)]
+    joined = sparse.coo_array((np.ones(len(edges)), (start, end)), shape=(len(order), len(order)))
+    return connected_components(joined, directed=False)[1].astype(np.int64)
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
@@ -93,6 +90,6 @@ def _faults_of_connections(graph: FactorGraphRecord) -> Iterator[str]:
     ends = graph.edge_keyframe_ids
     for keyframe, _ in ends[ends[:, 0] == ends[:, 1]]:
         yield f"an edge of its graph leads from keyframe {keyframe} to itself"
-    part = parts(graph, np.ones(len(graph.edge_kinds), dtype=np.bool_))
+    part = parts(graph.keyframe_ids, ends)
     for keyframe in graph.keyframe_ids[part != part[0]]:
         yield f"no edge connects keyframe {keyframe} to the first one"

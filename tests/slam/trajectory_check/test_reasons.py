@@ -20,7 +20,7 @@ def reason(
     counters: dict[str, int] | None = None,
 ) -> str:
     calibration = Calibration().with_values({"objects.spacing_m": spacing_m})
-    return "; ".join(explain(check, moving_share, counters or {}, calibration))
+    return explain(check, moving_share, counters or {}, calibration)
 
 
 @pytest.mark.parametrize("check", [TrajectoryCheck(), replace(CHECK, better=None)])
