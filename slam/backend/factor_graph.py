@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
-from itertools import compress, count
+from itertools import count
 
 import gtsam
 import numpy as np
@@ -14,7 +14,6 @@ from slam.backend.covariance.marginals import compute_marginals, offset_covarian
 from slam.backend.covariance.matched_noise import matched_covariances
 from slam.backend.factors import (
     EARTH,
-    EARTH_KEY,
     OBSERVATION_KERNEL_WIDTH,
     PRIOR_SIGMA_RAD,
     AttachedKeyframes,
@@ -26,6 +25,7 @@ from slam.backend.factors import (
     checked_pose,
     landmark_prior_factor,
     observation_factors,
+    pose_key,
     prior_factor,
     summed,
     upright_factor,
@@ -35,7 +35,7 @@ from slam.backend.solver import Optimization, Solver, gtsam_errors
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import invert
+from slam.common.geometry import invert, relative
 
 logger = logging.getLogger(__name__)
 
@@ -106,11 +106,11 @@ class EditableGraph:
 
     def replace_fixes(self, T_map_earth: FloatArray, edges: Sequence[Edge]) -> None:
         """Put edges from ``EARTH``, which is at about (4, 4), in the place of those so far."""
-        is_fix = [isinstance(each, Edge) and each.from_keyframe == EARTH for each in self.factors.values()]
-        self.remove_factors(list(compress(self.factors, is_fix)))
+        fixes = self.edges(EdgeKind.GNSS).items()  # those of a prior map lead from its first keyframe
+        self.remove_factors([number for number, each in fixes if each.from_keyframe == EARTH])
         if edges:
             pose = checked_pose(T_map_earth, "the frame of fixes")
-            self._solver.insert(EARTH_KEY, pose, upright_factor(pose))
+            self._solver.insert(pose_key(EARTH), pose, upright_factor(pose))
         for edge in edges:
             self.add_edge(edge)
 
@@ -142,6 +142,10 @@ class EditableGraph:
         """
         seen = [self._attached.observation(each) for each in observations]
         self._insert({self._number(each): each for each in seen})
+
+    def edges(self, kind: EdgeKind) -> dict[int, Edge]:
+        """The edges of a kind, by their numbers."""
+        return {number: each for number, each in self.factors.items() if isinstance(each, Edge) and each.kind == kind}
 
     def break_before(self, edge: Edge) -> None:
         """Replace the odometry to a keyframe by an edge, and remove what was observed from there on."""
@@ -197,9 +201,8 @@ class EditableGraph:
             return self.pose(anchor, values) @ self._attached.transforms[keyframe]
         if keyframe in self._fixed_poses:
             return self._fixed_poses[keyframe]
-        if keyframe == EARTH:
-            return (self._solver.values() if values is None else values).atPose3(EARTH_KEY).matrix()
-        return self._solver.pose(keyframe) if values is None else values.atPose3(X(keyframe)).matrix()
+        key = pose_key(keyframe)
+        return self._solver.pose(key) if values is None else values.atPose3(key).matrix()
 
     def observed_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks by their own observations, without those of landmarks that were
@@ -304,12 +307,10 @@ class FactorGraph(EditableGraph):
         They hold no information, and would pull at a segment that was moved far.
         """
         relaxed = {}
-        for number, factor in self.factors.items():
-            if isinstance(factor, Edge) and factor.kind == EdgeKind.DISCONTINUITY:
-                start, end = factor.from_keyframe, factor.to_keyframe
-                if (start in away) != (end in away):
-                    T_from_to = invert(self.pose(start, values)) @ self.pose(end, values)
-                    relaxed[number] = replace(factor, T_from_to=T_from_to)
+        for number, edge in self.edges(EdgeKind.DISCONTINUITY).items():
+            start, end = edge.from_keyframe, edge.to_keyframe
+            if (start in away) != (end in away):
+                relaxed[number] = replace(edge, T_from_to=relative(self.pose(start, values), self.pose(end, values)))
         return relaxed
 
     def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
@@ -452,5 +453,5 @@ class FactorGraph(EditableGraph):
         if not isinstance(factor, Edge) or factor.from_keyframe != EARTH:
             return factor
         first = next(iter(self._keyframes))
-        T_first_earth = invert(self.pose(first)) @ self.pose(EARTH)
+        T_first_earth = relative(self.pose(first), self.pose(EARTH))
         return replace(factor, from_keyframe=first, T_from_to=T_first_earth @ factor.T_from_to)

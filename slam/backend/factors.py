@@ -18,7 +18,7 @@ from slam.common.arrays import FloatArray, IntArray, least_eigenvalues
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import adjoint, invert
 
-EARTH, EARTH_KEY = -1, E(0)
+EARTH = -1
 """The frame of fixes, upright, from which edges lead as from a keyframe."""
 PRIOR_SIGMA_RAD = 1e-4
 CLOSURE_KERNEL_WIDTH = 1.0
@@ -54,6 +54,11 @@ class Observation:
 Factor = Edge | Observation
 
 
+def pose_key(keyframe: int) -> int:
+    """GTSAM's key of the pose of a keyframe, or of the frame of fixes."""
+    return E(0) if keyframe == EARTH else X(keyframe)
+
+
 def prior_factor(keyframe: int, pose: gtsam.Pose3, sigma_m: float) -> gtsam.NonlinearFactor:
     """The GTSAM factor of the pose of a keyframe that fixes the map frame, with ``sigma_m`` of its position."""
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, sigma_m], 3))
@@ -63,7 +68,7 @@ def prior_factor(keyframe: int, pose: gtsam.Pose3, sigma_m: float) -> gtsam.Nonl
 def upright_factor(pose: gtsam.Pose3) -> gtsam.NonlinearFactor:
     """The GTSAM factor that holds the tilt of the frame of fixes, but neither its heading nor its position."""
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([PRIOR_SIGMA_RAD, PRIOR_SIGMA_RAD, *[1e6] * 4]))
-    return gtsam.PriorFactorPose3(EARTH_KEY, pose, noise)
+    return gtsam.PriorFactorPose3(pose_key(EARTH), pose, noise)
 
 
 def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:
@@ -86,8 +91,7 @@ def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.No
     pose = checked_pose(edge.T_from_to, what)
     if T_map_from is not None:
         return gtsam.PriorFactorPose3(X(edge.to_keyframe), gtsam.Pose3(T_map_from).compose(pose), noise)
-    start = EARTH_KEY if edge.from_keyframe == EARTH else X(edge.from_keyframe)
-    return gtsam.BetweenFactorPose3(start, X(edge.to_keyframe), pose, noise)
+    return gtsam.BetweenFactorPose3(pose_key(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
 
 
 def observation_factors(

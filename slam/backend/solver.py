@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray
@@ -85,10 +84,9 @@ class Solver:
             elif not self._uses[key] and self._new_values.exists(key):
                 self._new_values.erase(key)
 
-    def pose(self, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe."""
-        key = X(keyframe)
-        with gtsam_errors(f"the estimate of keyframe {keyframe}"):
+    def pose(self, key: int) -> FloatArray:
+        """Estimate (4, 4) of a pose."""
+        with gtsam_errors("the estimate of a pose"):
             if self._new_values.exists(key):
                 return self._new_values.atPose3(key).matrix()
             if self._isam is None or self._values is not None:
@@ -202,7 +200,7 @@ def gtsam_errors(what: str) -> Iterator[None]:
 
 def _first_line(error: Exception) -> str:
     """The first line of the message of an exception."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    return str(error).strip().partition("\n")[0].strip() or type(error).__name__
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:

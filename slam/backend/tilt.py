@@ -33,11 +33,7 @@ FACTORS = 10.0 ** np.array([-1.0, -0.75, -0.5])
 def hold_tilt(graph: FactorGraph) -> None:
     """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
     free = graph.optimize(roughly=True)
-    steps = {
-        number: each
-        for number, each in graph.factors.items()
-        if isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY
-    }
+    steps = graph.edges(EdgeKind.ODOMETRY)
     if not steps:
         return
     configured = {number: each.covariance for number, each in steps.items()}
