@@ -4,6 +4,7 @@ Pixels are u to the right and v down; a camera's frame is the optical one: x rig
 """
 
 from collections import Counter, deque
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +42,12 @@ class ImageLifter:
     def lift(self, detections: ImageDetections) -> ObjectDetections:
         """The detections that can be placed, in the camera's frame, with covariances that are long along the ray."""
         placed = {i: each for i in range(len(detections.labels)) if (each := self._place(detections, i)) is not None}
-        rows = list(placed)
         return ObjectDetections(
             detections.stamp_ns,
             detections.frame_id,
             np.array([position for position, _ in placed.values()]).reshape(-1, 3),
-            tuple(detections.labels[i] for i in rows),
-            detections.scores[rows],
+            tuple(detections.labels[i] for i in placed),
+            detections.scores[[*placed]],
             np.array([covariance for _, covariance in placed.values()]).reshape(-1, 3, 3),
         )
 
@@ -77,12 +77,10 @@ class ImageLifter:
 
     def _depth_at(self, detections: ImageDetections) -> DepthImage | None:
         """The image with the stamp of the detections, else the nearest, if that is no farther than images are apart."""
-        kept = self._depths.get(detections.frame_id, deque())
-        nearest = min(kept, key=lambda depth: abs(depth.stamp_ns - detections.stamp_ns), default=None)
-        if nearest is None or nearest.stamp_ns == detections.stamp_ns:
-            return nearest
-        apart_ns = [abs(b.stamp_ns - a.stamp_ns) for a, b in zip(kept, list(kept)[1:], strict=False)]
-        return nearest if apart_ns and abs(nearest.stamp_ns - detections.stamp_ns) <= min(apart_ns) else None
+        kept = self._depths.get(detections.frame_id, ())
+        apart_ns = min((abs(b.stamp_ns - a.stamp_ns) for a, b in pairwise(kept)), default=0)
+        near = [each for each in kept if abs(each.stamp_ns - detections.stamp_ns) <= apart_ns]
+        return min(near, key=lambda each: abs(each.stamp_ns - detections.stamp_ns), default=None)
 
 
 def ray(camera: CameraModel, u: float, v: float) -> FloatArray:
@@ -175,11 +173,10 @@ def place_tag(camera: CameraModel, corners: FloatArray, size_m: float) -> _Objec
     """
     square = 0.5 * size_m * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
     rows = []
-    for (x, y), (u, v) in zip(square.tolist(), corners.tolist(), strict=True):
-        a, b, _ = ray(camera, u, v).tolist()
-        rows.append([x, y, 1.0, 0.0, 0.0, 0.0, -a * x, -a * y, -a])
-        rows.append([0.0, 0.0, 0.0, x, y, 1.0, -b * x, -b * y, -b])
-    H = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
+    for place, corner in zip(square, corners.tolist(), strict=True):
+        a, b, _ = ray(camera, *corner).tolist()
+        rows.append(np.kron([[1.0, 0.0, -a], [0.0, 1.0, -b]], [*place, 1.0]))
+    H = np.linalg.svd(np.concatenate(rows))[2][-1].reshape(3, 3)
     scale = 0.5 * (np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1]))
     position = H[:, 2] / scale if scale > 0.0 else np.zeros(3)
     position = position * np.sign(position[2])

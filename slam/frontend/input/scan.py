@@ -107,18 +107,15 @@ def make_scan(
     ranges = np.linalg.norm(positions, axis=1)
     used = is_wanted(detections, config) & (ranges <= config.reach_m)
     positions = positions[used]
+    covariances = _covariances_by_range(positions, ranges[used], config)
     has_own_covariance = np.zeros(len(positions), dtype=np.bool_)
-    covariances = np.zeros((len(positions), 3, 3))
     if detections.covariances is not None:
-        R = T_body_sensor[:3, :3]
-        own = detections.covariances[used]
+        R, own = T_body_sensor[:3, :3], detections.covariances[used]
         has_own_covariance = own.any(axis=(1, 2))
         # No detector is right to the millimetre; what claims it would outweigh everything else.
         floor_m = 1.0 / 3000.0 * config.sensor_range_m
-        covariances = config.claimed_sigma_factor**2 * (R @ own @ R.T) + floor_m**2 * np.eye(3)
-    if not has_own_covariance.all():
-        by_range = _covariances_by_range(positions, ranges[used], config)
-        covariances = np.where(has_own_covariance[:, None, None], covariances, by_range)
+        own = config.claimed_sigma_factor**2 * (R @ own @ R.T) + floor_m**2 * np.eye(3)
+        covariances = np.where(has_own_covariance[:, None, None], own, covariances)
     covariances = covariances + config.height_sigma_m**2 * np.outer(up_body, up_body)
     return Scan(
         stamp_ns=detections.stamp_ns,
