@@ -77,52 +77,32 @@ def find_passed(object_map: ObjectMap, segment: int, places: FloatArray, radius_
 
 
 def final_trajectory(
-    path: OdometryPath, keyframes: Sequence[Keyframe], T_map_body: FloatArray, stamp_ns: int
+    path: OdometryPath, keyframes: Sequence[Keyframe], T_map_keyframe: FloatArray, stamp_ns: int
 ) -> TrajectoryRecord:
-    """All poses of the odometry in the map, by those of the keyframes of this drive, ``T_map_body`` (K, 4, 4)."""
-    stamps_ns = path.stamps_ns
-    T = interpolate_between_keyframes(
-        stamps_ns,
-        path.T_odom_body,
-        np.searchsorted(stamps_ns, [keyframe.odometry.stamp_ns for keyframe in keyframes]),
-        T_map_body,
-        path.segments,
-    )
-    return TrajectoryRecord(stamp_ns, MAP_FRAME, stamps_ns, T)
-
-
-def interpolate_between_keyframes(
-    stamps_ns: IntArray,
-    T_odom_body: FloatArray,
-    keyframe_indices: IntArray,
-    T_map_keyframe: FloatArray,
-    segments: IntArray,
-) -> FloatArray:
-    """Poses ``T_map_body`` (N, 4, 4) of all odometry poses.
+    """All poses of the odometry in the map.
 
     Each pose is predicted from the keyframe before it and from the one after it, and is blended between the two by
     time, so that it meets both keyframes and has no step at either. If only one of them is of the segment of the pose,
     it alone decides.
 
     Args:
-        stamps_ns: (N,) strictly increasing.
-        T_odom_body: (N, 4, 4) m.
-        keyframe_indices: (K,) which of the N poses are keyframes, ascending; the first is 0.
+        path: of the drive.
+        keyframes: (K,) of this drive; the first pose is the first of them.
         T_map_keyframe: (K, 4, 4) m, optimised.
-        segments: (N,) number of breaks in the odometry before each pose.
+        stamp_ns: of the record.
     """
-    before = np.searchsorted(keyframe_indices, np.arange(len(stamps_ns)), side="right") - 1
-    after = np.minimum(before + 1, len(keyframe_indices) - 1)
-    after = np.where(segments[keyframe_indices[after]] == segments, after, before)
-    before = np.where(segments[keyframe_indices[before]] == segments, before, after)
-
-    def predict(keyframe: IntArray) -> FloatArray:
-        return T_map_keyframe[keyframe] @ invert(T_odom_body[keyframe_indices[keyframe]]) @ T_odom_body
-
-    T_before, T_after = predict(before), predict(after)
-    start, end = stamps_ns[keyframe_indices[before]], stamps_ns[keyframe_indices[after]]
+    stamps_ns, segments, T_odom_body = path.stamps_ns, path.segments, path.T_odom_body
+    rows = np.searchsorted(stamps_ns, [keyframe.odometry.stamp_ns for keyframe in keyframes])
+    before = np.searchsorted(rows, np.arange(len(stamps_ns)), side="right") - 1
+    after = np.minimum(before + 1, len(rows) - 1)
+    after = np.where(segments[rows[after]] == segments, after, before)
+    before = np.where(segments[rows[before]] == segments, before, after)
+    T_before, T_after = (
+        T_map_keyframe[each] @ invert(T_odom_body[rows[each]]) @ T_odom_body for each in (before, after)
+    )
+    start, end = stamps_ns[rows[before]], stamps_ns[rows[after]]
     fraction = np.where(end > start, (stamps_ns - start) / np.maximum(end - start, 1), 0.0)
-    return blend(T_before, T_after, fraction)
+    return TrajectoryRecord(stamp_ns, MAP_FRAME, stamps_ns, blend(T_before, T_after, fraction))
 
 
 def known_covariances(graph: FactorGraph, counters: Counter[str]) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,10 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
-from slam.final_map import interpolate_between_keyframes
+from slam.final_map import final_trajectory
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+from slam.odometry.track import OdometryPath
 from tests.helpers.poses import motion_by, pose_at
 from tests.logs.examples import random_transform
 from tests.slam.evaluation.drives import stamps, winding_path
@@ -19,9 +22,11 @@ def odometry() -> FloatArray:
 
 
 def bend(keyframes: list[int], T_map_keyframe: FloatArray, segments=NO_BREAKS, T=None) -> FloatArray:
-    return interpolate_between_keyframes(
-        stamps(COUNT), odometry() if T is None else T, np.array(keyframes), T_map_keyframe, np.asarray(segments)
-    )
+    path, T = OdometryPath(), odometry() if T is None else T
+    poses = [OdometryPose(stamps(COUNT)[row], T[row], 0.0, segments[row], 0.0) for row in range(COUNT)]
+    for pose in poses:
+        path.add(pose)
+    return final_trajectory(path, [Keyframe(k, poses[k], T[k]) for k in keyframes], T_map_keyframe, 0).T_map_body
 
 
 @pytest.mark.parametrize("keyframes", [[0, 7, 20, 33], [0]])
