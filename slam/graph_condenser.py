@@ -133,6 +133,7 @@ def find_anchors(
     seen = _incidence(observations, keyframes)
     totals = np.diff(seen.indptr)
     common = (seen @ seen.T).tocsr()
+    common.sort_indices()
     anchors = dict[int, int]()
     is_variable = np.zeros(len(keyframes), dtype=np.bool_)
     is_anchor = np.zeros(len(keyframes), dtype=np.bool_)
@@ -150,7 +151,7 @@ def find_anchors(
             is_variable[row] = True
             is_anchor[row] = may_anchor[row] and of_place.any()
         else:
-            best = others[usable][np.lexsort((others[usable], -counts[usable]))[0]]
+            best = others[usable][counts[usable].argmax()]
             anchors |= dict.fromkeys((*waiting, keyframe), int(keyframes[best]))
         waiting = []
     return anchors
@@ -158,8 +159,6 @@ def find_anchors(
 
 def _incidence(observations: Iterable[tuple[int, int]], keyframes: IntArray) -> sparse.csr_array:
     """Which keyframe observed which landmark, as ones in an array (K, L)."""
-    pairs = np.unique(np.array(list(observations), dtype=np.int64).reshape(-1, 2), axis=0)
-    rows = np.searchsorted(keyframes, pairs[:, 0])
-    landmarks, columns = np.unique(pairs[:, 1], return_inverse=True)
-    ones = np.ones(len(pairs), dtype=np.int64)
-    return sparse.csr_array((ones, (rows, columns)), shape=(len(keyframes), len(landmarks)))
+    observers, landmarks = np.unique(np.array(list(observations), dtype=np.int64).reshape(-1, 2), axis=0).T
+    ones, rows = np.ones(len(observers), dtype=np.int64), np.searchsorted(keyframes, observers)
+    return sparse.csr_array((ones, (rows, landmarks)), shape=(len(keyframes), landmarks.max(initial=-1) + 1))

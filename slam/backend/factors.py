@@ -119,22 +119,24 @@ def observation_factors(
     noises = inflations[:, None, None] * (left_right_up @ covariances @ left_right_up.T)
     # The width of the kernel is in standard deviations of one observation, before the inflation.
     widths = kernel_width / np.sqrt(inflations)
-    kernels = {width: gtsam.noiseModel.mEstimator.Cauchy.Create(width) for width in dict.fromkeys(widths.tolist())}
+    kernels = {width: gtsam.noiseModel.mEstimator.Cauchy.Create(width) for width in set(widths.tolist())}
     distance_m = 1e6 * sensor_range_m
     camera = gtsam.Cal3_S2Stereo(distance_m, distance_m, 0.0, 0.0, 0.0, distance_m)
     T_body_camera = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, -distance_m]))
     scales = distance_m / (distance_m + positions[:, 2])
     lefts, ups = scales * positions[:, 0], scales * positions[:, 1]
-    rights = lefts - scales * distance_m
-    factors: list[gtsam.NonlinearFactor] = []
-    for observation, left, right, up, covariance, width in zip(
-        observations, lefts.tolist(), rights.tolist(), ups.tolist(), noises, widths.tolist(), strict=True
-    ):
-        noise = gtsam.noiseModel.Robust.Create(kernels[width], gtsam.noiseModel.Gaussian.Covariance(covariance))
-        keys = X(observation.keyframe), L(observation.landmark)
-        seen = gtsam.StereoPoint2(left, right, up)
-        factors.append(gtsam.GenericStereoFactor3D(seen, noise, *keys, camera, T_body_camera))
-    return factors
+    pixels = np.column_stack([lefts, lefts - scales * distance_m, ups])
+    return [
+        gtsam.GenericStereoFactor3D(
+            gtsam.StereoPoint2(*pixel),
+            gtsam.noiseModel.Robust.Create(kernels[width], gtsam.noiseModel.Gaussian.Covariance(noise)),
+            X(each.keyframe),
+            L(each.landmark),
+            camera,
+            T_body_camera,
+        )
+        for each, pixel, noise, width in zip(observations, pixels.tolist(), noises, widths.tolist(), strict=True)
+    ]
 
 
 def sum_observations(

@@ -337,10 +337,10 @@ class ObjectMap:
         counts, first, last = (self.rows[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
         labels = self.labels.label_counts[: self._size].copy()
         dropped, into = list(aliases), list(aliases.values())
-        np.add.at(counts, into, self.rows["observations"][dropped])
-        np.minimum.at(first, into, self.rows["first_seen_ns"][dropped])
-        np.maximum.at(last, into, self.rows["last_seen_ns"][dropped])
-        np.add.at(labels, into, self.labels.label_counts[dropped])
+        np.add.at(counts, into, counts[dropped])
+        np.minimum.at(first, into, first[dropped])
+        np.maximum.at(last, into, last[dropped])
+        np.add.at(labels, into, labels[dropped])
         landmarks["state"][np.isin(kept, dropped)] = LandmarkState.RETIRED
         return ObjectMapRecord(
             stamp_ns=stamp_ns,

@@ -81,7 +81,7 @@ def make_submap(
     object_map: ObjectMap, rows: IntArray, positions: FloatArray, centre: FloatArray, calibration: Calibration
 ) -> Submap:
     """The landmarks ``rows`` (N,) at ``positions`` (N, 3) m of a frame, from a traversal near ``centre`` (3,) in it."""
-    distances = np.hypot(positions[:, 0] - centre[0], positions[:, 1] - centre[1])
+    distances = np.hypot(*(positions - centre)[:, :2].T)
     own_variances = np.trace(object_map.rows["covariance_local"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
     objects = calibration.objects
     variances = objects.landmark_sigma_m**2 + (objects.landmark_sigma_per_m * distances) ** 2 + own_variances

@@ -41,7 +41,9 @@ class ImageLifter:
 
     def lift(self, detections: ImageDetections) -> ObjectDetections:
         """The detections that can be placed, in the camera's frame, with covariances that are long along the ray."""
-        placed = {i: each for i in range(len(detections.labels)) if (each := self._place(detections, i)) is not None}
+        found = [self._place(detections, i) for i in range(len(detections.labels))]
+        self.counters.update(each for each in found if isinstance(each, str))
+        placed = {i: each for i, each in enumerate(found) if isinstance(each, tuple)}
         return ObjectDetections(
             detections.stamp_ns,
             detections.frame_id,
@@ -51,19 +53,18 @@ class ImageLifter:
             np.array([covariance for _, covariance in placed.values()]).reshape(-1, 3, 3),
         )
 
-    def _place(self, detections: ImageDetections, i: int) -> _Object | None:
+    def _place(self, detections: ImageDetections, i: int) -> _Object | str | None:
+        """The object, or why it cannot be placed; None where a tag is degenerate."""
         if detections.corners is not None:
             T_camera_tag = self._frames.find(detections.frame_id, detections.labels[i], detections.stamp_ns)
             if T_camera_tag is not None:
                 return T_camera_tag[:3, 3], np.zeros((3, 3))
         camera = self._cameras.get(detections.frame_id)
         if camera is None:
-            self.counters["objects_without_camera_info"] += 1
-            return None
+            return "objects_without_camera_info"
         if detections.corners is not None:
             if not self._config.tag_size_m:
-                self.counters["objects_without_tag_size"] += 1
-                return None
+                return "objects_without_tag_size"
             return place_tag(camera, detections.corners[i], self._config.tag_size_m)
         depth = self._depth_at(detections)
         placed = None if depth is None else place_by_depth(camera, detections.boxes[i], depth.depths)
@@ -71,9 +72,7 @@ class ImageLifter:
         if placed is None and T_body_camera is not None:
             limits_m = self._config.ground_z_m, self._config.reach_m
             placed = place_on_ground(camera, detections.boxes[i], T_body_camera, *limits_m)
-        if placed is None:
-            self.counters["objects_without_depth"] += 1
-        return placed
+        return "objects_without_depth" if placed is None else placed
 
     def _depth_at(self, detections: ImageDetections) -> DepthImage | None:
         """The image with the stamp of the detections, else the nearest, if that is no farther than images are apart."""
