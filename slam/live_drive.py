@@ -48,10 +48,11 @@ def map_live(
     writing = nullcontext() if output is None else LogWriter(output)
     with threadpool_limits(1, user_api="blas"), writing as writer:
         inputs = InputRecords(config, LabelMap(config.labels), frames)
-        mapper = LogMapper(slam, inputs, clocks, OutputLog(writer, publish, None))
+        writers = [publish] if writer is None else [writer.write, publish]
+        mapper = LogMapper(slam, inputs, clocks, OutputLog(writers))
         for item in items:
             log_time_ns = max(log_time_ns, item.raw.log_time_ns)
             mapper.process(item, log_time_ns)
         final = mapper.finish(log_time_ns, counters)
-        mapper.log.write_final(final, None, log_time_ns)
+        mapper.log.write_final(final, log_time_ns)
     return final, mapper

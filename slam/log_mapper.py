@@ -3,7 +3,7 @@
 import time
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,6 @@ from logs.messages import (
     Transform,
 )
 from logs.reader import LogItem
-from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.display.map_topics import FRAMES, LANDMARKS, LOG, MAP_FRAME, Message
 from slam.final_map import FinalMap
@@ -93,19 +92,15 @@ class LogMapper:
 class OutputLog:
     """Writes the updates of the estimator at the log times of the input.
 
-    ``writer``: None where nothing is to be written. ``view`` is called with topic, record and log time of all of it;
-    ``georeference``: where on earth the map is, if that is known; ``tracked`` counts the poses in the map.
+    ``writers`` are called with topic, record and log time of each; ``georeference``: where on earth the map is, if that
+    is known; ``tracked`` counts the poses in the map.
     """
 
     def __init__(
-        self,
-        writer: LogWriter | None,
-        view: Callable[[str, Record, int], None] | None,
-        georeference: Georeference | None,
+        self, writers: Sequence[Callable[[str, Record, int], None]], georeference: Georeference | None = None
     ) -> None:
-        self._writer = writer
+        self._writers = writers
         self._frames: dict[str, Transform] = {}  # by the child
-        self._view = view
         self._georeference = georeference
         self.tracked = 0
 
@@ -125,10 +120,8 @@ class OutputLog:
         for topic, message in messages:
             self._write(topic, message, log_time_ns)
 
-    def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
-        """Write the results of the drive; ``georeference``: as it is known now."""
-        if georeference is not None and self._writer is not None:
-            self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
+    def write_final(self, final: FinalMap, log_time_ns: int) -> None:
+        """Write the results of the drive."""
         self._write("/slam/trajectory_stamped", final.trajectory, log_time_ns)
         self._write("/slam/map", final.object_map, log_time_ns)
         self._write(LANDMARKS, make_markers(final.object_map), log_time_ns)
@@ -155,10 +148,8 @@ class OutputLog:
             yield LOG, LogMessage(update.stamp_ns, "info", text)
 
     def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
-        if self._writer is not None:
-            self._writer.write(topic, record, log_time_ns)
-        if self._view is not None:
-            self._view(topic, record, log_time_ns)
+        for write in self._writers:
+            write(topic, record, log_time_ns)
 
 
 def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:

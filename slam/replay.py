@@ -108,7 +108,7 @@ def replay(
         )
         with LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = None if prior_map is None else prior_map.georeference
-            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog(writer, None, georeference))
+            mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog([writer.write], georeference))
             final = _map(mapper, prepared, reader, writer, progress)
             calibration = slam.calibration if online else prepared.calibration
             provenance = settings_of(config, calibration, prior_map, extend=extend) | {
@@ -119,7 +119,9 @@ def replay(
             writer.add_metadata("dslam", provenance)
             if prior_map is None:
                 georeference = find_georeference(final.trajectory, mapper.fixes)
-            mapper.log.write_final(final, georeference, prepared.last_ns)
+            if georeference is not None:
+                writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
+            mapper.log.write_final(final, prepared.last_ns)
         if map_path is not None:
             try:
                 slam.save(map_path, final, provenance)

@@ -11,7 +11,7 @@ class Viewed:
 
     def __init__(self) -> None:
         self.topics: dict[str, list[Record]] = {}
-        self.log = OutputLog(None, lambda topic, record, _: self.topics.setdefault(topic, []).append(record), None)
+        self.log = OutputLog([lambda topic, record, _: self.topics.setdefault(topic, []).append(record)])
 
     def parents(self, *updates: Record) -> list[dict[str, str]]:
         """Parents of the frames, by their children, in each message about frames that comes of these updates."""

@@ -1,7 +1,6 @@
 """Poses of the sensors on the body, from the transforms of a log, interpolated in time."""
 
 from bisect import bisect_left
-from collections import deque
 from collections.abc import Iterable
 from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
@@ -77,14 +76,12 @@ class SensorFrames:
 
     def _search(self, start: str) -> dict[str, str]:
         """Frame -> the frame before it on the shortest way from ``start``, for all that are connected with it."""
-        came_from = {start: start}
-        waiting = deque([start])
-        while waiting:
-            frame = waiting.popleft()
+        came_from, reached = {start: start}, [start]
+        for frame in reached:  # which grows meanwhile
             for neighbour in self._neighbours.get(frame, ()):
                 if neighbour not in came_from:
                     came_from[neighbour] = frame
-                    waiting.append(neighbour)
+                    reached.append(neighbour)
         return came_from
 
     def _refuse_loop(self, connected: Iterable[str]) -> None:
