@@ -28,7 +28,6 @@ from slam.backend.factors import (
     pose_key,
     prior_factor,
     summed,
-    upright_factor,
 )
 from slam.backend.graph_record import make_graph_record
 from slam.backend.solver import Optimization, Solver, gtsam_errors
@@ -54,6 +53,7 @@ class EditableGraph:
         kernel_width: float = OBSERVATION_KERNEL_WIDTH,
     ) -> None:
         self.prior_sigma_m = 1e-3 / 30.0 * sensor_range_m
+        self._prior_sigmas = np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
         self._kernel_width = kernel_width
         self._sensor_range_m = sensor_range_m
         self._solver = Solver(sensor_range_m=sensor_range_m)
@@ -85,7 +85,7 @@ class EditableGraph:
         The first one has a prior, which fixes the map frame.
         """
         pose = checked_pose(T_map_body, f"keyframe {keyframe}")
-        prior = None if self._keyframes else prior_factor(keyframe, pose, self.prior_sigma_m)
+        prior = None if self._keyframes else prior_factor(keyframe, pose, self._prior_sigmas)
         self._solver.insert(X(keyframe), pose, prior)
         self._keyframes[keyframe] = None
 
@@ -110,7 +110,9 @@ class EditableGraph:
         self.remove_factors([number for number, each in fixes if each.from_keyframe == EARTH])
         if edges:
             pose = checked_pose(T_map_earth, "the frame of fixes")
-            self._solver.insert(pose_key(EARTH), pose, upright_factor(pose))
+            # Neither its heading nor its position is known.
+            upright = prior_factor(EARTH, pose, np.array([PRIOR_SIGMA_RAD, PRIOR_SIGMA_RAD, *[1e6] * 4]))
+            self._solver.insert(pose_key(EARTH), pose, upright)
         for edge in edges:
             self.add_edge(edge)
 
@@ -421,8 +423,7 @@ class FactorGraph(EditableGraph):
         self.update()
         with gtsam_errors("the marginal covariances"):
             marginals = compute_marginals(self._solver.factors.values(), self._solver.values())
-        sigmas = np.repeat([PRIOR_SIGMA_RAD, self.prior_sigma_m], 3)
-        known = dict.fromkeys(self._fixed_poses, np.diag(sigmas**2)) | self._attached.covariances
+        known = dict.fromkeys(self._fixed_poses, np.diag(self._prior_sigmas**2)) | self._attached.covariances
         poses = [known[each] if each in known else marginals[X(each)] for each in self._keyframes]
         landmarks = [marginals[L(landmark)] for landmark in self.landmarks.tolist()]
         return np.array(poses).reshape(-1, 6, 6), np.array(landmarks).reshape(-1, 3, 3)
@@ -442,7 +443,8 @@ class FactorGraph(EditableGraph):
         self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None
     ) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
-        factors = [*map(self._recorded, self.factors.values()), *self._attached.rigid_edges(self.prior_sigma_m)]
+        rigid_edges = self._attached.rigid_edges(np.diag(self._prior_sigmas**2))
+        factors = [*map(self._recorded, self.factors.values()), *rigid_edges]
         record = make_graph_record(
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of
         )

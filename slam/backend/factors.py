@@ -59,16 +59,9 @@ def pose_key(keyframe: int) -> int:
     return E(0) if keyframe == EARTH else X(keyframe)
 
 
-def prior_factor(keyframe: int, pose: gtsam.Pose3, sigma_m: float) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of the pose of a keyframe that fixes the map frame, with ``sigma_m`` of its position."""
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, sigma_m], 3))
-    return gtsam.PriorFactorPose3(X(keyframe), pose, noise)
-
-
-def upright_factor(pose: gtsam.Pose3) -> gtsam.NonlinearFactor:
-    """The GTSAM factor that holds the tilt of the frame of fixes, but neither its heading nor its position."""
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([PRIOR_SIGMA_RAD, PRIOR_SIGMA_RAD, *[1e6] * 4]))
-    return gtsam.PriorFactorPose3(pose_key(EARTH), pose, noise)
+def prior_factor(keyframe: int, pose: gtsam.Pose3, sigmas: FloatArray) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of the pose of a keyframe, or of the frame of fixes, with standard deviations (6,)."""
+    return gtsam.PriorFactorPose3(pose_key(keyframe), pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
 
 
 def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:
@@ -110,10 +103,8 @@ def observation_factors(
     covariances = _checked_covariances(
         np.array([observation.covariance for observation in observations]), lambda row: _name(observations[row])
     )
-    not_finite = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-    if len(not_finite):
-        what = _name(observations[not_finite[0]])
-        raise FactorGraphError(f"{what}: the position {positions[not_finite[0]]} is not finite")
+    for row in np.flatnonzero(~np.isfinite(positions).all(axis=1)).tolist():
+        raise FactorGraphError(f"{_name(observations[row])}: the position {positions[row]} is not finite")
     inflations = np.array([observation.covariance_inflation for observation in observations])
     left_right_up = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
     noises = inflations[:, None, None] * (left_right_up @ covariances @ left_right_up.T)
@@ -250,9 +241,8 @@ class AttachedKeyframes:
             covariance=T[:3, :3] @ observation.covariance @ T[:3, :3].T,
         )
 
-    def rigid_edges(self, sigma_m: float) -> list[Edge]:
-        """An edge from the anchor of each to it, as stiff as the prior of the first keyframe."""
-        covariance = np.diag(np.repeat([PRIOR_SIGMA_RAD, sigma_m], 3) ** 2)
+    def rigid_edges(self, covariance: FloatArray) -> list[Edge]:
+        """An edge from the anchor of each to it, with this covariance (6, 6)."""
         return [
             Edge(anchor, keyframe, self.transforms[keyframe], covariance, EdgeKind.CONDENSED)
             for keyframe, anchor in self.anchors.items()

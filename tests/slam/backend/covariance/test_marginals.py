@@ -57,7 +57,9 @@ def test_covariances_are_the_blocks_of_the_inverse() -> None:
         *map(between_factor, [*noisy_edges(), closure]),
         *observation_factors(sightings(), PLAIN, sensor_range_m=30.0),
     ]
-    factors += [prior_factor(keyframe, gtsam.Pose3(), 0.1) for keyframe in (0, 99)]  # nothing couples the last
+    factors += [
+        prior_factor(keyframe, gtsam.Pose3(), np.full(6, 0.1)) for keyframe in (0, 99)
+    ]  # nothing couples the last
     values = gtsam.Values()
     for keyframe, T in enumerate(true_poses()):
         values.insert(X(keyframe), gtsam.Pose3(T))
