@@ -154,10 +154,9 @@ def load_map(path: AnyPath) -> SavedMap:
     with LogReader(path, RESULT_LIMITS) as reader:
         metadata = reader.metadata().get(METADATA)
         if metadata is None:
+            _refuse_damage(path, reader.counters)
             raise SavedMapError(
-                f"{path} is damaged ({_listed(reader.counters)}); the map is incomplete, {MAKE_IT}"
-                if reader.counters
-                else f"{path} is a log, but no map; make one by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
+                f"{path} is a log, but no map; make one by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
             )
         version = metadata.get("format_version")
         if version != FORMAT_VERSION:
@@ -169,8 +168,7 @@ def load_map(path: AnyPath) -> SavedMap:
             records = [entry.record for entry in reader.records(wanted)]
         except LogError as error:
             raise SavedMapError(f"{path} cannot be used as a map: {error}") from error
-        if reader.counters:
-            raise SavedMapError(f"{path} is damaged ({_listed(reader.counters)}); the map is incomplete, {MAKE_IT}")
+        _refuse_damage(path, reader.counters)
     objects = [record for record in records if isinstance(record, ObjectMapRecord)]
     graphs = [record for record in records if isinstance(record, FactorGraphRecord)]
     if len(objects) != 1 or len(graphs) != 1:
@@ -243,5 +241,7 @@ def drive_of(provenance: Mapping[str, str]) -> dict[str, str]:
     return {key: provenance.get(key, "") for key in ("input_sha256", "version")}
 
 
-def _listed(counters: Mapping[str, int]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in counters.items())
+def _refuse_damage(path: AnyPath, counters: Mapping[str, int]) -> None:
+    if counters:
+        listed = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in counters.items())
+        raise SavedMapError(f"{path} is damaged ({listed}); the map is incomplete, {MAKE_IT}")

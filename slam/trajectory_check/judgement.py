@@ -6,7 +6,6 @@ data association or the closures of the final one have failed.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import compress
 
 import numpy as np
 from scipy.special import stdtrit
@@ -121,14 +120,13 @@ class DriveCheck:
 
     def judge(self, final: TrajectoryRecord) -> TrajectoryCheck:
         """Judge the odometry, the online estimate and the final trajectory."""
-        stamps_ns = np.array([scan.stamp_ns for scan in self._scans], dtype=np.int64)
-        is_inside = (stamps_ns >= final.stamps_ns[0]) & (stamps_ns <= final.stamps_ns[-1])
-        scans = tuple(compress(self._scans, is_inside.tolist()))
+        first_ns, last_ns = final.stamps_ns[[0, -1]].tolist()
+        scans = tuple(scan for scan in self._scans if first_ns <= scan.stamp_ns <= last_ns)
         if not scans:
             return TrajectoryCheck()
         trajectories = {
             ODOMETRY: np.stack([scan.T_odom_body for scan in scans]),
             ONLINE: np.stack([scan.T_online_body for scan in scans]),
-            FINAL: interpolate(final.stamps_ns, final.T_map_body, stamps_ns[is_inside]),
+            FINAL: interpolate(final.stamps_ns, final.T_map_body, np.array([scan.stamp_ns for scan in scans])),
         }
         return check_trajectories(scans, trajectories, sensor_range_m=self._sensor_range_m, sigma_m=self._sigma_m)

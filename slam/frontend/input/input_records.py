@@ -72,11 +72,10 @@ class InputRecords:
         """Whether a scan has the objects of the one before from its sensor to the last digit, though the body moved:
         nobody looked again.
         """
-        before, T_before = self._latest.get(scan.frame_id, (None, None))
+        before, T_before = self._latest.get(scan.frame_id, (scan, None))
         self._latest[scan.frame_id] = scan, self._T_odom_body
         return (
-            before is not None
-            and before.stamp_ns != scan.stamp_ns
+            before.stamp_ns != scan.stamp_ns
             and len(scan.positions) > 0
             and np.array_equal(before.positions, scan.positions)
             and T_before is not None
