@@ -11,7 +11,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import GeometryError
 
 
 def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -170,28 +169,16 @@ def travelled_m(positions: FloatArray) -> FloatArray:
 
 
 def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> FloatArray:
-    """Poses (M, 4, 4) at ``at_ns`` (M,), between the poses (N, 4, 4) at the strictly increasing ``stamps_ns`` (N,).
-
-    Linear in translation, shortest arc in rotation.
-
-    Raises:
-        GeometryError: no pose, stamps that do not increase, or a time outside [first, last].
+    """Poses (M, 4, 4) at ``at_ns`` (M,), between the poses (N, 4, 4), one at least, at the strictly increasing
+    ``stamps_ns`` (N,): linear in translation, shortest arc in rotation, held before the first and after the last.
     """
-    if len(stamps_ns) == 0 or np.any(np.diff(stamps_ns) <= 0):
-        raise GeometryError(f"interpolation needs strictly increasing stamps, got {len(stamps_ns)} poses")
-    if len(at_ns) == 0:
-        return np.zeros((0, 4, 4))
-    if at_ns.min() < stamps_ns[0] or at_ns.max() > stamps_ns[-1]:
-        raise GeometryError(
-            f"no pose outside [{stamps_ns[0]}, {stamps_ns[-1]}] ns; asked for [{at_ns.min()}, {at_ns.max()}] ns"
-        )
     if len(stamps_ns) == 1:
         return np.repeat(T_a_b, len(at_ns), axis=0)
     # Offsets from the stamp before are exact in float64; absolute epoch nanoseconds are not.
     upper = np.clip(np.searchsorted(stamps_ns, at_ns, side="right"), 1, len(stamps_ns) - 1)
     lower = upper - 1
     fraction = (at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower])
-    return blend(T_a_b[lower], T_a_b[upper], fraction)
+    return blend(T_a_b[lower], T_a_b[upper], np.clip(fraction, 0.0, 1.0))
 
 
 def blend(T_start: FloatArray, T_end: FloatArray, fraction: FloatArray | float) -> FloatArray:

@@ -87,7 +87,7 @@ class SurveyedLog:
         """
         stamps, poses = self._track(calibration)
         late_ns = round((calibration.detection.time_offset_s + delay_s) * 1e9)
-        return interpolate(stamps, poses, np.clip(stamps_ns + late_ns, stamps[0], stamps[-1]))
+        return interpolate(stamps, poses, stamps_ns + late_ns)
 
     def _track(self, calibration: Calibration) -> tuple[IntArray, FloatArray]:
         """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry, corrected by the calibration."""

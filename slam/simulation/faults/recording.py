@@ -158,7 +158,7 @@ class Recording:
         """Poses T_odom_body (S, 4, 4) at the scans, those of the ends outside of the odometry."""
         ordered, first = np.unique(self.stamps_ns, return_index=True)
         at = np.array([scan.stamp_ns for scan in self.scans], dtype=np.int64)
-        return interpolate(ordered, self.poses[first], np.clip(at, ordered[0], ordered[-1]))
+        return interpolate(ordered, self.poses[first], at)
 
     def redirect(self, row: int, T_jump: FloatArray) -> None:
         """Move the poses from ``row`` on rigidly, by ``T_jump`` (4, 4) in the axes of the body at ``row``."""

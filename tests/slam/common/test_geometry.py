@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from slam.common.arrays import FloatArray
-from slam.common.errors import GeometryError
 from slam.common.geometry import (
     apply,
     interpolate,
@@ -94,20 +93,13 @@ def test_interpolation_is_scipys_slerp_and_a_straight_line(T_first, T_second, fr
     np.testing.assert_allclose(T[1, :3, 3], (1 - exact) * T_first[:3, 3] + exact * T_second[:3, 3], atol=1e-9)
 
 
-def test_interpolation_of_a_single_pose_and_at_no_time():
-    T = transform_from_xyz_yaw(np.array([[1.0, 2, 3]]), np.array([0.4]))
-    np.testing.assert_array_equal(interpolate(np.array([5]), T, np.array([5, 5])), np.repeat(T, 2, axis=0))
-    assert interpolate(np.array([5]), T, np.zeros(0, int)).shape == (0, 4, 4)
-
-
-@pytest.mark.parametrize(
-    ("stamps_ns", "at_ns"),
-    [([], [1]), ([], []), ([2, 2], [2]), ([3, 2], [2]), ([1, 2], [0]), ([1, 2], [3]), ([1, 2], [1, 3])],
-)
-def test_interpolation_refuses_what_has_no_answer(stamps_ns, at_ns):
-    T = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
-    with pytest.raises(GeometryError):
-        interpolate(np.array(stamps_ns, int), T, np.array(at_ns, int))
+@pytest.mark.parametrize("count", [1, 2])
+def test_interpolation_holds_the_poses_at_both_ends_and_has_none_at_no_time(count):
+    T = transform_from_xyz_yaw(np.array([[1.0, 2, 3], [2, 2, 3]]), np.array([0.4, 0.7]))[:count]
+    stamps_ns = np.array([5, 8])[:count]
+    np.testing.assert_array_equal(interpolate(stamps_ns, T, np.array([0, 5])), T[[0, 0]])
+    np.testing.assert_allclose(interpolate(stamps_ns, T, np.array([8, 90])), T[[-1, -1]], atol=1e-15)
+    assert interpolate(stamps_ns, T, np.zeros(0, int)).shape == (0, 4, 4)
 
 
 def test_a_stamp_of_another_century_does_not_blur_those_of_a_nanosecond():
