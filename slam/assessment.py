@@ -15,9 +15,6 @@ from slam.object_map.map_io import are_of_kind
 from slam.object_map.map_validation import parts
 from slam.trajectory_check.judgement import FINAL, ONLINE, TrajectoryCheck
 
-UNEXPLAINED = 0.5
-"""An odometry that errs by more than that share of the motion tells little of it; that of wheels errs by a tenth."""
-
 
 def assess(
     graph: FactorGraphRecord,
@@ -101,7 +98,7 @@ def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
         f"the {what} of the odometry are off by {100.0 * errors.sum() / motion.sum():.0f} % of those that landmarks "
         f"show; does it hold {held}?"
         for what, (errors, motion, is_much, held) in compared.items()
-        if is_much and errors.sum() > UNEXPLAINED * motion.sum()
+        if is_much and errors.sum() > 0.5 * motion.sum()  # that of wheels errs by a tenth
     ]
 
 

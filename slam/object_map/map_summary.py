@@ -19,8 +19,10 @@ def summarize_map(saved: SavedMap) -> dict[str, Any]:
     """
     objects, graph = saved.objects, saved.graph
     sigmas_m = np.sqrt(np.trace(objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
-    table = pd.DataFrame({"label": objects.labels, "sigma_m": sigmas_m}).groupby("label")["sigma_m"]
-    classes = table.agg(landmark_count="count", median_sigma_m="median").reset_index()
+    of_classes = pd.DataFrame({"label": objects.labels, "sigma_m": sigmas_m}).groupby("label", as_index=False)[
+        "sigma_m"
+    ]
+    classes = of_classes.agg(landmark_count="count", median_sigma_m="median")
     is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     width_m, height_m = np.ptp(objects.positions[:, :2], axis=0).tolist()
     return {

@@ -121,11 +121,13 @@ def place_by_depth(camera: CameraModel, box: FloatArray, depths: NDArray[np.floa
     None where there is no depth.
     """
     u, v, width, height = box.tolist()
-    rows = slice(max(round(v - height / 4), 0), max(round(v + height / 4) + 1, 0))
-    columns = slice(max(round(u - width / 4), 0), max(round(u + width / 4) + 1, 0))
+    rows, columns = (
+        slice(max(round(middle - side / 4), 0), max(round(middle + side / 4) + 1, 0))
+        for middle, side in ((v, height), (u, width))
+    )
     inside = depths[rows, columns]
     inside = np.sort(inside[np.isfinite(inside)])
-    if len(inside) == 0:
+    if not len(inside):
         return None
     nearer = inside[: len(inside) // 2 + 1].astype(np.float64)
     depth = float(np.median(nearer))
@@ -157,7 +159,7 @@ def place_on_ground(
         return None
     sigmas = np.array([width, height]) * BOX_SIGMA
     # Downwards, where the ray always meets the ground.
-    moved = [meet(foot + np.array([sigmas[0], 0.0])), meet(foot + np.array([0.0, sigmas[1]]))]
+    moved = [meet(foot + step) for step in np.diag(sigmas)]
     steps = [other - point for other in moved if other is not None]
     covariance = sum((np.outer(step, step) for step in steps), np.zeros((3, 3)))
     covariance[2, 2] += np.min([step @ step for step in steps])
