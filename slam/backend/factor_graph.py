@@ -60,7 +60,7 @@ class EditableGraph:
         self.factors: dict[int, Factor] = {}
         """The active ones, by their numbers."""
         self._numbers = count()
-        self._keyframes: dict[int, None] = {}  # in the order in which they were added
+        self._keyframes: list[int] = []  # in the order in which they were added
         self._attached = AttachedKeyframes()
         self._fixed_poses: dict[int, FloatArray] = {}  # of keyframes that are no variables
         self._observations: dict[int, dict[int, Observation]] = {}  # by the landmark, by their numbers
@@ -71,7 +71,7 @@ class EditableGraph:
     @property
     def keyframes(self) -> IntArray:
         """Ids (K,) of the keyframes, in the order in which they were added."""
-        return np.array([*self._keyframes], dtype=np.int64)
+        return np.array(self._keyframes, dtype=np.int64)
 
     @property
     def landmarks(self) -> IntArray:
@@ -87,12 +87,12 @@ class EditableGraph:
         pose = checked_pose(T_map_body, f"keyframe {keyframe}")
         prior = None if self._keyframes else prior_factor(keyframe, pose, self._prior_sigmas)
         self._solver.insert(X(keyframe), pose, prior)
-        self._keyframes[keyframe] = None
+        self._keyframes.append(keyframe)
 
     def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Add a keyframe that never moves: a constant. Edges lead from it to others."""
         checked_pose(T_map_body, f"keyframe {keyframe}")
-        self._keyframes[keyframe] = None
+        self._keyframes.append(keyframe)
         self._fixed_poses[keyframe] = T_map_body
 
     def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
@@ -443,17 +443,18 @@ class FactorGraph(EditableGraph):
         self, stamp_ns: int, keyframe_stamps_ns: IntArray, pose_covariances: FloatArray | None = None
     ) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
-        rigid_edges = self._attached.rigid_edges(np.diag(self._prior_sigmas**2))
-        factors = [*map(self._recorded, self.factors.values()), *rigid_edges]
+        edges = [self._recorded(each) for each in self.factors.values() if isinstance(each, Edge)]
+        edges += self._attached.rigid_edges(np.diag(self._prior_sigmas**2))
+        observations = [each for each in self.factors.values() if isinstance(each, Observation)]
         record = make_graph_record(
-            stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of
+            stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), edges, observations, self._variable_of
         )
         return record if pose_covariances is None else replace(record, pose_covariances=pose_covariances)
 
-    def _recorded(self, factor: Factor) -> Factor:
-        """A factor as logs have it: fixes are edges from the first keyframe, by where the graph has that on earth."""
-        if not isinstance(factor, Edge) or factor.from_keyframe != EARTH:
-            return factor
-        first = next(iter(self._keyframes))
+    def _recorded(self, edge: Edge) -> Edge:
+        """An edge as logs have it: fixes lead from the first keyframe, by where the graph has that on earth."""
+        if edge.from_keyframe != EARTH:
+            return edge
+        first = self._keyframes[0]
         T_first_earth = relative(self.pose(first), self.pose(EARTH))
-        return replace(factor, from_keyframe=first, T_from_to=T_first_earth @ factor.T_from_to)
+        return replace(edge, from_keyframe=first, T_from_to=T_first_earth @ edge.T_from_to)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from logs.messages import FactorGraphRecord
-from slam.backend.factors import Edge, EdgeKind, Factor, Observation
+from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray, IntArray
 
 
@@ -14,7 +14,8 @@ def make_graph_record(
     keyframes: IntArray,
     keyframe_stamps_ns: IntArray,
     T_map_body: FloatArray,
-    factors: Sequence[Factor],
+    edges: Sequence[Edge],
+    observations: Sequence[Observation],
     name_of: Callable[[int], int | str],
 ) -> FactorGraphRecord:
     """The record of a graph, without its priors and the covariances of its poses.
@@ -24,11 +25,10 @@ def make_graph_record(
         keyframes: (K,) ids.
         keyframe_stamps_ns: (K,).
         T_map_body: (K, 4, 4), their estimates.
-        factors: all that are in force.
+        edges: all that are in force.
+        observations: likewise.
         name_of: the id of a landmark in the record: that of the landmark that it was merged into.
     """
-    edges = [factor for factor in factors if isinstance(factor, Edge)]
-    observations = [factor for factor in factors if isinstance(factor, Observation)]
     inflations = np.array([o.covariance_inflation for o in observations], dtype=np.float64)
     return FactorGraphRecord(
         stamp_ns=stamp_ns,

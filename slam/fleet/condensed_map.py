@@ -42,7 +42,8 @@ def condense_map(saved: SavedMap, *, cell_m: float) -> SavedMap:
         np.arange(len(T_map_place)),
         graph.keyframe_stamps_ns[middles],
         T_map_place,
-        [*_edges(graph, cell, T_map_place), *_observations(saved, cell, T_map_place, cell_m)],
+        _edges(graph, cell, T_map_place),
+        _observations(saved, cell, T_map_place, cell_m),
         saved.objects.ids.__getitem__,
     )
     return replace(saved, graph=condensed)

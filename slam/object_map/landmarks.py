@@ -352,7 +352,7 @@ class ObjectMap:
             class_probabilities=self.labels.posterior(labels[kept]),
             states=tuple(LandmarkState(state).name.lower() for state in landmarks["state"].tolist()),
             reasons=tuple(
-                f"{RetirementReason.MERGED.value} into {aliases[row]}" if row in aliases else reason
+                f"{RetirementReason.MERGED} into {aliases[row]}" if row in aliases else reason
                 for row, reason in zip(rows, landmarks["reason"].tolist(), strict=True)
             ),
             merged_into=tuple(str(aliases.get(row, "")) for row in rows) if aliases else (),
