@@ -85,7 +85,7 @@ def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     if not len(ends):
         return []
     poses = graph.T_map_body
-    moved = relative(poses[ends[:, 0]], poses[ends[:, 1]])
+    moved = relative(*poses[ends.T])
     lengths_m, angles = np.linalg.norm(moved[:, :3, 3], axis=1), rotation_angle_rad(moved)
     errors_m = np.abs(lengths_m - np.linalg.norm(measured[:, :3, 3], axis=1))
     turned = rotation_angle_rad(relative(poses[ends[0, 0]], poses)).max()

@@ -133,14 +133,14 @@ def place_landmarks(
     them stands what is known relative to the robot.
     """
     landmarks = object_map.rows
-    own = landmarks["segment"] >= first_segment
+    own = np.flatnonzero(landmarks["segment"] >= first_segment)
     T_local_body = np.stack([keyframe.T_local_body for keyframe in keyframes])
     keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in keyframes]
     last = np.searchsorted(keyframe_stamps_ns, landmarks["last_seen_ns"][own], side="right") - 1
     T_map_local = (T_map_body @ invert(T_local_body))[np.maximum(last, 0)]
     R, positions = T_map_local[:, :3, :3], apply_each(T_map_local, landmarks["position_local"][own])
     around = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
-    object_map.assign(np.flatnonzero(own), position_map=positions, covariance_map=around)
+    object_map.assign(own, position_map=positions, covariance_map=around)
     in_graph = graph.landmarks
     object_map.assign(in_graph, position_map=graph.landmark_positions(in_graph))
     if len(covariances):

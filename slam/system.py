@@ -178,7 +178,7 @@ class Slam:
         """Retire landmarks of the prior map that this drive passed, where it closed loops, and did not see."""
         closures = self._closer.closures
         near = sorted(closures.localized_keyframes() & closures.closed.keys())
-        places = self._graph.poses(np.array(near, dtype=np.int64))[:, :3, 3]
+        places = self._graph.poses(near)[:, :3, 3]
         self._mapper.retire_gone(find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m))
 
     def _final_map(self, optimization: Optimization) -> FinalMap:

@@ -399,10 +399,10 @@ class FactorGraph(EditableGraph):
         if moved.from_keyframe != moved.to_keyframe:
             self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
-    def poses(self, keyframes: IntArray | None = None) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, as ``keyframes`` has them, or of some (K,); nothing is solved."""
+    def poses(self, keyframes: Iterable[int] | None = None) -> FloatArray:
+        """``T_map_body`` (K, 4, 4) of all keyframes, as ``keyframes`` has them, or of some; nothing is solved."""
         values = self._solver.values_with_new()
-        wanted = self._keyframes if keyframes is None else keyframes.tolist()
+        wanted = self._keyframes if keyframes is None else keyframes
         return np.array([self.pose(keyframe, values) for keyframe in wanted]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:

@@ -63,7 +63,7 @@ def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:
 
 def _scaled(graph: FactorGraph, steps: Mapping[int, Edge], factor: float) -> dict[int, FloatArray]:
     """Covariances (6, 6) of steps, axes of the body, with the standard deviations of roll and pitch scaled."""
-    R = graph.poses(np.array([each.to_keyframe for each in steps.values()], dtype=np.int64))[:, :3, :3]
+    R = graph.poses(each.to_keyframe for each in steps.values())[:, :3, :3]
     S = np.tile(np.eye(6), (len(R), 1, 1))
     S[:, :3, :3] = np.swapaxes(R, 1, 2) @ np.diag([factor, factor, 1.0]) @ R
     covariances = S @ np.array([each.covariance for each in steps.values()]) @ np.swapaxes(S, 1, 2)

@@ -90,7 +90,7 @@ def tie_to_fixes(
     while (laid := _lay(trajectory(), fixes)) is not None:
         before, variance = variance, laid.variance()
         rows = np.searchsorted(stamps_ns, laid.stamps_ns, side="right") - 1
-        ids = np.array([keyframes[row].id for row in rows.tolist()], dtype=np.int64)
+        ids = [keyframes[row].id for row in rows.tolist()]
         T_map_body = graph.poses(ids)
         T_map_body[:, :2, 3] += laid.residuals_m
         T_earth_body = invert(laid.T_map_earth) @ T_map_body
@@ -98,7 +98,7 @@ def tie_to_fixes(
         covariances = _covariances(T_earth_body[:, :3, :3], variances)
         edges = [
             Edge(EARTH, keyframe, T, covariance, EdgeKind.GNSS)
-            for keyframe, T, covariance in zip(ids.tolist(), T_earth_body, covariances, strict=True)
+            for keyframe, T, covariance in zip(ids, T_earth_body, covariances, strict=True)
             if keyframe != graph.keyframes[0]  # in logs, edges of fixes lead from there
         ]
         graph.replace_fixes(laid.T_map_earth, edges)
