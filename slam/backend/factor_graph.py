@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
-from itertools import count
+from itertools import chain, count
 
 import gtsam
 import numpy as np
@@ -27,6 +27,7 @@ from slam.backend.factors import (
     observation_factors,
     pose_key,
     prior_factor,
+    stacked,
     summed,
 )
 from slam.backend.graph_record import make_graph_record
@@ -210,15 +211,11 @@ class EditableGraph:
         """Positions (N, 3) m in the map of landmarks by their own observations, without those of landmarks that were
         merged into them, from the poses of the keyframes; NaN for landmarks without any.
         """
-        seen = [
-            (row, each)
-            for row, landmark in enumerate(landmarks.tolist())
-            for each in self._observations.get(landmark, {}).values()
-        ]
-        rows = np.array([row for row, _ in seen], dtype=np.int64)
-        traces = np.array([each.covariance for _, each in seen]).reshape(-1, 9)[:, ::4].sum(axis=1)
-        weights = 1.0 / (np.array([each.covariance_inflation for _, each in seen]) * traces)
-        in_map = weights[:, None] * self._in_map([each for _, each in seen])
+        of_each = [list(self._observations.get(landmark, {}).values()) for landmark in landmarks.tolist()]
+        rows, seen = np.repeat(np.arange(len(of_each)), list(map(len, of_each))), list(chain(*of_each))
+        *_, covariances, inflations = stacked(seen)
+        weights = 1.0 / (inflations * covariances.reshape(-1, 9)[:, ::4].sum(axis=1))
+        in_map = weights[:, None] * self._in_map(seen)
         sums = np.stack([np.bincount(rows, axis, len(landmarks)) for axis in in_map.T], axis=1)
         totals = np.bincount(rows, weights, len(landmarks))[:, None]
         return np.divide(sums, totals, out=np.full(sums.shape, np.nan), where=totals > 0.0)

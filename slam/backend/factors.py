@@ -77,8 +77,8 @@ def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.No
     ``T_map_from`` (4, 4): of a keyframe that is a constant.
     """
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
-    covariances = _checked_covariances(edge.covariance[None], lambda _: what)
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariances[0])
+    _check_covariances(edge.covariance[None], lambda _: what)
+    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
     if edge.kind in (EdgeKind.LOOP_CLOSURE, EdgeKind.GNSS):
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
     pose = checked_pose(edge.T_from_to, what)
@@ -99,13 +99,10 @@ def observation_factors(
     """
     if not observations:
         return []
-    positions = np.array([observation.position for observation in observations])
-    covariances = _checked_covariances(
-        np.array([observation.covariance for observation in observations]), lambda row: _name(observations[row])
-    )
+    _, _, positions, covariances, inflations = stacked(observations)
+    _check_covariances(covariances, lambda row: _name(observations[row]))
     for row in np.flatnonzero(~np.isfinite(positions).all(axis=1)).tolist():
         raise FactorGraphError(f"{_name(observations[row])}: the position {positions[row]} is not finite")
-    inflations = np.array([observation.covariance_inflation for observation in observations])
     left_right_up = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
     noises = inflations[:, None, None] * (left_right_up @ covariances @ left_right_up.T)
     # The width of the kernel is in standard deviations of one observation, before the inflation.
@@ -166,12 +163,18 @@ def sum_observations(
 
 def summed(observations: Sequence[Observation]) -> list[Observation]:
     """These observations, those of one landmark from one keyframe as one."""
-    return sum_observations(
-        np.array([each.keyframe for each in observations]),
-        np.array([each.landmark for each in observations]),
-        np.array([each.position for each in observations]),
-        np.array([each.covariance_inflation * each.covariance for each in observations]),
-        np.array([each.covariance_inflation for each in observations]),
+    keyframes, landmarks, positions, covariances, inflations = stacked(observations)
+    return sum_observations(keyframes, landmarks, positions, inflations[:, None, None] * covariances, inflations)
+
+
+def stacked(observations: Sequence[Observation]) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
+    """Keyframes (N,), landmarks (N,), positions (N, 3) m, covariances (N, 3, 3) m^2 and their inflations (N,)."""
+    return (
+        np.array([each.keyframe for each in observations], dtype=np.int64),
+        np.array([each.landmark for each in observations], dtype=np.int64),
+        np.array([each.position for each in observations]).reshape(-1, 3),
+        np.array([each.covariance for each in observations]).reshape(-1, 3, 3),
+        np.array([each.covariance_inflation for each in observations], dtype=np.float64),
     )
 
 
@@ -183,11 +186,10 @@ def checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
     return gtsam.Pose3(T)
 
 
-def _checked_covariances(covariances: FloatArray, name_of: Callable[[int], str]) -> FloatArray:
-    """Covariances (N, n, n); the name of a wrong one goes into the error."""
+def _check_covariances(covariances: FloatArray, name_of: Callable[[int], str]) -> None:
+    """Refuse wrong ones of covariances (N, n, n), by name."""
     for row in np.flatnonzero(least_eigenvalues(covariances) <= 0.0).tolist():
         raise FactorGraphError(f"{name_of(row)}: the covariance is not finite and positive definite")
-    return covariances
 
 
 def _name(observation: Observation) -> str:

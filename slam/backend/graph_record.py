@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from logs.messages import FactorGraphRecord
-from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.factors import Edge, EdgeKind, Observation, stacked
 from slam.common.arrays import FloatArray, IntArray
 
 
@@ -29,7 +29,7 @@ def make_graph_record(
         observations: likewise.
         name_of: the id of a landmark in the record: that of the landmark that it was merged into.
     """
-    inflations = np.array([o.covariance_inflation for o in observations], dtype=np.float64)
+    observers, landmarks, positions, covariances, inflations = stacked(observations)
     return FactorGraphRecord(
         stamp_ns=stamp_ns,
         keyframe_ids=keyframes,
@@ -39,12 +39,10 @@ def make_graph_record(
         edge_transforms=np.array([e.T_from_to for e in edges]).reshape(-1, 4, 4),
         edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
         edge_kinds=tuple(str(e.kind) for e in edges),
-        observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
-        observation_landmark_ids=tuple(str(name_of(o.landmark)) for o in observations),
-        observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
-        observation_covariances=np.array([o.covariance_inflation * o.covariance for o in observations]).reshape(
-            -1, 3, 3
-        ),
+        observation_keyframe_ids=observers,
+        observation_landmark_ids=tuple(str(name_of(landmark)) for landmark in landmarks.tolist()),
+        observation_positions=positions,
+        observation_covariances=inflations[:, None, None] * covariances,
         observation_redundancies=inflations if (inflations != 1.0).any() else np.zeros(0),
     )
 
