@@ -107,31 +107,37 @@ class OutputLog:
     def write_updates(self, updates: Iterable[Record], log_time_ns: int) -> None:
         """Write the updates by one record of the input."""
         for update in updates:
-            if type(update) in _TOPICS:
-                self._write(_TOPICS[type(update)], update, log_time_ns)
-            self.write_messages(self._shown(update), log_time_ns)
-            if isinstance(update, SlamPose):
-                self.tracked += 1
-                if self._georeference is not None:
-                    self._write(LOCATION, _location(update, self._georeference), log_time_ns)
+            self.write_messages(self._messages(update), log_time_ns)
 
     def write_messages(self, messages: Iterable[Message], log_time_ns: int) -> None:
         """Write records, each to its topic."""
         for topic, message in messages:
-            self._write(topic, message, log_time_ns)
+            for write in self._writers:
+                write(topic, message, log_time_ns)
 
     def write_final(self, final: FinalMap, log_time_ns: int) -> None:
         """Write the results of the drive."""
-        self._write("/slam/trajectory_stamped", final.trajectory, log_time_ns)
-        self._write("/slam/map", final.object_map, log_time_ns)
-        self._write(LANDMARKS, make_markers(final.object_map), log_time_ns)
-        self._write("/slam/graph", final.graph, log_time_ns)
+        results: list[Message] = [
+            ("/slam/trajectory_stamped", final.trajectory),
+            ("/slam/map", final.object_map),
+            (LANDMARKS, make_markers(final.object_map)),
+            ("/slam/graph", final.graph),
+        ]
+        self.write_messages(results, log_time_ns)
         self.write_updates([final.status], log_time_ns)
         self.write_messages(final.snapshot, log_time_ns)
 
-    def _shown(self, update: Record) -> Iterator[Message]:
-        """Messages for viewers about an update: texts, and all frames that are known, so that they need no other."""
-        if isinstance(update, Transform):
+    def _messages(self, update: Record) -> Iterator[Message]:
+        """An update, and messages for viewers about it: texts, the place on earth, and all frames that are known, so
+        that they need no other.
+        """
+        if type(update) in _TOPICS:
+            yield _TOPICS[type(update)], update
+        if isinstance(update, SlamPose):
+            self.tracked += 1
+            if self._georeference is not None:
+                yield LOCATION, _location(update, self._georeference)
+        elif isinstance(update, Transform):
             if update.child_frame_id != update.parent_frame_id:  # as of an odometry in the frame of the map
                 self._frames[update.child_frame_id] = update
             if all(each.parent_frame_id != update.child_frame_id for each in self._frames.values()):  # the body
@@ -146,10 +152,6 @@ class OutputLog:
         elif isinstance(update, LoopClosureRecord) and update.inserted:
             text = f"loop closed: keyframe {update.query_keyframe_id} with {update.reference_keyframe_id}"
             yield LOG, LogMessage(update.stamp_ns, "info", text)
-
-    def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
-        for write in self._writers:
-            write(topic, record, log_time_ns)
 
 
 def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:

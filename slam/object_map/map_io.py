@@ -34,7 +34,6 @@ OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/
 POINTS_TOPIC = "/map/landmark_points"
 IMPORTED = "imported"
 """``kind`` in the metadata of a map without a trajectory."""
-_OF_THE_FILE = ("format_version", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 
@@ -111,7 +110,7 @@ def save_map(
             len(adrift),
         )
     drives = [*(earlier_drives or ()), drive_of(provenance)]
-    about = {"format_version": FORMAT_VERSION, **provenance, "drives": json.dumps(drives)}
+    about = {**provenance, "format_version": FORMAT_VERSION, "drives": json.dumps(drives)}
     with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
@@ -134,8 +133,7 @@ def write_map(path: Path, saved: SavedMap) -> None:
         LogError: it cannot be written.
         SavedMapError: it would be refused when it is loaded.
     """
-    provenance = {key: text for key, text in saved.metadata.items() if key not in _OF_THE_FILE}
-    save_map(path, saved.objects, saved.graph, provenance, earlier_drives=saved.drives[:-1])
+    save_map(path, saved.objects, saved.graph, saved.metadata, earlier_drives=saved.drives[:-1])
 
 
 def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
