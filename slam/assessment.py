@@ -61,7 +61,7 @@ def diagnose_uncorrected(graph: FactorGraphRecord, counters: Mapping[str, int]) 
 
 
 def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> str:
-    """A long way without landmarks; empty for a usual one."""
+    """A long way without landmarks; empty where there is none."""
     if not len(graph.observation_keyframe_ids):
         return ""  # see diagnose_uncorrected
     travel_m = _travel_m(graph)

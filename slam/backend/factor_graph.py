@@ -143,8 +143,7 @@ class EditableGraph:
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
         under-constrained.
         """
-        seen = [self._attached.observation(each) for each in observations]
-        self._insert({self._number(each): each for each in seen})
+        self._insert({self._number(each): each for each in map(self._attached.observation, observations)})
 
     def edges(self, kind: EdgeKind) -> dict[int, Edge]:
         """The edges of a kind, by their numbers."""

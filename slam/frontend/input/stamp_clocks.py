@@ -103,7 +103,6 @@ class StampClocks:
         # Of the odometry and of the detections.
         self._logged: defaultdict[bool, array[int]] = defaultdict(lambda: array("q"))
         self._delays: defaultdict[bool, array[int]] = defaultdict(lambda: array("q"))
-        self._first_ns, self._last_ns = 2**63, 0
         self.steps: list[ClockStep] = []
 
     def follow(self, item: LogItem) -> Iterator[Record]:
@@ -113,7 +112,6 @@ class StampClocks:
             return
         logged_ns, topic = item.raw.log_time_ns, item.raw.topic
         record = self._drift.correct(record)
-        self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
         self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
         self._logged[isinstance(record, Odometry)].append(logged_ns)
         ready, step_ns = self._topics[topic].follow(record, logged_ns)
@@ -135,11 +133,16 @@ class StampClocks:
         if self.steps or len(self._delays[False]) < MIN_MESSAGES:
             return NO_DRIFT
         rates = [_rate(self._logged[of_odometry], self._delays[of_odometry]) for of_odometry in (False, True)]
-        rate, seconds = rates[0] - rates[1], (self._last_ns - self._first_ns) * 1e-9
+        rate, seconds = rates[0] - rates[1], self._length_ns * 1e-9
         interval_s = seconds / len(self._delays[False])
         if not 0.1 * interval_s < abs(rate) * seconds < 1e-3 * seconds:
             return NO_DRIFT
         return ClockDrift(rate, self._logged[False][0] - self._delays[False][0])
+
+    @property
+    def _length_ns(self) -> int:
+        """Time in which all messages so far were logged."""
+        return int(np.ptp(np.concatenate([*self._logged.values()])))
 
     def delays(self) -> LoggingDelays:
         """The delays of all messages so far; empty if they exceed the length of the log, whose clock then has another
@@ -149,7 +152,7 @@ class StampClocks:
         if not odometry or not detections:
             return LoggingDelays()
         of_odometry_ns, of_detections_ns = median_low(odometry), median_low(detections)
-        if max(abs(of_odometry_ns), abs(of_detections_ns)) > self._last_ns - self._first_ns:
+        if max(abs(of_odometry_ns), abs(of_detections_ns)) > self._length_ns:
             return LoggingDelays()
         return LoggingDelays(of_odometry_ns * 1e-9, of_detections_ns * 1e-9)
 
