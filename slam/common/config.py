@@ -141,7 +141,6 @@ def load_config(
     Raises:
         ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
     """
-    if calibration is None:
-        return load_tree(Config, path, overrides)
-    load_tree(Calibration, calibration, ())  # its own errors name it
-    return load_tree(Config, path, overrides, {"calibration": calibration})
+    if calibration is not None:
+        load_tree(Calibration, calibration, ())  # its own errors name it
+    return load_tree(Config, path, overrides, calibration)

@@ -22,7 +22,14 @@ _SMALLEST, _LARGEST = 1e-9, 2**31 - 1
 """Squares and quotients of numbers between them are in range, and so are whole numbers of 32 bits."""
 _MAX_CHARACTERS = 10_000_000
 _BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-_TYPE_NAMES = {"float": "a number", "int": "a whole number", "bool": "true or false", "str": "text"}
+_TYPE_NAMES = {
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "str": "text",
+    "dict": "a table of names",
+    "tuple": "a list of names",
+}
 
 
 class Branch(BaseModel):
@@ -47,10 +54,10 @@ class Setting:
 
 
 def load_tree(
-    model: type[_Tree], path: Path | None, overrides: Sequence[str] | None, branches: Mapping[str, Path] | None = None
+    model: type[_Tree], path: Path | None, overrides: Sequence[str] | None, calibration: Path | None = None
 ) -> _Tree:
-    """The tree that defaults, then the TOML file ``path``, then files of single ``branches``, by their names, then
-    ``overrides`` ("branch.key=value") make.
+    """The tree that defaults, then the TOML file ``path``, then that of the branch ``calibration``, then ``overrides``
+    ("branch.key=value") make.
 
     Raises:
         ConfigurationError: a file that cannot be read, a key that does not exist (the nearest one is named), or a value
@@ -59,8 +66,8 @@ def load_tree(
     flagged = set()
     try:
         data = {} if path is None else _read_toml(path)
-        for branch, file in (branches or {}).items():
-            _update(data, {branch: _read_toml(file)})
+        if calibration is not None:
+            _update(data, {"calibration": _read_toml(calibration)})
         for text in overrides or ():
             key, value = _parse_override(text)
             *parents, name = key.split(".")
@@ -170,8 +177,7 @@ def _update(tree: dict[str, Any], other: Mapping[str, Any]) -> None:
 
 def _allowed(field: FieldInfo) -> str:
     kind = str(getattr(field.annotation, "__name__", field.annotation)).removesuffix(" | None")
-    names = {"dict": "a table of names", "tuple": "a list of names"}
-    name = names.get(kind.partition("[")[0], _TYPE_NAMES.get(kind, kind))
+    name = _TYPE_NAMES.get(kind.partition("[")[0], kind)
     bounds = [f"{sign} {getattr(m, key):g}" for m in field.metadata for key, sign in _BOUNDS.items() if hasattr(m, key)]
     return " ".join([name, " and ".join(bounds)]).strip()
 

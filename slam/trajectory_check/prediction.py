@@ -84,9 +84,10 @@ class VisitPredictor:
         offsets = self._view.project(positions)[:, None] - self._view.project(seen)
         squares = np.einsum("dmi,dmi->dm", offsets, offsets)
         span = np.pi * np.log1p((self._range_m / self._sigma_m) ** 2)
-        kernels = np.where(squares < self._range_m**2, 1.0 / (span * (squares + self._sigma_m**2)), 0.0)
-        kernels = np.where(self._labels[chosen][:, None] == labels, kernels, 0.0)
-        chance = self._view.density(positions) * self._shares[self._labels[chosen]]
+        own_labels = self._labels[chosen]
+        may_match = (squares < self._range_m**2) & (own_labels[:, None] == labels)
+        kernels = np.where(may_match, 1.0 / (span * (squares + self._sigma_m**2)), 0.0)
+        chance = self._view.density(positions) * self._shares[own_labels]
         ratios = kernels @ expected / (expected.sum() * np.maximum(chance, np.finfo(np.float64).tiny))
         return np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum(), len(chosen)
 

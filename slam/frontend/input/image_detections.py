@@ -70,8 +70,9 @@ class ImageLifter:
         placed = None if depth is None else place_by_depth(camera, detections.boxes[i], depth.depths)
         T_body_camera = self._frames.find(self.body_frame, detections.frame_id, detections.stamp_ns)
         if placed is None and T_body_camera is not None:
-            limits_m = self._config.ground_z_m, self._config.reach_m
-            placed = place_on_ground(camera, detections.boxes[i], T_body_camera, *limits_m)
+            placed = place_on_ground(
+                camera, detections.boxes[i], T_body_camera, self._config.ground_z_m, self._config.reach_m
+            )
         return "objects_without_depth" if placed is None else placed
 
     def _depth_at(self, detections: ImageDetections) -> DepthImage | None:
