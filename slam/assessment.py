@@ -94,11 +94,12 @@ def _unexplained(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
         "translations": (errors_m, lengths_m, lengths_m.sum() > sensor_range_m, "positions"),
         "rotations": (rotation_angle_rad(relative(measured, moved)), angles, turned > 0.25, "orientations"),
     }
+    # An odometry that errs by more than half of the motion tells little of it; that of wheels errs by a tenth.
     return [
         f"the {what} of the odometry are off by {100.0 * errors.sum() / motion.sum():.0f} % of those that landmarks "
         f"show; does it hold {held}?"
         for what, (errors, motion, is_much, held) in compared.items()
-        if is_much and errors.sum() > 0.5 * motion.sum()  # that of wheels errs by a tenth
+        if is_much and errors.sum() > 0.5 * motion.sum()
     ]
 
 

@@ -440,6 +440,7 @@ class FactorGraph(EditableGraph):
     ) -> FactorGraphRecord:
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
         edges = [self._recorded(each) for each in self.factors.values() if isinstance(each, Edge)]
+        # As stiff as the prior of the first keyframe.
         edges += self._attached.rigid_edges(np.diag(self._prior_sigmas**2))
         observations = [each for each in self.factors.values() if isinstance(each, Observation)]
         record = make_graph_record(
