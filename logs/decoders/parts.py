@@ -71,9 +71,10 @@ def place_of(message: Any, context: Context, otherwise: Place | None = None) -> 
     """
     time_ns, frame = otherwise or (context.raw.log_time_ns, "")
     header = getattr(message, "header", None)
-    if header is None:
-        return stamp_ns(message.timestamp.seconds, message.timestamp.nanos, time_ns), message.frame_id or frame
-    return stamp_ns(header.stamp.sec, header.stamp.nanosec, time_ns), header.frame_id or frame
+    if header is not None:
+        return stamp_ns(header.stamp.sec, header.stamp.nanosec, time_ns), header.frame_id or frame
+    named = message.frame_id if hasattr(message, "frame_id") else message.parent_frame_id
+    return stamp_ns(message.timestamp.seconds, message.timestamp.nanos, time_ns), named or frame
 
 
 def pose_decoder(path: str, body: str = "") -> Callable[[Any, Context], Records]:
@@ -96,15 +97,18 @@ def pose_decoder(path: str, body: str = "") -> Callable[[Any, Context], Records]
     return decode
 
 
-def frame_records(transforms: tuple[Transform, ...], kind: RecordKind) -> Records:
-    """The frames themselves; as odometry, those whose parent is "odom"."""
-    if kind != RecordKind.ODOMETRY:
-        return transforms
-    return tuple(
-        Odometry(t.stamp_ns, t.T_parent_child, t.parent_frame_id, t.child_frame_id)
-        for t in transforms
-        if t.parent_frame_id.strip("/") == "odom"
-    )
+def frame_records(message: Any, context: Context) -> Records:
+    """The frames in a message of several, or of one: as transforms, or, as odometry, those whose parent is "odom"."""
+    records = list[Record]()
+    for frame in getattr(message, "transforms", [message]):
+        time_ns, parent = place_of(frame, context)
+        placed = getattr(frame, "transform", frame)
+        T = transform_of(placed.translation, placed.rotation)
+        if context.kind == RecordKind.TRANSFORMS:
+            records.append(Transform(time_ns, parent, frame.child_frame_id, T))
+        elif parent.strip("/") == "odom":
+            records.append(Odometry(time_ns, T, parent, frame.child_frame_id))
+    return tuple(records)
 
 
 def fix_records(message: Any, context: Context) -> Records:

@@ -44,7 +44,7 @@ from logs.decoders.parts import (
 )
 from logs.dslam_codec import CODECS, check_arrays
 from logs.topics import RawMessage, RecordKind
-from logs.validation import Refusal, stamp_ns, transform_of
+from logs.validation import Refusal
 
 _TRAILING_NUMBER = re.compile(r"[/:_\-# ]*\d*$")
 _NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
@@ -85,19 +85,6 @@ def _with_text_for_time(values: dict[str, Any]) -> Any:
     return found.ToJsonString()
 
 
-def _frame_transforms(message: Any, context: Context) -> Records:
-    transforms = tuple(
-        m.Transform(
-            stamp_ns(t.timestamp.seconds, t.timestamp.nanos, context.raw.log_time_ns),
-            t.parent_frame_id,
-            t.child_frame_id,
-            transform_of(t.translation, t.rotation),
-        )
-        for t in (message.transforms if isinstance(message, FrameTransforms) else [message])
-    )
-    return frame_records(transforms, context.kind)
-
-
 def _scene_update(message: Any, context: Context) -> Records:
     scans: dict[Place, list[Detection]] = defaultdict(list)
     for entity in message.entities:
@@ -136,8 +123,8 @@ DECODERS: dict[str, MessageDecoder] = {
     for decoder in (
         MessageDecoder(POSE, pose_decoder("pose", "body_frame_id"), Odometry),
         MessageDecoder((*POSE, RecordKind.SLAM_POSE), pose_decoder("pose"), PoseInFrame),
-        MessageDecoder(FRAMES, _frame_transforms, FrameTransform),
-        MessageDecoder(FRAMES, _frame_transforms, FrameTransforms),
+        MessageDecoder(FRAMES, frame_records, FrameTransform),
+        MessageDecoder(FRAMES, frame_records, FrameTransforms),
         MessageDecoder((RecordKind.GNSS,), fix_records, LocationFix),
         MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
         _own(m.ObjectDetections, RecordKind.DETECTIONS),

@@ -20,20 +20,12 @@ from logs.decoders.parts import (
     pose_decoder,
 )
 from logs.errors import DatasetError
-from logs.messages import LabelledScan, Transform
+from logs.messages import LabelledScan
 from logs.topics import RecordKind
-from logs.validation import Refusal, transform_of
+from logs.validation import Refusal
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Of the numbers of points."""
-
-
-def _tf(message: Any, context: Context) -> Records:
-    transforms = tuple(
-        Transform(*place_of(t, context), t.child_frame_id, transform_of(t.transform.translation, t.transform.rotation))
-        for t in message.transforms
-    )
-    return frame_records(transforms, context.kind)
 
 
 def labelled_scan(message: Any, context: Context) -> Records:
@@ -66,8 +58,8 @@ DECODERS = {
     "nav_msgs/msg/Odometry": MessageDecoder(POSE, pose_decoder("pose.pose", "child_frame_id")),
     "geometry_msgs/msg/PoseStamped": MessageDecoder(POSE, pose_decoder("pose")),
     "geometry_msgs/msg/PoseWithCovarianceStamped": MessageDecoder(POSE, pose_decoder("pose.pose")),
-    "tf2_msgs/msg/TFMessage": MessageDecoder(FRAMES, _tf),
-    "tf/msg/tfMessage": MessageDecoder(FRAMES, _tf),
+    "tf2_msgs/msg/TFMessage": MessageDecoder(FRAMES, frame_records),
+    "tf/msg/tfMessage": MessageDecoder(FRAMES, frame_records),
     "sensor_msgs/msg/NavSatFix": MessageDecoder((RecordKind.GNSS,), fix_records),
     "vision_msgs/msg/Detection3DArray": MessageDecoder(DETECTIONS, objects.detections_3d),
     **{
