@@ -51,11 +51,10 @@ def transform_of(position: Any, orientation: Any) -> FloatArray:
     Raises:
         Refusal: NaN or Inf, or a norm further from 1 than ``QUATERNION_NORM_TOLERANCE``.
     """
-    x, y, z = position.x, position.y, position.z
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise Refusal("position is not finite", f"x={x}, y={y}, z={z}")
-    if max(abs(x), abs(y), abs(z)) > MAX_COORDINATE_M:
-        raise Refusal("position is out of range", f"x={x}, y={y}, z={z}")
+    x, y, z = place = position.x, position.y, position.z
+    if not all(abs(coordinate) <= MAX_COORDINATE_M for coordinate in place):
+        fault = "out of range" if all(map(math.isfinite, place)) else "not finite"
+        raise Refusal(f"position is {fault}", f"x={x}, y={y}, z={z}")
     qx, qy, qz, qw = orientation.x, orientation.y, orientation.z, orientation.w
     norm = math.hypot(qx, qy, qz, qw)
     # Written so that NaN fails it.
