@@ -3,6 +3,7 @@
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
+from functools import cache
 from io import BufferedWriter, BytesIO, FileIO
 from pathlib import Path
 from types import TracebackType
@@ -54,8 +55,8 @@ class LogWriter:
         except BaseException as error:  # also a signal
             error.add_note(f"an empty log is left in {self.partial_path}")
             raise
-        self._schema_ids: dict[tuple[str, str, bytes], int] = {}
-        self._channel_ids: dict[tuple[object, ...], int] = {}
+        self._schema_id = cache(self._writer.register_schema)
+        self._channel_id = cache(self._register_channel)
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -71,7 +72,7 @@ class LogWriter:
             self._writer.finish()  # type: ignore[no-untyped-call]
         with contextlib.suppress(OSError):
             self._stream.close()
-        is_empty = isinstance(error, Exception) and not self._channel_ids
+        is_empty = isinstance(error, Exception) and not self._channel_id.cache_info().currsize
         if is_empty or isinstance(error, self._refusals):
             self.partial_path.unlink(missing_ok=True)
         else:
@@ -88,7 +89,7 @@ class LogWriter:
         for each_ns in (record.stamp_ns, time_ns):
             if not 0 <= each_ns <= LAST_NS:
                 raise InvalidRecordError(f"{topic}: a log cannot hold the time {each_ns} ns; times count up from 0")
-        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
+        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR), ())
         self._writer.add_message(channel_id, time_ns, message.SerializeToString(deterministic=True), time_ns)
 
     def write_raw(self, raw: RawMessage) -> None:
@@ -137,20 +138,15 @@ class LogWriter:
                 f"{self.partial_path} is complete but cannot be renamed to {self.path}: {error.strerror}"
             ) from error
 
-    def _channel_id(
+    def _register_channel(
         self,
         topic: str,
         encoding: str,
         definition: tuple[str, str, bytes] | None,
-        metadata: tuple[tuple[str, str], ...] = (),
+        metadata: tuple[tuple[str, str], ...],
     ) -> int:
-        key = (topic, encoding, definition, metadata)
-        if key not in self._channel_ids:
-            if definition is not None and definition not in self._schema_ids:
-                self._schema_ids[definition] = self._writer.register_schema(*definition)
-            schema_id = 0 if definition is None else self._schema_ids[definition]
-            self._channel_ids[key] = self._writer.register_channel(topic, encoding, schema_id, dict(metadata))
-        return self._channel_ids[key]
+        schema_id = 0 if definition is None else self._schema_id(*definition)
+        return self._writer.register_channel(topic, encoding, schema_id, dict(metadata))
 
 
 class _OutputStream(BufferedWriter):
