@@ -5,14 +5,16 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
+from decimal import Decimal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.errors import DatasetError
 from logs.importers.text_files import SourceText
-from logs.messages import FloatArray
+from logs.messages import FloatArray, IntArray
 from logs.records import frozen
+from logs.validation import LAST_NS
 
 LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
@@ -26,13 +28,55 @@ UNLABELLED = "object"
 
 _DELIMITERS = ",;\t"
 
+STAMP_NAMES = ("stamp", "timestamp", "time", "t")
+TIME_UNITS: Mapping[str, float] = {"": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+"""Suffix of a column -> nanoseconds; without a suffix, seconds."""
+
+UNIT_REMEDY = "name the column by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns"
+_DATE = re.compile(r"\d{4}(-?)\d\d\1\d\d[T ]\d\d:?\d\d")
+
 
 @frozen
 class Column:
-    """One column of a table: its name as the file has it, and the factor of the unit that the name ends in."""
+    """One column of the table in a file: its cells (R,) as text, the lines (R,) of their rows, and the factor of the
+    unit that its name ends in.
+    """
 
+    file: str
+    lines: Sequence[int]
     name: str
+    cells: Sequence[str]
     scale: float
+
+    def numbers(self, empty: float | None = None) -> FloatArray:
+        """The cells (R,) as finite numbers in the unit that all have, ``empty`` where a cell is empty.
+
+        Raises:
+            DatasetError: a cell is no finite number, or it is empty and nothing stands for it.
+        """
+        is_empty = np.array([cell == "" for cell in self.cells], dtype=np.bool_)
+        values = np.array([float(cell) if is_number(cell) else math.nan for cell in self.cells])
+        fault = "'CELL' is not a finite number; write it with a decimal point, or leave it empty"
+        self.refuse(np.isnan(values) & ~is_empty, fault)
+        if empty is None:
+            self.refuse(is_empty, "empty; give a number, or remove the line")
+        else:
+            values[is_empty] = empty
+        return values * self.scale
+
+    def refuse(self, wrong: NDArray[np.bool_], fault: str) -> None:
+        """See that none of the rows is ``wrong`` (R,); in ``fault``, "CELL" stands for the cell of the first that is.
+
+        Raises:
+            DatasetError: one is.
+        """
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise self.error(row, fault.replace("CELL", self.cells[row][:40], 1))
+
+    def error(self, row: int, fault: str) -> DatasetError:
+        """What is wrong with the cell in a row, with its place."""
+        return DatasetError(f"{self.file}, line {self.lines[row]}, column {self.name}: {fault}")
 
 
 @frozen
@@ -57,12 +101,12 @@ class Table:
         """
         wanted = {f"{field}_{unit}".rstrip("_"): scale for field in fields for unit, scale in units.items()}
         plain = {name: "_".join(re.findall(r"[a-z0-9]+", name.lower())) for name in self.columns}
-        found = [Column(name, wanted[plain[name]]) for name in self.columns if plain[name] in wanted]
+        found = [name for name in self.columns if plain[name] in wanted]
         if len(found) > 1:
-            names = " and ".join(column.name for column in found)
+            names = " and ".join(found)
             raise DatasetError(f"{self.name}: columns {names} have the same meaning; remove or rename all but one")
-        self.used.update(column.name for column in found)
-        return found[0] if found else None
+        self.used.update(found)
+        return self._column(found[0], wanted[plain[found[0]]]) if found else None
 
     def need(self, what: str, example: str, fields: Iterable[str], units: Mapping[str, float] = NO_UNITS) -> Column:
         """Like ``find``, for a column that must be there; ``example`` is the name to give it.
@@ -79,33 +123,20 @@ class Table:
     def first_texts(self, names: Iterable[str]) -> Sequence[str]:
         """The cells (R,) of the column that bears the first of the names whose cells are not all empty."""
         named = filter(None, (self.find((name,)) for name in names))
-        return next(filter(any, (self.columns[column.name] for column in named)), [""] * len(self.lines))
+        return next(filter(any, (column.cells for column in named)), [""] * len(self.lines))
 
     def labels(self) -> Sequence[str]:
         """The classes (R,) of the rows, empty where a cell is, or where there is no such column."""
         return self.first_texts(LABEL_NAMES)
 
-    def numbers(self, column: Column) -> FloatArray:
-        """The cells (R,) as finite numbers in the unit that all have.
+    def lengths(self, names: Iterable[str]) -> FloatArray:
+        """The lengths (R,) m in the column that bears one of the names; 0 where a cell or the column is missing.
 
         Raises:
-            DatasetError: a cell is no finite number.
+            DatasetError: a cell is no number, or there are several such columns.
         """
-        values = self.optional_numbers(column)
-        self.refuse(np.isnan(values), column, "empty; give a number, or remove the line")
-        return values
-
-    def optional_numbers(self, column: Column) -> FloatArray:
-        """Like ``numbers``, but NaN for an empty cell.
-
-        Raises:
-            DatasetError: a cell that is not empty is no finite number.
-        """
-        cells = self.columns[column.name]
-        values = np.array([float(cell) if is_number(cell) else math.nan for cell in cells])
-        wrong = np.isnan(values) & np.array([cell != "" for cell in cells], dtype=np.bool_)
-        self.refuse(wrong, column, "'CELL' is not a finite number; write it with a decimal point, or leave it empty")
-        return values * column.scale
+        column = self.find(names, LENGTH_UNITS)
+        return np.zeros(len(self.lines)) if column is None else column.numbers(empty=0.0)
 
     def matrix(self) -> FloatArray:
         """All cells (R, C) as finite numbers, of a table of nothing else.
@@ -113,21 +144,32 @@ class Table:
         Raises:
             DatasetError: a cell is no finite number.
         """
-        return np.stack([self.numbers(Column(name, 1.0)) for name in self.columns], axis=1)
+        return np.stack([self._column(name, 1.0).numbers() for name in self.columns], axis=1)
 
-    def refuse(self, wrong: NDArray[np.bool_], column: Column, fault: str) -> None:
-        """See that none of the rows is ``wrong`` (R,); in ``fault``, "CELL" stands for the cell of the first that is.
+    def stamps(self, *, strictly: bool) -> IntArray:
+        """The stamps (R,) [ns] of the rows, in the order of time, exact to the nanosecond.
 
         Raises:
-            DatasetError: one is.
+            DatasetError: no row, no column of stamps or several, a cell that is no time from 0 on, or a stamp that is
+                before the one of the row before or, if ``strictly``, equal to it.
         """
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise self.error(row, column.name, fault.replace("CELL", self.columns[column.name][row][:40], 1))
+        column = self.need("the stamp", "stamp_s", STAMP_NAMES, TIME_UNITS)
+        if not self.lines:
+            raise DatasetError(f"{self.name} has no rows; expected at least one line with a stamp")
+        stamps_ns = np.empty(len(self.lines), dtype=np.int64)
+        for row, cell in enumerate(column.cells):
+            try:
+                stamps_ns[row] = _nanoseconds(cell, int(column.scale))
+            except ValueError as error:
+                raise column.error(row, f"{cell[:40]!r} is {error}; correct it, or {UNIT_REMEDY}") from error
+        steps = np.diff(stamps_ns, prepend=stamps_ns[:1] - 1)
+        column.refuse(steps < 0, "CELL comes after a later stamp; sort the lines by this column")
+        twice = "CELL occurs twice; remove one of the two lines, or write the stamps with more digits"
+        column.refuse(strictly & (steps == 0), twice)
+        return stamps_ns
 
-    def error(self, row: int, columns: str, fault: str) -> DatasetError:
-        """What is wrong with a cell (or with several columns of a row), with its place."""
-        return DatasetError(f"{self.name}, line {self.lines[row]}, column {columns}: {fault}")
+    def _column(self, name: str, scale: float) -> Column:
+        return Column(self.name, self.lines, name, self.columns[name], scale)
 
 
 def read_table(source: SourceText, names: Sequence[str] = ()) -> Table:
@@ -193,3 +235,29 @@ def is_number(text: str) -> bool:
         return math.isfinite(float(text))
     except ValueError:
         return False
+
+
+def _nanoseconds(cell: str, unit_ns: int) -> int:
+    """Nanoseconds of a number of units of ``unit_ns``, or of a date as ISO 8601 and pandas write it.
+
+    Raises:
+        ValueError: it is no time that a log can hold.
+    """
+    try:
+        if _DATE.match(cell):
+            import pandas as pd
+
+            exact = Decimal(pd.Timestamp(cell).as_unit("ns").value)  # in UTC where it names no zone
+        else:
+            exact = Decimal(cell) * unit_ns
+    except (ValueError, ArithmeticError) as error:
+        raise ValueError("not a time") from error
+    if not exact.is_finite():
+        raise ValueError("not a time")
+    if exact < 0:
+        raise ValueError("before 0, which no log can hold")
+    if exact > LAST_NS:
+        raise ValueError("a time after the year 2116")
+    if unit_ns == 1 and exact != exact.to_integral_value():
+        raise ValueError("not whole nanoseconds")
+    return int(exact.to_integral_value())

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.detection_tables import BODY_FRAME, DetectionTable, read_detections
-from logs.importers.fix_tables import read_fixes
 from logs.importers.imported_log import DriveRecord
-from logs.importers.stamps import read_stamps
+from logs.importers.measurement_tables import BODY_FRAME, DetectionTable, read_detections, read_fixes
 from logs.importers.tables import read_table
 from logs.importers.text_files import read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
@@ -72,7 +70,7 @@ def read_text_log(
     paths = {"odometry": odometry, "detections": table, "gnss": gnss}
     paths |= {"ground_truth": ground_truth, "times": times, "calib": calib}
     sources = {role: read_source_text(path) for role, path in paths.items() if path is not None}
-    times_ns = read_stamps(read_table(sources["times"], ["stamp_s"]), strictly=True) if "times" in sources else None
+    times_ns = read_table(sources["times"], ["stamp_s"]).stamps(strictly=True) if "times" in sources else None
     trajectories = {
         role: read_trajectory(sources[role], times_ns=times_ns, calib=sources.get("calib"))
         for role in ("odometry", "ground_truth")

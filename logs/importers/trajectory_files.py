@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
-from logs.importers.stamps import UNIT_REMEDY, read_stamps
-from logs.importers.tables import LENGTH_UNITS, Table, first_row, is_number, read_table
+from logs.importers.tables import LENGTH_UNITS, UNIT_REMEDY, Table, first_row, is_number, read_table
 from logs.importers.text_files import SourceText
 from logs.messages import FloatArray, IntArray
 from logs.records import frozen
@@ -70,7 +69,7 @@ def read_trajectory(
         trajectory = _read_kitti(source, times_ns, calib)
     else:
         table = read_table(source, _TUM if format == TrajectoryFormat.TUM else ())
-        trajectory = Trajectory(read_stamps(table, strictly=True), _poses(table), format)
+        trajectory = Trajectory(table.stamps(strictly=True), _poses(table), format)
     _check_plausible(source.name, trajectory)
     return trajectory
 
@@ -100,9 +99,9 @@ def _poses(table: Table) -> FloatArray:
         if axis == "z" and table.find(names, LENGTH_UNITS) is None:
             continue
         column = table.need(f"{axis} in metres", f"{axis}_m", names, LENGTH_UNITS)
-        T[:, i, 3] = table.numbers(column)
+        T[:, i, 3] = column.numbers()
         too_far = np.abs(T[:, i, 3]) > MAX_COORDINATE_M
-        table.refuse(too_far, column, "CELL m is too far away; correct it, or remove the line")
+        column.refuse(too_far, "CELL m is too far away; correct it, or remove the line")
     T[:, :3, :3] = _rotations(table)
     return T
 
@@ -110,12 +109,11 @@ def _poses(table: Table) -> FloatArray:
 def _rotations(table: Table) -> FloatArray:
     yaw = table.find(("yaw", "theta"), _ANGLE_UNITS)
     if yaw is not None:
-        yaw_rad = table.numbers(yaw)
+        yaw_rad = yaw.numbers()
         # Headings that are wrapped lie within one turn, and others change by less from pose to pose.
         jumps = np.abs(np.diff(yaw_rad, prepend=yaw_rad[:1])) > 2.0 * np.pi
-        table.refuse(
+        yaw.refuse(
             jumps,
-            yaw,
             "CELL differs from the heading before by more than a turn; if these are degrees, name the column yaw_deg",
         )
         return Rotation.from_euler("z", yaw_rad[:, None]).as_matrix()
@@ -125,10 +123,10 @@ def _rotations(table: Table) -> FloatArray:
             f"{table.name}: no rotation among {', '.join(table.columns)}; give yaw (radians from x to y), yaw_deg, or "
             "qx, qy, qz and qw"
         )
-    q_xyzw = np.stack([table.numbers(column) for column in columns], axis=1)
+    q_xyzw = np.stack([column.numbers() for column in columns], axis=1)
     norms = np.linalg.norm(q_xyzw, axis=1)
     wrong = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
-    table.refuse(wrong, columns[-1], "the norm of the quaternion is not 1, so it is no rotation")
+    columns[-1].refuse(wrong, "the norm of the quaternion is not 1, so it is no rotation")
     return Rotation.from_quat(q_xyzw).as_matrix()
 
 

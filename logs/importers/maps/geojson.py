@@ -8,8 +8,7 @@ import numpy as np
 from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from logs.errors import DatasetError
-from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
-from logs.importers.maps.object_table import find_labels
+from logs.importers.maps.map_objects import MapObjects, objects_of
 from logs.importers.tables import Table
 from logs.importers.text_files import read_source_text
 
@@ -62,10 +61,9 @@ def read_geojson(path: Path) -> MapObjects:
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
     if others and not coordinates:
         raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
-    geodetic = np.array(coordinates).reshape(-1, 3)
-    check_degrees(str(path), geodetic)
     keys = sorted({key for row in properties for key in row})
     cells = {key: ["" if row.get(key) is None else str(row[key]) for row in properties] for key in keys}
-    labels = find_labels(Table(str(path), range(1, len(properties) + 1), cells))
+    table = Table(str(path), range(1, len(properties) + 1), cells)
     notes = (f"{others.total()} features that are not points were ignored ({kinds})",) if others else ()
-    return MapObjects(str(path), geodetic, labels, distinct(names), True, source.sha256, notes)
+    geodetic = np.array(coordinates).reshape(-1, 3)
+    return objects_of(table, geodetic, names, source.sha256, is_geodetic=True, notes=notes)

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from logs.errors import DatasetError
+from logs.importers.tables import UNLABELLED, Table
 from logs.messages import FloatArray
 from logs.records import frozen
 
@@ -39,7 +40,27 @@ class MapObjects:
         return self
 
 
-def distinct(names: Iterable[str]) -> tuple[str, ...]:
+def objects_of(
+    table: Table,
+    positions: FloatArray,
+    names: Iterable[str],
+    sha256: str,
+    *,
+    is_geodetic: bool,
+    notes: tuple[str, ...] = (),
+) -> MapObjects:
+    """The objects (N,) in the rows of ``table``, at ``positions`` (N, 3), with ids by their ``names`` in the source.
+
+    Raises:
+        DatasetError: positions that should be degrees and cannot be.
+    """
+    if is_geodetic:
+        _check_degrees(table.name, positions)
+    labels = tuple(label or UNLABELLED for label in table.labels())
+    return MapObjects(table.name, positions, labels, _distinct(names), is_geodetic, sha256, notes)
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
     """The names, those that occur before with their place behind."""
     seen = set()
     found = []
@@ -49,7 +70,7 @@ def distinct(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def check_degrees(source: str, geodetic: FloatArray) -> None:
+def _check_degrees(source: str, geodetic: FloatArray) -> None:
     """Refuse latitudes and longitudes (N, 3) that cannot be degrees.
 
     Raises:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
-from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table, read_table
+from logs.importers.maps.map_objects import MapObjects, objects_of
+from logs.importers.tables import LENGTH_UNITS, read_table
 from logs.importers.text_files import read_source_text
 
 
@@ -27,16 +27,8 @@ def read_object_table(path: Path) -> MapObjects:
             table.need(f"{axis} or lat and lon", f"{axis}_m", names, LENGTH_UNITS)
             for axis, names in (("x", ("x", "easting")), ("y", ("y", "northing")))
         ]
-    height = table.find(("z", "altitude", "elevation"), LENGTH_UNITS)
-    heights = np.zeros(len(table.lines)) if height is None else np.nan_to_num(table.optional_numbers(height))
-    positions = np.column_stack([*map(table.numbers, plane), heights])
-    if latitude is not None:
-        check_degrees(str(path), positions)
+    heights = table.lengths(("z", "altitude", "elevation"))
+    positions = np.column_stack([*(column.numbers() for column in plane), heights])
     cells = zip(table.lines, table.first_texts(("id", "object_id", "name")), strict=True)
-    ids = distinct(cell or f"line {line}" for line, cell in cells)
-    return MapObjects(str(path), positions, find_labels(table), ids, latitude is not None, source.sha256)
-
-
-def find_labels(table: Table) -> tuple[str, ...]:
-    """The class (R,) of each row, ``UNLABELLED`` where the table has none."""
-    return tuple(cell or UNLABELLED for cell in table.labels())
+    ids = [cell or f"line {line}" for line, cell in cells]
+    return objects_of(table, positions, ids, source.sha256, is_geodetic=latitude is not None)

@@ -1,4 +1,6 @@
-"""Detections from a table of named columns: one row an object, the rows of one stamp a scan."""
+"""Measurements from tables of named columns: detections, a row for each object, the rows of one stamp a scan; and fixes
+of a satellite receiver.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,15 +10,14 @@ from numpy.typing import NDArray
 
 from logs.dslam_codec import take_rows
 from logs.errors import DatasetError
-from logs.importers.stamps import read_stamps
-from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Table
-from logs.messages import DetectionTruth, FloatArray, ObjectDetections
+from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Column, Table
+from logs.messages import DetectionTruth, FloatArray, GeodeticFix, ObjectDetections
 from logs.records import frozen
 
 BODY_FRAME = "base_link"
 
-
 _SCORES = ("score", "confidence", "probability")
+_DEGREES = {"": 1.0, "deg": 1.0}
 
 
 @frozen
@@ -41,10 +42,10 @@ def read_detections(table: Table) -> DetectionTable:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
             positions are in an impossible unit.
     """
-    stamps_ns = read_stamps(table, strictly=False)
+    stamps_ns = table.stamps(strictly=False)
     labels = table.labels()
     is_empty, positions = _positions(table, labels)
-    has_truth = table.find(("object_id",))
+    truth = table.find(("object_id",))
     named = tuple(label or UNLABELLED for label in labels)
     every = ObjectDetections(0, BODY_FRAME, positions, named, _scores(table), _covariances(table))
     frames = [frame or BODY_FRAME for frame in table.first_texts(("frame", "frame_id"))]
@@ -55,8 +56,8 @@ def read_detections(table: Table) -> DetectionTable:
     for (stamp_ns, frame), rows in scans.items():
         seen = take_rows(every, N=np.array(rows, dtype=np.int64))
         records.append(replace(seen, stamp_ns=stamp_ns, frame_id=frame))
-        if has_truth is not None:
-            names = (table.columns[has_truth.name][row] for row in rows)
+        if truth is not None:
+            names = (truth.cells[row] for row in rows)
             records.append(DetectionTruth(stamp_ns, tuple("" if name == "-1" else name for name in names)))
     left_out = tuple(name for name in table.columns if name and name not in table.used)
     unlabelled = sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True))
@@ -76,13 +77,13 @@ def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], 
     columns = [table.need(axis, f"{axis}_m", (axis,), LENGTH_UNITS) for axis in "xy"]
     height = table.find(("z",), LENGTH_UNITS)
     columns += [height] if height is not None else []
-    cells = zip(labels, *(table.columns[column.name] for column in columns), strict=True)
+    cells = zip(labels, *(column.cells for column in columns), strict=True)
     is_empty = np.array([not any(row) for row in cells], dtype=np.bool_)
     positions = np.zeros((len(is_empty), 3))
     for i, column in enumerate(columns):
-        values = table.optional_numbers(column)
+        values = column.numbers(empty=np.nan)
         remedy = "give a number (only a row with neither position nor label is a scan without objects)"
-        table.refuse(np.isnan(values) & ~is_empty, column, f"empty; {remedy}")
+        column.refuse(np.isnan(values) & ~is_empty, f"empty; {remedy}")
         positions[:, i] = np.nan_to_num(values)
         median_m = float(np.median(np.abs(positions[~is_empty, i]))) if not is_empty.all() else 0.0
         # No range at which objects are detected, but another unit or another frame.
@@ -98,30 +99,53 @@ def _scores(table: Table) -> FloatArray:
     column = table.find(_SCORES)
     if column is None:
         return np.ones(len(table.lines))
-    scores = np.nan_to_num(table.optional_numbers(column), nan=1.0)
+    scores = column.numbers(empty=1.0)
     fault = "CELL is not in [0, 1]; scale the scores to [0, 1], or rename the column"
-    table.refuse((scores < 0.0) | (scores > 1.0), column, fault)
+    column.refuse((scores < 0.0) | (scores > 1.0), fault)
     return scores
 
 
-def _sigmas(table: Table, axis: str) -> FloatArray | None:
-    """Standard deviations (R,) m, NaN where a cell is empty or 0; None without such a column."""
-    column = table.find((f"sigma_{axis}",), LENGTH_UNITS)
-    if column is None:
-        return None
-    values = table.optional_numbers(column)
-    table.refuse(values < 0.0, column, "CELL is not a length; leave it empty if it is not known")
-    return np.where(values > 0.0, values, np.nan)
-
-
 def _covariances(table: Table) -> FloatArray | None:
-    """Covariances (R, 3, 3) m^2 from sigmas; zeros in rows where one is not known."""
-    x, y, z = (_sigmas(table, axis) for axis in "xyz")
-    if x is None and y is None and z is None:
+    """Covariances (R, 3, 3) m^2 from sigmas; zeros in rows where one is not known; None without such columns."""
+    columns = [table.find((f"sigma_{axis}",), LENGTH_UNITS) for axis in "xyz"]
+    if not any(columns):
         return None
+    x, y, z = (None if column is None else _variances(column) for column in columns)
     if x is None or y is None:
         raise DatasetError(f"{table.name}: noise needs at least the columns sigma_x_m and sigma_y_m")
-    variance_z = 0.5 * (x**2 + y**2) if z is None else z**2  # a planar detector
-    variances = np.stack([x**2, y**2, variance_z], axis=1)
-    variances[np.isnan(variances).any(axis=1)] = 0.0
+    variances = np.stack([x, y, 0.5 * (x + y) if z is None else z], axis=1)  # without z of a planar detector
+    variances[(variances == 0.0).any(axis=1)] = 0.0
     return variances[:, :, None] * np.eye(3)
+
+
+def _variances(sigma: Column) -> FloatArray:
+    """Squares (R,) m^2 of standard deviations, 0 where a cell is empty."""
+    values = sigma.numbers(empty=0.0)
+    sigma.refuse(values < 0.0, "CELL is not a length; leave it empty if it is not known")
+    return values**2
+
+
+def read_fixes(table: Table) -> list[GeodeticFix]:
+    """The fixes of ``table``, one a row; the altitude is 0 where it is missing, ``sigma_m`` is of each coordinate.
+
+    Raises:
+        DatasetError: a column is missing or stands there twice, a cell is wrong, or the stamps are not in order.
+    """
+    columns = (
+        table.stamps(strictly=False),
+        _angles(table, "latitude", "lat", 90.0),
+        _angles(table, "longitude", "lon", 180.0),
+        table.lengths(("altitude", "alt", "height")),
+        table.lengths(("sigma",)),
+    )
+    return [
+        GeodeticFix(stamp_ns, "gnss", latitude, longitude, height_m, sigma_m**2 * np.eye(3) if sigma_m > 0.0 else None)
+        for stamp_ns, latitude, longitude, height_m, sigma_m in zip(*map(np.ndarray.tolist, columns), strict=True)
+    ]
+
+
+def _angles(table: Table, name: str, short: str, largest_deg: float) -> FloatArray:
+    column = table.need(f"the {name}", f"{name}_deg", (name, short), _DEGREES)
+    values = column.numbers()
+    column.refuse(np.abs(values) > largest_deg, f"CELL is no {name} in degrees; write it in decimal degrees")
+    return values

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.detection_tables import DetectionTable, read_detections
+from logs.importers.measurement_tables import DetectionTable, read_detections
 from logs.importers.tables import read_table
 from logs.importers.text_files import SourceText
 from logs.messages import DetectionTruth, ObjectDetections
