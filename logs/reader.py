@@ -15,7 +15,7 @@ from logs.messages import Record
 from logs.records import frozen
 from logs.selection import Selection
 from logs.storage.mcap_file import McapFile
-from logs.storage.opening import find_files, open_file
+from logs.storage.opening import find_bag_files, open_file
 from logs.storage.regular_file import AnyPath
 from logs.topics import Channel, RawMessage, TopicInfo
 
@@ -51,7 +51,7 @@ class LogReader:
     def __init__(self, path: AnyPath, limits: ReadingLimits | None = None) -> None:
         self.path = Path(path)
         self._limits = limits or ReadingLimits()
-        self.files = find_files(self.path)
+        self.files = find_bag_files(self.path) if self.path.is_dir() else [self.path]
         self.decoding_counters: Counter[str] = Counter()
         """What was left out by the latest pass over records alone."""
         self._reported = set[tuple[str, str]]()

@@ -3,7 +3,7 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
@@ -18,19 +18,6 @@ _SUFFIXES = (".mcap", ".db3")
 METADATA_FILE = "metadata.yaml"
 _PREFIX = __name__.removesuffix("logs.storage.opening")
 """Of the names of our packages: "dslam." in a wheel."""
-
-
-def find_files(path: Path) -> list[Path]:
-    """The files of the log at ``path``: the file itself, or those of a rosbag2 folder.
-
-    Raises:
-        UnreadableLogError: nothing is there, or a folder is no whole recording.
-    """
-    if path.is_dir():
-        return find_bag_files(path)
-    if not path.exists():
-        raise UnreadableLogError(f"cannot read {path}: No such file or directory; check the path")
-    return [path]
 
 
 def is_log(path: Path) -> bool:
@@ -126,7 +113,7 @@ def _read_information(path: Path) -> _Information:
         raise UnreadableLogError(
             f"cannot read {path}: {error.strerror}; give a log, or the folder of a rosbag2 recording"
         ) from error
-    except (YAMLError, ValidationError, ValueError, TypeError, OverflowError, RecursionError) as error:
+    except (YAMLError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise UnreadableLogError(
             f"{path} is not the metadata of a rosbag2 recording ({' '.join(str(error).split())[:200]}); "
             "'ros2 bag reindex' writes it anew"
