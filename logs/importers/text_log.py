@@ -12,7 +12,7 @@ from logs.importers.imported_log import DriveRecord
 from logs.importers.measurement_tables import BODY_FRAME, DetectionTable, read_detections, read_fixes
 from logs.importers.tables import read_table
 from logs.importers.text_files import read_source_text
-from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
+from logs.importers.trajectory_files import Trajectory, read_trajectory
 from logs.messages import GeodeticFix, GroundTruthPose, IntArray, ObjectDetections, Odometry
 from logs.records import frozen
 
@@ -55,7 +55,7 @@ def read_text_log(
     """Read and validate a drive.
 
     Args:
-        odometry: poses of the body in a smooth frame; see :class:`TrajectoryFormat`.
+        odometry: poses of the body in a smooth frame; see ``TrajectoryFormat``.
         detections: CSV with a header, positions in the body frame; see :func:`read_detections`. Or a folder of
             centroids, one file for each pose; see :func:`read_centroids`.
         gnss: CSV with a header; see :func:`read_fixes`.
@@ -77,20 +77,20 @@ def read_text_log(
         if role in sources
     }
     path = trajectories["odometry"]
-    names = {role: Path(source.name).name for role, source in sources.items()}
-    digests = {f"{role}_sha256": source.sha256 for role, source in sources.items()}
+    about = {role: Path(source.name).name for role, source in sources.items()}
+    about |= {f"{role}_sha256": source.sha256 for role, source in sources.items()}
     if "detections" in sources:
         found = read_detections(read_table(sources["detections"]))
     else:
-        found, digests["detections_sha256"] = read_centroids(detections, path.stamps_ns)
-        names["detections"] = detections.resolve().name
+        found, about["detections_sha256"] = read_centroids(detections, path.stamps_ns)
+        about["detections"] = detections.resolve().name
     fixes = read_fixes(read_table(sources["gnss"])) if "gnss" in sources else []
     notes = found.notes
-    if path.format == TrajectoryFormat.KITTI and calib is None:
+    if path.format == "kitti" and calib is None:
         notes += (
             "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera",
         )
-    return TextLog(path, found, trajectories.get("ground_truth"), fixes, names | digests, notes)
+    return TextLog(path, found, trajectories.get("ground_truth"), fixes, about, notes)
 
 
 def read_centroids(folder: Path, stamps_ns: IntArray) -> tuple[DetectionTable, str]:

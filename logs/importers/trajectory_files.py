@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,16 +20,12 @@ _TUM = ("stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _ANGLE_UNITS = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0}
 
 
-class TrajectoryFormat(StrEnum):
-    """How a trajectory is written.
+TrajectoryFormat = Literal["tum", "kitti", "csv"]
+"""How a trajectory is written.
 
-    TUM: ``stamp_s x y z qx qy qz qw``. KITTI: 12 numbers, the rows of a 3x4 pose, times apart. CSV: a header names
-    stamp, x, y, z and qx, qy, qz, qw or yaw (radians; yaw_deg: degrees).
-    """
-
-    TUM = "tum"
-    KITTI = "kitti"
-    CSV = "csv"
+TUM: ``stamp_s x y z qx qy qz qw``. KITTI: 12 numbers, the rows of a 3x4 pose, times apart. CSV: a header names
+stamp, x, y, z and qx, qy, qz, qw or yaw (radians; yaw_deg: degrees).
+"""
 
 
 @frozen
@@ -65,10 +61,10 @@ def read_trajectory(
         DatasetError: a file is wrong, the stamps do not increase, or stamps or positions are in an impossible unit.
     """
     format = _find_format(source)
-    if format == TrajectoryFormat.KITTI:
+    if format == "kitti":
         trajectory = _read_kitti(source, times_ns, calib)
     else:
-        table = read_table(source, _TUM if format == TrajectoryFormat.TUM else ())
+        table = read_table(source, _TUM if format == "tum" else ())
         trajectory = Trajectory(table.stamps(strictly=True), _poses(table), format)
     _check_plausible(source.name, trajectory)
     return trajectory
@@ -82,14 +78,15 @@ def _find_format(source: SourceText) -> TrajectoryFormat:
     """
     row = first_row(source)
     if not is_number(row[0]):
-        return TrajectoryFormat.CSV
-    formats = {len(_TUM): TrajectoryFormat.TUM, len(_KITTI): TrajectoryFormat.KITTI}
-    if len(row) not in formats:
+        return "csv"
+    if len(row) == len(_TUM):
+        return "tum"
+    if len(row) != len(_KITTI):
         raise DatasetError(
             f"{source.name}: {len(row)} values are not a pose; expected 8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: "
             "3x4), or a first line that names the columns (stamp_s,x_m,y_m,z_m,qx,qy,qz,qw)"
         )
-    return formats[len(row)]
+    return "kitti"
 
 
 def _poses(table: Table) -> FloatArray:
@@ -144,7 +141,7 @@ def _read_kitti(source: SourceText, times_ns: IntArray | None, calib: SourceText
         # The origin is the first pose of the camera, so the velodyne starts at the identity: x forward, y left, z up.
         T_camera_velodyne = _parse_calibration(calib)
         T = np.linalg.inv(T_camera_velodyne) @ T @ T_camera_velodyne
-    return Trajectory(times_ns, T, TrajectoryFormat.KITTI)
+    return Trajectory(times_ns, T, "kitti")
 
 
 def _parse_poses(source: SourceText) -> FloatArray:
