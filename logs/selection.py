@@ -98,26 +98,27 @@ def select_topics(
             that does not exist, or a topic that is not there or does not decode to it.
     """
     there = sorted(topics, key=lambda info: info.topic)
-    inputs = [info for info in there if not info.topic.startswith((GROUND_TRUTH_TOPIC, OUTPUT_PREFIX))]
     chosen = {}
     mappings: dict[str, FieldMapping] = {}
     for name, topic in (overrides or {}).items():
-        kind = _kind(name)
+        if name not in [*RecordKind]:
+            raise TopicSelectionError(f"--topic {name}=...: unknown part; the parts are {', '.join(RecordKind)}")
+        kind = RecordKind(name)
         chosen[kind] = [_overridden(there, kind, each.strip(), mappings) for each in topic.split(",")]
         if len(chosen[kind]) > 1 and kind == RecordKind.ODOMETRY:
             raise TopicSelectionError(f"--topic {kind}={topic}: the odometry is a single topic; name one")
     for kind in _CHOSEN:
         if kind not in chosen:
-            chosen[kind] = _strongest(there, inputs, kind, is_needed=kind in needed)
+            chosen[kind] = _strongest(there, kind, is_needed=kind in needed)
     in_images = {info.topic for info in there if info.schema_name in _IN_IMAGES}
     for kind in (RecordKind.CAMERA_INFO, RecordKind.DEPTH):
         chosen.setdefault(kind, _of_cameras(there, kind) if in_images & {*chosen[RecordKind.DETECTIONS]} else [])
     for kind, topic in _DEFAULT_TOPICS.items():
         chosen.setdefault(kind, [info.topic for info in there if info.topic == topic and kind in info.kinds])
-    chosen.setdefault(RecordKind.TRANSFORMS, [info.topic for info in inputs if RecordKind.TRANSFORMS in info.kinds])
+    chosen.setdefault(RecordKind.TRANSFORMS, [info.topic for info in _inputs(there, RecordKind.TRANSFORMS)])
     for kind in map(RecordKind, needed):
         if not chosen.get(kind):
-            raise _nothing_fits(there, inputs, kind)
+            raise _nothing_fits(there, kind)
     kinds: dict[str, tuple[RecordKind, ...]] = {}
     for kind in RecordKind:
         for topic in chosen.get(kind, []):
@@ -143,13 +144,19 @@ def _likely_kind(info: TopicInfo) -> RecordKind:
     return next((kind for kind in likely if kind in info.kinds), info.kinds[0])
 
 
-def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:
+def _inputs(there: list[TopicInfo], kind: RecordKind) -> list[TopicInfo]:
+    """The topics that can play the part ``kind`` and are neither truth nor the output of a replay."""
+    others = (GROUND_TRUTH_TOPIC, OUTPUT_PREFIX)
+    return [info for info in there if kind in info.kinds and not info.topic.startswith(others)]
+
+
+def _strongest(there: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:
     """The one topic of the strongest schema that any has; none, or an error if one is needed, where several have it."""
     ranks = {
         info.topic: _WEAKER.get(info.schema_name, 0)
-        for info in inputs
+        for info in _inputs(there, kind)
         # Frames on /tf may not be the odometry.
-        if kind in info.kinds and info.message_count and RecordKind.TRANSFORMS not in info.kinds
+        if info.message_count and RecordKind.TRANSFORMS not in info.kinds
         if info.schema_name not in _WHEN_ASKED_FOR
     }
     fitting = [topic for topic, rank in ranks.items() if rank == min(ranks.values())]
@@ -171,14 +178,6 @@ def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:
     return topics
 
 
-def _kind(name: str) -> RecordKind:
-    try:
-        return RecordKind(name)
-    except ValueError:
-        kinds = ", ".join(RecordKind)
-        raise TopicSelectionError(f"--topic {name}=...: unknown part; the parts are {kinds}") from None
-
-
 def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: dict[str, FieldMapping]) -> str:
     topic, _, fields = text.partition(":")
     of_topic = [info for info in there if info.topic == topic]
@@ -194,8 +193,8 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: d
     return topic
 
 
-def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
-    fitting = [info.topic for info in inputs if kind in info.kinds]
+def _nothing_fits(there: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
+    fitting = [info.topic for info in _inputs(there, kind)]
     if not fitting and any(info.topic.startswith(OUTPUT_PREFIX) for info in there):
         return TopicSelectionError(f"no topic gives {kind}: 'dslam replay' wrote this log; give the log of the drive")
     remedy = "record a topic with a schema that does (docs/log.md lists them)"
@@ -207,7 +206,5 @@ def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordK
 
 
 def _listing(there: list[TopicInfo]) -> str:
-    if not there:
-        return "The log has no topics."
     lines = [f"{info.topic} ({info.schema_name or 'no schema'}, {info.message_count})" for info in there]
-    return "Topics of the log: " + ", ".join(lines)
+    return f"Topics of the log: {', '.join(lines)}" if lines else "The log has no topics."
