@@ -56,20 +56,15 @@ def parse(raw: RawMessage, message_class: Any) -> Any:
     Raises:
         Refusal: bytes that are no such message.
     """
-    if raw.channel.message_encoding == "json":
-        return _parse_json(message_class, raw)
     try:
-        return message_class.FromString(raw.data)
-    except DecodeError as error:
-        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
-
-
-def _parse_json(message_class: Any, raw: RawMessage) -> Any:
-    try:
+        if raw.channel.message_encoding != "json":
+            return message_class.FromString(raw.data)
         values = json.loads(raw.data, object_hook=_with_text_for_time, parse_constant=str)
         if not isinstance(values, dict):
             raise ValueError("no object")
         return ParseDict(values, message_class(), ignore_unknown_fields=True)
+    except DecodeError as error:
+        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
     except _NO_JSON as error:
         what = f"as {raw.channel.schema_name}: {' '.join(str(error).split())[:200]}"
         raise Refusal("JSON does not decode", what) from error
