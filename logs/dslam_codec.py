@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from logs import messages as m
 from logs.schemas import dslam_pb2 as pb
+from logs.topics import RecordKind
 from logs.validation import LAST_NS, MAX_COORDINATE_M, Refusal, flat_array, transforms, usable_covariance
 
 _Record = TypeVar("_Record", bound="m.ObjectDetections | m.ObjectMapRecord | m.FactorGraphRecord")
@@ -29,71 +30,44 @@ _DTYPES: Mapping[int, Any] = {
 """Type of a field -> that of its array in a record; text is in tuples."""
 
 
-class _Field:
-    """A field of a record and of its message.
+class _Field(NamedTuple):
+    """A field of a record and of its message; ``lengths`` and ``dtype`` of its array or tuple."""
 
-    ``shape``: the lengths of an array or a tuple, as numbers or as letters that stand for one length in the whole
-    message, and "T" for a transform; with "?" it may be empty, and the record then has its default.
-    """
-
-    def __init__(self, name: str, message_field: FieldDescriptor, shape: str) -> None:
-        self.name = name
-        self.message_name = message_field.name
-        self.lengths = shape.rstrip("?").split()
-        self.is_map = message_field.is_repeated and not shape
-        self.is_optional = message_field.has_presence
-        self.may_be_empty = shape.endswith("?")
-        self._dtype = _DTYPES.get(message_field.cpp_type)
-
-    def encode(self, value: Any) -> Any:
-        """What the message holds of ``value``, which is not None."""
-        if not isinstance(value, np.ndarray):
-            return value
-        return (value[..., :3, :] if "T" in self.lengths else value).ravel().tolist()
-
-    def decode(self, values: Sequence[Any], lengths: dict[str, int], counters: Counter[str]) -> Any:
-        """The array or the tuple in ``values``; ``lengths`` by letter, to which the first of this field is added.
-
-        Raises:
-            Refusal: another length, a matrix that is no rotation, or numbers that no record may have.
-        """
-        first, *others = self.lengths
-        if first == "T":
-            return transforms(values, 1, self.name)[0]
-        if first == "6":
-            return usable_covariance(flat_array(values, (6, 6), self.name), counters)
-        width = [int(each) if each.isdecimal() else lengths[each] for each in others]
-        if first not in lengths:
-            lengths[first] = len(values) // max(math.prod(width), 1)
-        count = lengths[first]
-        if "T" in others:
-            return transforms(values, count, self.name)
-        if self._dtype is not None:
-            return flat_array(values, (count, *width), self.name, self._dtype)
-        if len(values) != count:
-            raise Refusal("lengths disagree", f"{self.name}: {len(values)} for {count}")
-        return tuple(values)
+    name: str
+    message_name: str
+    lengths: list[str]
+    dtype: Any
+    described: FieldDescriptor
 
 
 class Codec:
-    """Translates one kind of record into its message, and back.
+    """Translates one kind of record into its message, and back; ``kinds``: what it may be on a topic.
 
-    ``shapes``: of the fields that are arrays or tuples; the first with a letter sets the length that it stands for.
+    ``shapes``: of each field that is an array or a tuple its lengths, as numbers, or as letters that stand for one
+    length in the whole message, which the first field with that letter sets, and "T" for a transform; with "?" it may
+    be empty, and the record then has its default.
     """
 
-    def __init__(self, record: type, message_class: Any, **shapes: str) -> None:
+    def __init__(self, record: type, message_class: Any, *kinds: RecordKind, **shapes: str) -> None:
         self.message_class = message_class
         self.record = record
-        fields = message_class.DESCRIPTOR.fields_by_name
-        names = [*shapes, *(f.name for f in dataclasses.fields(record) if f.name not in shapes)]
-        self.fields = [_Field(name, fields[_MESSAGE_FIELDS.get(name, name)], shapes.get(name, "")) for name in names]
+        self.kinds = kinds
+        self.shapes = shapes | {f.name: "" for f in dataclasses.fields(record) if f.name not in shapes}
+        self._fields = []
+        for name, shape in self.shapes.items():
+            described = message_class.DESCRIPTOR.fields_by_name[_MESSAGE_FIELDS.get(name, name)]
+            dtype = _DTYPES.get(described.cpp_type)
+            self._fields.append(_Field(name, described.name, shape.rstrip("?").split(), dtype, described))
 
     def encode(self, record: Any) -> Message:
-        """The message of ``record``."""
-        values = ((field, getattr(record, field.name)) for field in self.fields)
-        message: Message = self.message_class(
-            **{field.message_name: field.encode(value) for field, value in values if value is not None}
-        )
+        """The message of ``record``; what is None is not set."""
+        values = {}
+        for field in self._fields:
+            value = getattr(record, field.name)
+            if isinstance(value, np.ndarray):
+                value = (value[..., :3, :] if "T" in field.lengths else value).ravel().tolist()
+            values[field.message_name] = value
+        message: Message = self.message_class(**values)
         return message
 
     def decode(self, message: Any, counters: Counter[str]) -> Any:
@@ -104,16 +78,40 @@ class Codec:
         """
         values = {}
         lengths = {"T": 12}  # numbers of a transform
-        for field in self.fields:
+        for field in self._fields:
             value = getattr(message, field.message_name)
-            if field.is_map:  # its order is arbitrary; sorted, a record is the same in every run
+            if field.lengths:
+                if len(value) or not self.shapes[field.name].endswith("?"):
+                    values[field.name] = _shaped(value, field, lengths, counters)
+            elif field.described.is_repeated:  # a map in any order; sorted, a record is the same in every run
                 values[field.name] = dict(sorted(value.items()))
-            elif field.lengths:
-                if len(value) or not field.may_be_empty:
-                    values[field.name] = field.decode(value, lengths, counters)
-            elif not field.is_optional or message.HasField(field.message_name):
+            elif not field.described.has_presence or message.HasField(field.message_name):
                 values[field.name] = value
         return self.record(**values)
+
+
+def _shaped(values: Sequence[Any], field: _Field, lengths: dict[str, int], counters: Counter[str]) -> Any:
+    """The array or the tuple in ``values``; ``lengths`` by letter, to which the first of ``field`` is added.
+
+    Raises:
+        Refusal: another length, a matrix that is no rotation, or numbers that no record may have.
+    """
+    (first, *others), name = field.lengths, field.name
+    if first == "T":
+        return transforms(values, 1, name)[0]
+    if first == "6":
+        return usable_covariance(flat_array(values, (6, 6), name), counters)
+    width = [int(each) if each.isdecimal() else lengths[each] for each in others]
+    if first not in lengths:
+        lengths[first] = len(values) // max(math.prod(width), 1)
+    count = lengths[first]
+    if "T" in others:
+        return transforms(values, count, name)
+    if field.dtype is not None:
+        return flat_array(values, (count, *width), name, field.dtype)
+    if len(values) != count:
+        raise Refusal("lengths disagree", f"{name}: {len(values)} for {count}")
+    return tuple(values)
 
 
 def check_arrays(record: Any) -> None:
@@ -141,12 +139,24 @@ def check_arrays(record: Any) -> None:
 CODECS: Mapping[type, Codec] = {
     codec.record: codec
     for codec in (
-        Codec(m.ObjectDetections, pb.ObjectDetections, labels="N", positions="N 3", scores="N", covariances="N 3 3?"),
-        Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
-        Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
+        Codec(
+            m.ObjectDetections,
+            pb.ObjectDetections,
+            RecordKind.DETECTIONS,
+            labels="N",
+            positions="N 3",
+            scores="N",
+            covariances="N 3 3?",
+        ),
+        Codec(m.DetectionTruth, pb.DetectionTruth, RecordKind.DETECTION_TRUTH, object_ids="N"),
+        Codec(
+            m.DetectionAssociations, pb.DetectionAssociations, RecordKind.ASSOCIATIONS, landmark_ids="N", created="N"
+        ),
         Codec(
             m.ObjectMapRecord,
             pb.ObjectMap,
+            RecordKind.OBJECT_MAP,
+            RecordKind.OBJECT_TRUTH,
             ids="N",
             vocabulary="C",
             positions="N 3",
@@ -159,10 +169,11 @@ CODECS: Mapping[type, Codec] = {
             last_seen_ns="N",
             merged_into="N?",
         ),
-        Codec(m.TrajectoryRecord, pb.Trajectory, stamps_ns="N", T_map_body="N T"),
+        Codec(m.TrajectoryRecord, pb.Trajectory, RecordKind.TRAJECTORY, stamps_ns="N", T_map_body="N T"),
         Codec(
             m.FactorGraphRecord,
             pb.FactorGraph,
+            RecordKind.FACTOR_GRAPH,
             keyframe_ids="K",
             keyframe_stamps_ns="K",
             T_map_body="K T",
@@ -177,9 +188,16 @@ CODECS: Mapping[type, Codec] = {
             pose_covariances="K 6 6?",
             observation_redundancies="O?",
         ),
-        Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
-        Codec(m.StatusRecord, pb.Status),
-        Codec(m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"),
+        Codec(m.LoopClosureRecord, pb.LoopClosure, RecordKind.LOOP_CLOSURES, T_reference_query="T?", covariance="6 6?"),
+        Codec(m.StatusRecord, pb.Status, RecordKind.STATUS),
+        Codec(
+            m.LocalizationRecord,
+            pb.Localization,
+            RecordKind.LOCALIZATION,
+            sources="S",
+            innovation_ratios="S",
+            covariance="6 6?",
+        ),
     )
 }
 
@@ -187,10 +205,9 @@ CODECS: Mapping[type, Codec] = {
 def take_rows(record: _Record, **rows: NDArray[np.int64]) -> _Record:
     """The record with only some rows (K,) of all that has the length with that letter, as ``CODECS`` names it."""
     taken: dict[str, Any] = {}
-    for field in CODECS[type(record)].fields:
-        letter, *_ = field.lengths or ("",)
-        values = getattr(record, field.name)
-        if letter in rows and values is not None and len(values):
-            kept, is_text = rows[letter], isinstance(values, tuple)
-            taken[field.name] = tuple(values[row] for row in kept.tolist()) if is_text else values[kept]
+    for name, shape in CODECS[type(record)].shapes.items():
+        kept, values = rows.get(shape[:1]), getattr(record, name)
+        if kept is not None and values is not None and len(values):
+            is_text = isinstance(values, tuple)
+            taken[name] = tuple(values[row] for row in kept.tolist()) if is_text else values[kept]
     return dataclasses.replace(record, **taken)
