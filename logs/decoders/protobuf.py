@@ -42,7 +42,7 @@ from logs.decoders.parts import (
     usable_detections,
     xyz,
 )
-from logs.dslam_codec import CODECS, check_arrays
+from logs.dslam_codec import CODECS, Codec, check_arrays
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal
 
@@ -100,9 +100,7 @@ def _class_and_score(entity: Any) -> tuple[str, float]:
         return label, 1.0
 
 
-def _own(record: type, *kinds: RecordKind) -> MessageDecoder:
-    codec = CODECS[record]
-
+def _own(codec: Codec) -> MessageDecoder:
     def decode(message: Any, context: Context) -> Records:
         found = codec.decode(message, context.counters)
         if isinstance(found, m.ObjectDetections):
@@ -110,7 +108,7 @@ def _own(record: type, *kinds: RecordKind) -> MessageDecoder:
         check_arrays(found)
         return (found,)
 
-    return MessageDecoder(kinds, decode, codec.message_class)
+    return MessageDecoder(codec.kinds, decode, codec.message_class)
 
 
 DECODERS: dict[str, MessageDecoder] = {
@@ -122,15 +120,7 @@ DECODERS: dict[str, MessageDecoder] = {
         MessageDecoder(FRAMES, frame_records, FrameTransforms),
         MessageDecoder((RecordKind.GNSS,), fix_records, LocationFix),
         MessageDecoder(DETECTIONS, _scene_update, SceneUpdate),
-        _own(m.ObjectDetections, RecordKind.DETECTIONS),
-        _own(m.DetectionTruth, RecordKind.DETECTION_TRUTH),
-        _own(m.DetectionAssociations, RecordKind.ASSOCIATIONS),
-        _own(m.ObjectMapRecord, RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
-        _own(m.TrajectoryRecord, RecordKind.TRAJECTORY),
-        _own(m.FactorGraphRecord, RecordKind.FACTOR_GRAPH),
-        _own(m.LoopClosureRecord, RecordKind.LOOP_CLOSURES),
-        _own(m.StatusRecord, RecordKind.STATUS),
-        _own(m.LocalizationRecord, RecordKind.LOCALIZATION),
+        *map(_own, CODECS.values()),
     )
 }
 """Schema -> what decodes its messages."""
