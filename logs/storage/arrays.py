@@ -1,6 +1,5 @@
 """Arrays attached to an MCAP file, in NumPy's file format, mapped into memory."""
 
-import struct
 import zlib
 from collections.abc import Collection
 from pathlib import Path
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from logs.errors import UnreadableLogError
 from logs.storage.mcap_index import DAMAGE, HEADER, read_summary
 
-_CHECKSUM = struct.Struct("<I")
 _NO_HEADER = (TypeError, SyntaxError, TokenError)  # NumPy reads a header as an expression of Python
 
 
@@ -46,8 +44,7 @@ def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArr
 def _is_intact(path: Path, place: AttachmentIndex) -> bool:
     """Whether an attachment has the checksum that follows it; 0 stands for none."""
     content = np.memmap(path, np.uint8, "r", place.offset + HEADER.size, place.length - HEADER.size).data
-    (written,) = _CHECKSUM.unpack(content[-_CHECKSUM.size :])
-    return written in (0, zlib.crc32(content[: -_CHECKSUM.size]))
+    return int.from_bytes(content[-4:], "little") in (0, zlib.crc32(content[:-4]))
 
 
 def _map_array(path: Path, stream: BinaryIO, place: AttachmentIndex) -> NDArray[Any]:
@@ -56,7 +53,7 @@ def _map_array(path: Path, stream: BinaryIO, place: AttachmentIndex) -> NDArray[
     Raises:
         ValueError: it is no array in NumPy's format, or one of objects, or longer than the attachment.
     """
-    end = place.offset + place.length - _CHECKSUM.size
+    end = place.offset + place.length - 4  # of the checksum
     stream.seek(end - place.data_size)
     np.lib.format.read_magic(stream)
     shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
