@@ -19,6 +19,7 @@ from logs import messages as m
 from logs.dslam_codec import CODECS
 from logs.errors import InvalidRecordError
 from logs.scene import encode_lines, encode_markers, encode_points, timestamp
+from logs.topics import Schema
 from logs.validation import FloatArray, quaternion_xyzw
 
 
@@ -38,8 +39,8 @@ def encode(record: m.Record) -> Message:
 
 
 @cache
-def definition_of(message_type: Any) -> tuple[str, str, bytes]:
-    """Name, encoding and FileDescriptorSet of a message, dependencies first, in the order of their import."""
+def definition_of(message_type: Any) -> Schema:
+    """The schema of a message, defined by a FileDescriptorSet, dependencies first, in the order of their import."""
     definition = FileDescriptorSet()
     seen = set()
 
@@ -51,7 +52,7 @@ def definition_of(message_type: Any) -> tuple[str, str, bytes]:
             file.CopyToProto(definition.file.add())
 
     add(message_type.file)
-    return message_type.full_name, "protobuf", definition.SerializeToString(deterministic=True)
+    return Schema(message_type.full_name, "protobuf", definition.SerializeToString(deterministic=True))
 
 
 def _place(position: Vector3, orientation: Quaternion, T: FloatArray) -> None:

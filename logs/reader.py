@@ -5,6 +5,7 @@ import heapq
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -85,20 +86,22 @@ class LogReader:
 
     def topics(self) -> list[TopicInfo]:
         """What the log holds, by topic name; a topic with two schemas appears twice."""
-        groups = defaultdict[tuple[str, str, str], list[tuple[McapFile, Channel]]](list)
+        groups = defaultdict[tuple[str, str, str], list[tuple[int, tuple[int, ...], Channel]]](list)
         for file in self._open:
-            for channel in file.channels.values():
-                groups[channel.topic, channel.schema_name, channel.message_encoding].append((file, channel))
+            for id, channel in file.channels.items():
+                key = channel.topic, channel.schema_name, channel.message_encoding
+                groups[key].append((file.message_counts[id], file.span_ns(id), channel))
         topics = []
         for (topic, schema_name, encoding), there in sorted(groups.items()):
-            times_ns = [time_ns for file, channel in there for time_ns in file.span_ns(channel.id)]
+            counts, spans_ns, channels = zip(*there, strict=True)
+            times_ns = [*chain(*spans_ns)]
             topics.append(
                 TopicInfo(
                     topic=topic,
                     schema_name=schema_name,
                     encoding=encoding,
-                    message_count=sum(file.message_counts[channel.id] for file, channel in there),
-                    kinds=kinds_of(there[0][1]),
+                    message_count=sum(counts),
+                    kinds=kinds_of(channels[0]),
                     first_log_time_ns=min(times_ns, default=None),
                     last_log_time_ns=max(times_ns, default=None),
                 )

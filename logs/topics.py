@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 from logs.records import frozen
 
@@ -29,11 +30,9 @@ class RecordKind(StrEnum):
     LOCALIZATION = "localization"
 
 
-@dataclass(frozen=True, slots=True)
-class Schema:
-    """Name, encoding ("protobuf", "ros2msg", ...) and definition of a message type; ``id`` is the file's own."""
+class Schema(NamedTuple):
+    """Name, encoding ("protobuf", "ros2msg", ...) and definition of a message type."""
 
-    id: int
     name: str
     encoding: str
     data: bytes
@@ -43,7 +42,6 @@ class Schema:
 class Channel:
     """One stream of messages: its topic, the encoding of its messages ("protobuf", "cdr", ...), its schema if any."""
 
-    id: int
     topic: str
     message_encoding: str
     schema: Schema | None

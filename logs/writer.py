@@ -18,7 +18,7 @@ from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record
 from logs.storage.placement import check_replaceable, partial_path, put_in_place
 from logs.storage.regular_file import AnyPath
-from logs.topics import RawMessage
+from logs.topics import RawMessage, Schema
 from logs.validation import LAST_NS
 
 _ARRAY_MEDIA_TYPE = "application/x-npy"
@@ -94,10 +94,9 @@ class LogWriter:
 
     def write_raw(self, raw: RawMessage) -> None:
         """Copy a message of another log unchanged: topic, schema, times, sequence number and bytes."""
-        channel, schema = raw.channel, raw.channel.schema
-        definition = None if schema is None else (schema.name, schema.encoding, schema.data)  # ids differ between files
+        channel = raw.channel
         metadata = tuple(sorted(channel.metadata.items()))
-        channel_id = self._channel_id(channel.topic, channel.message_encoding, definition, metadata)
+        channel_id = self._channel_id(channel.topic, channel.message_encoding, channel.schema, metadata)
         self._writer.add_message(channel_id, raw.log_time_ns, raw.data, raw.publish_time_ns, raw.sequence)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -139,13 +138,9 @@ class LogWriter:
             ) from error
 
     def _register_channel(
-        self,
-        topic: str,
-        encoding: str,
-        definition: tuple[str, str, bytes] | None,
-        metadata: tuple[tuple[str, str], ...],
+        self, topic: str, encoding: str, schema: Schema | None, metadata: tuple[tuple[str, str], ...]
     ) -> int:
-        schema_id = 0 if definition is None else self._schema_id(*definition)
+        schema_id = 0 if schema is None else self._schema_id(*schema)
         return self._writer.register_channel(topic, encoding, schema_id, dict(metadata))
 
 

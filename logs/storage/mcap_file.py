@@ -59,7 +59,7 @@ class McapFile(McapIndex):
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
         self._timeless_messages = 0
-        wanted = {c.id: c for c in self.channels.values() if topics is None or c.topic in topics}
+        wanted = {id: c for id, c in self.channels.items() if topics is None or c.topic in topics}
         blocks = self._blocks_with(wanted)
         # Of those of equal time the first in the file comes first; messages themselves are never compared.
         waiting: list[tuple[int, int, int, RawMessage]] = []

@@ -280,11 +280,10 @@ class McapIndex:
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
         if isinstance(definition, mcap_records.Schema):
             self._check_name("a schema", definition.name)
-            self.schemas[definition.id] = Schema(definition.id, definition.name, definition.encoding, definition.data)
+            self.schemas[definition.id] = Schema(definition.name, definition.encoding, definition.data)
         else:
             self._check_name("a topic", definition.topic)
             self.channels[definition.id] = Channel(
-                definition.id,
                 definition.topic,
                 definition.message_encoding,
                 self.schemas.get(definition.schema_id),

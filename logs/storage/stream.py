@@ -36,8 +36,7 @@ def read_stream(stream: Any, counters: Counter[str], limits: ReadingLimits | Non
             ) from error
         if message is None:
             return
-        schema = Schema(0, message.schema, "protobuf", b"")
-        channel = Channel(0, message.topic, "protobuf", schema)
+        channel = Channel(message.topic, "protobuf", Schema(message.schema, "protobuf", b""))
         raw = RawMessage(channel, message.log_time_ns, message.log_time_ns, 0, message.data)
         kinds = [kind for kind in INPUT_KINDS if kind in kinds_of(channel)]
         yield LogItem(raw, decoder.records(raw, kinds[:1]))

@@ -11,6 +11,7 @@ from mcap.records import Chunk, Footer
 from mcap.writer import CompressionType, IndexType, Writer
 
 from logs.reader import LogReader
+from logs.topics import Schema
 
 
 @dataclass(frozen=True)
@@ -55,14 +56,14 @@ def read_file(path: str) -> McapFile:
     file = McapFile()
     with LogReader(path) as reader:
         numbers: dict[int, int] = {}
+        schema_ids: dict[Schema | None, int] = {None: 0}
         for raw in reader.messages():
-            number = numbers.get(raw.channel.id)
-            if number is None:
-                number = numbers[raw.channel.id] = len(numbers) + 1
-                schema = raw.channel.schema
-                if schema is not None:
-                    file.schemas[schema.id] = (schema.name, schema.encoding, schema.data)
-                file.channels[number] = (schema.id if schema else 0, raw.channel.topic, raw.channel.message_encoding)
+            channel, schema = raw.channel, raw.channel.schema
+            number = numbers.setdefault(id(channel), len(numbers) + 1)
+            schema_id = schema_ids.setdefault(schema, len(schema_ids))
+            if schema is not None:
+                file.schemas[schema_id] = schema
+            file.channels[number] = (schema_id, channel.topic, channel.message_encoding)
             file.messages.append(Message(number, raw.log_time_ns, raw.data, raw.sequence))
         file.metadata = list(reader.metadata().items())
     return file

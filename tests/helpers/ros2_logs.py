@@ -121,7 +121,7 @@ def detections3d(record: m.ObjectDetections) -> dict[str, Any]:
 def encoded(message: Message) -> RawMessage:
     topic, type_name, log_time_ns, values = message
     definition = TYPES.generate_msgdef(type_name, ros_version=2)[0].encode()
-    channel = Channel(0, topic, "cdr", Schema(1, type_name, "ros2msg", definition))
+    channel = Channel(topic, "cdr", Schema(type_name, "ros2msg", definition))
     return RawMessage(channel, log_time_ns, log_time_ns, 0, cdr(type_name, values))
 
 

@@ -37,7 +37,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     raw = encoded(("/plants", "farm_msgs/msg/Plants", 9, values))
     if request.param == "json":
         plants = [{"sure": 1.0, **plant} for plant in SEEN]
-        channel = Channel(1, "/plants", "json", Schema(1, "Plants", "jsonschema", b"{}"))
+        channel = Channel("/plants", "json", Schema("Plants", "jsonschema", b"{}"))
         raw = RawMessage(channel, 9, 9, 0, json.dumps({**values, "plants": plants}).encode())
     with LogWriter(tmp_path / "log.mcap") as writer:
         writer.write("/odom", Odometry(1, np.eye(4)))
@@ -58,7 +58,7 @@ def test_fields_of_own_messages_become_detections(log: Path) -> None:
 
 
 def test_numbers_are_a_position_and_a_message_without_header_is_of_its_log_time() -> None:
-    raw = RawMessage(Channel(1, "/plants", "json", None), 9, 9, 0, b'[{"at": [1, 2]}]')
+    raw = RawMessage(Channel("/plants", "json", None), 9, 9, 0, b'[{"at": [1, 2]}]')
     (record,) = decode(raw, RecordKind.DETECTIONS, mapping=FieldMapping.parse("[] position=at"))
     assert isinstance(record, ObjectDetections)
     assert (record.stamp_ns, record.frame_id, record.positions.tolist()) == (9, "", [[1.0, 2.0, 0.0]])

@@ -43,7 +43,7 @@ def detections_message(seconds: str, frame: str) -> RawMessage:
     header = store.types["std_msgs/msg/Header"](stamp, values[frame])
     message = store.types[name](header, np.zeros(0, np.uint8))
     data = bytes(store.serialize_cdr(message, name))
-    return RawMessage(Channel(1, "/objects", "cdr", Schema(1, name, "ros2msg", text.encode())), 5, 5, 0, data)
+    return RawMessage(Channel("/objects", "cdr", Schema(name, "ros2msg", text.encode())), 5, 5, 0, data)
 
 
 def test_definitions_that_say_other_types_than_usual() -> None:

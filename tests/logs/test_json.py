@@ -17,7 +17,7 @@ from tests.logs.test_validation import raw
 
 
 def as_json(schema: str, values: Any) -> RawMessage:
-    channel = Channel(1, "/topic", "json", Schema(1, schema, "jsonschema", b"{}"))
+    channel = Channel("/topic", "json", Schema(schema, "jsonschema", b"{}"))
     return RawMessage(channel, 77, 77, 0, json.dumps(values).encode())
 
 

@@ -94,9 +94,7 @@ def test_large_messages_are_left_out(file, tmp_path, caplog):
     assert read(tmp_path, altered, limits=limits) == (29, {"invalid_messages": 1})
     assert "too many bytes for memory_mb" in caplog.text
     with pytest.raises(InvalidRecordError, match="too many bytes for memory_mb"):
-        decode(
-            RawMessage(Channel(1, "/map", "protobuf", None), 5, 5, 0, b"x" * 5000), RecordKind.OBJECT_MAP, None, limits
-        )
+        decode(RawMessage(Channel("/map", "protobuf", None), 5, 5, 0, b"x" * 5000), RecordKind.OBJECT_MAP, None, limits)
     outside_of_chunks = {"use_chunking": False, "has_index": False}
     assert read(tmp_path, altered, limits=limits, **outside_of_chunks) == (29, {"chunks_too_large": 1})
 

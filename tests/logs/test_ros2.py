@@ -61,7 +61,7 @@ def test_cut_message_is_refused() -> None:
 def with_definition(encoding: str, text: str) -> RawMessage:
     raw = stamped()
     assert raw.channel.schema is not None
-    schema = replace(raw.channel.schema, encoding=encoding, data=text.encode())
+    schema = raw.channel.schema._replace(encoding=encoding, data=text.encode())
     return replace(raw, channel=replace(raw.channel, schema=schema))
 
 

@@ -17,7 +17,7 @@ def part(name: str, text: str) -> str:
 
 
 def refusal(text: str) -> str:
-    channel = Channel(1, "/topic", "cdr", Schema(1, "p/msg/T", "ros2msg", text.encode()))
+    channel = Channel("/topic", "cdr", Schema("p/msg/T", "ros2msg", text.encode()))
     with pytest.raises(Refusal) as error:
         cdr.parse(RawMessage(channel, 1, 1, 0, EMPTY))
     return str(error.value)
@@ -62,6 +62,6 @@ def test_a_log_with_many_definitions_is_read_in_part():
     decoder = RecordDecoder()
     for i in range(MAX_DEFINITIONS + 5):
         text = f"float64 x{i}".encode()
-        channel = Channel(i, "/odom", "cdr", Schema(i, "nav_msgs/msg/Odometry", "ros2msg", text))
+        channel = Channel("/odom", "cdr", Schema("nav_msgs/msg/Odometry", "ros2msg", text))
         decoder.records(RawMessage(channel, 1, 1, 0, EMPTY), [RecordKind.ODOMETRY])
     assert decoder.counters == Counter(invalid_messages=MAX_DEFINITIONS, undecodable=5)

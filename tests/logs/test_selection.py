@@ -18,7 +18,7 @@ IMAGE = "sensor_msgs/msg/Image"
 def topic(name: str, schema: str, count: int = 10) -> TopicInfo:
     is_ros = "/" in schema
     encoding = "cdr" if is_ros else "protobuf"
-    channel = Channel(1, name, encoding, Schema(1, schema, "ros2msg" if is_ros else "protobuf", b""))
+    channel = Channel(name, encoding, Schema(schema, "ros2msg" if is_ros else "protobuf", b""))
     return TopicInfo(name, schema, encoding, count, kinds_of(channel), None, None)
 
 
@@ -118,5 +118,5 @@ def test_cameras_are_chosen_where_objects_are_in_images() -> None:
 
 @pytest.mark.parametrize("encoding", ["ros2idl", "ros2msg", ""])
 def test_ros2_messages_need_a_definition_in_a_known_language(encoding: str) -> None:
-    channel = Channel(1, "/odom", "cdr", Schema(1, ODOMETRY, encoding, b""))
+    channel = Channel("/odom", "cdr", Schema(ODOMETRY, encoding, b""))
     assert bool(kinds_of(channel)) == bool(encoding)

@@ -21,8 +21,8 @@ from logs.writer import LogWriter
 
 
 def raw(message):
-    schema = Schema(1, message.DESCRIPTOR.full_name, "protobuf", b"")
-    return RawMessage(Channel(1, "/topic", "protobuf", schema), 77, 77, 0, message.SerializeToString())
+    schema = Schema(message.DESCRIPTOR.full_name, "protobuf", b"")
+    return RawMessage(Channel("/topic", "protobuf", schema), 77, 77, 0, message.SerializeToString())
 
 
 def pose(x=0.0, qx=0.0, qy=0.0, qz=0.0, qw=1.0):

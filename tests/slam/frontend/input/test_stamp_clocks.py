@@ -19,7 +19,7 @@ MESSAGES, SET_AT = 60, 30
 
 
 def item(record: Record, logged_ns: int, topic: str = "/detections") -> LogItem:
-    return LogItem(RawMessage(Channel(1, topic, "protobuf", None), logged_ns, logged_ns, 0, b""), (record,))
+    return LogItem(RawMessage(Channel(topic, "protobuf", None), logged_ns, logged_ns, 0, b""), (record,))
 
 
 def scan(stamp_ns: int) -> ObjectDetections:
