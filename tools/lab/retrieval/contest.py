@@ -26,7 +26,7 @@ from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.place_recognition.landmark_pairs import Batch, LandmarkPairs, make_landmark_pairs
 from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.registration import register, registration_config
-from tools.importers.maps import SURVEYED_SIGMA_M
+from tools.import_logs import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right, rank_of
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
 
