@@ -51,13 +51,13 @@ class LogReader:
 
     def __init__(self, path: AnyPath, limits: ReadingLimits | None = None) -> None:
         self.path = Path(path)
-        self._limits = limits or ReadingLimits()
+        limits = limits or ReadingLimits()
         self.files = find_bag_files(self.path) if self.path.is_dir() else [self.path]
         self.decoding_counters: Counter[str] = Counter()
         """What was left out by the latest pass over records alone."""
-        self._reported = set[tuple[str, str]]()
+        self._decoder = RecordDecoder(limits)
         with ExitStack() as until_closed:
-            self._open: list[McapFile] = [open_file(file, self._limits, until_closed) for file in self.files]
+            self._open: list[McapFile] = [open_file(file, limits, until_closed) for file in self.files]
             self._until_closed = until_closed.pop_all()
 
     def __enter__(self) -> "LogReader":
@@ -122,11 +122,10 @@ class LogReader:
 
         A message that no record may be made of is counted and comes without records.
         """
-        decoder = RecordDecoder(self._limits, reported=self._reported)
-        self.decoding_counters = decoder.counters
+        self.decoding_counters = self._decoder.counters = Counter()
         for raw in self.messages({*selection.topics, *copy}):
             kinds = selection.kinds.get(raw.topic, ())
-            yield LogItem(raw, decoder.records(raw, kinds, selection.mappings.get(raw.topic)) if kinds else ())
+            yield LogItem(raw, self._decoder.records(raw, kinds, selection.mappings.get(raw.topic)) if kinds else ())
 
     def records(self, selection: Selection) -> Iterator[LogEntry]:
         """One pass over the records of the selected topics; see :meth:`items`."""

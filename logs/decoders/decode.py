@@ -120,22 +120,16 @@ def _check(record: Record, limits: ReadingLimits) -> None:
 
 
 class RecordDecoder:
-    """Decodes the messages of one pass over a log, and counts those that are unfit.
+    """Decodes the messages of a log, and counts those that are unfit.
 
     ``counters``: ``invalid_messages``, ``undecodable`` (messages whose schema does not fit), ``dropped_objects``,
-    ``ignored_covariances``. Invalid messages are reported once for each topic and reason;
-    ``reported``: the topics and reasons that earlier passes reported.
+    ``ignored_covariances``. Invalid messages are reported once for each topic and reason.
     """
 
-    def __init__(
-        self,
-        limits: ReadingLimits | None = None,
-        counters: Counter[str] | None = None,
-        reported: set[tuple[str, str]] | None = None,
-    ) -> None:
+    def __init__(self, limits: ReadingLimits | None = None, counters: Counter[str] | None = None) -> None:
         self._limits = limits
         self._definitions: set[Schema | None] = set()
-        self._reported = set[tuple[str, str]]() if reported is None else reported
+        self._reported = set[tuple[str, str]]()
         self.counters = Counter[str]() if counters is None else counters
 
     def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:
