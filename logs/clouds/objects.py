@@ -61,11 +61,9 @@ def find_objects(
     # All lengths are for the reach of a car's LiDAR, 60 m, and scaled with that of the scan.
     voxel_m = 0.1 * scale
     _check_extent(cloud, voxel_m)
-    min_points = 5
-    if viewpoint is not None:
-        # 30 of 120,000 points of a scan.
-        min_points = max(min_points, int(np.ceil(len(cloud.positions) / 4000.0)))
-    found = []
+    # 30 of 120,000 points of a scan.
+    min_points = 5.0 if viewpoint is None else max(5.0, len(cloud.positions) / 4000.0)
+    positions, covariances, labels = [], [], list[str]()
     # A wider gap between two parts of one class makes two objects of them.
     for label, points in _parts(cloud, names, 0.5 * scale, voxel_m, upright=upright):
         if len(points) < min_points:
@@ -73,18 +71,15 @@ def find_objects(
         voxels = voxel_means(points, voxel_m)
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
-        # What is longer is a surface and no object.
-        elif _length_m(voxels) <= 15.0 * scale:
+        elif _length_m(voxels) > 15.0 * scale:
+            continue  # a surface and no object
+        else:
             spacing_m = _spacing_m(points, viewpoint)
             centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
-        else:
-            continue
-        found.append((label, centre))
-    return CloudObjects(
-        np.array([centre.position for _, centre in found]).reshape(-1, 3),
-        np.array([centre.covariance for _, centre in found]).reshape(-1, 3, 3),
-        tuple(label for label, _ in found),
-    )
+        positions.append(centre.position)
+        covariances.append(centre.covariance)
+        labels.append(label)
+    return CloudObjects(np.reshape(positions, (-1, 3)), np.reshape(covariances, (-1, 3, 3)), tuple(labels))
 
 
 def _scale(cloud: LabelledCloud, viewpoint: FloatArray | None) -> float:
