@@ -67,8 +67,12 @@ class Selection:
 
     def without(self, *gone: RecordKind) -> "Selection":
         """The same without these parts."""
-        rest = {topic: tuple(kind for kind in kinds if kind not in gone) for topic, kinds in self.kinds.items()}
-        return Selection({topic: kinds for topic, kinds in rest.items() if kinds}, self.mappings)
+        kept = {
+            topic: rest
+            for topic, kinds in self.kinds.items()
+            if (rest := tuple(kind for kind in kinds if kind not in gone))
+        }
+        return Selection(kept, self.mappings)
 
     def topics_of(self, kind: str) -> tuple[str, ...]:
         """The topics that play the part ``kind``, sorted; () for none."""

@@ -42,14 +42,16 @@ def write_drive(
     """
     message_counts: Counter[str] = Counter()
     detection_count = 0
-    stamps_ns = [0, 0]
+    first_ns = last_ns = 0
     with LogWriter(output, refusals=(LogError,)) as writer:
         writer.add_metadata(name, metadata)
         for record in records:
             topic = TOPICS[type(record)]
             writer.write(topic, record)
-            stamps_ns = [stamps_ns[0] if message_counts else record.stamp_ns, record.stamp_ns]
+            last_ns = record.stamp_ns
+            if not message_counts:
+                first_ns = last_ns
             message_counts[topic] += 1
             if isinstance(record, ObjectDetections):
                 detection_count += len(record.labels)
-    return DriveSummary(dict(message_counts), detection_count, (stamps_ns[1] - stamps_ns[0]) * 1e-9)
+    return DriveSummary(dict(message_counts), detection_count, (last_ns - first_ns) * 1e-9)

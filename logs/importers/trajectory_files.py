@@ -186,10 +186,11 @@ def _check_plausible(name: str, trajectory: Trajectory) -> None:
     if len(trajectory.stamps_ns) < 2:
         raise DatasetError(f"{name}: one pose only; a drive has at least two")
     steps_s = np.diff(trajectory.stamps_ns) * 1e-9
+    step_s = np.median(steps_s)
     # No steps of a sensor, or none of an odometry: a replay takes every such gap for a break.
-    if not 1e-6 <= np.median(steps_s) <= 20.0:
+    if not 1e-6 <= step_s <= 20.0:
         raise DatasetError(
-            f"{name}: poses are {np.median(steps_s):.3g} s apart (median), unlike those of any odometry; give the "
+            f"{name}: poses are {step_s:.3g} s apart (median), unlike those of any odometry; give the "
             f"stamps in seconds, or {UNIT_REMEDY}"
         )
     steps_m = _steps_m(trajectory.T_world_body)
