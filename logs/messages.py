@@ -25,9 +25,6 @@ from logs.records import check_objects, check_pose, frozen
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-FRAME_FIELDS = ("frame_id", "parent_frame_id", "child_frame_id")
-"""Fields of records that name a frame."""
-
 
 @frozen
 class Odometry:
@@ -39,7 +36,7 @@ class Odometry:
     child_frame_id: str = "base_link"
 
     def __post_init__(self) -> None:
-        check_pose(self, "T_odom_body", ("frame_id", "child_frame_id"))
+        check_pose(self, "T_odom_body")
 
 
 @frozen
@@ -113,7 +110,7 @@ class Transform:
     T_parent_child: FloatArray
 
     def __post_init__(self) -> None:
-        check_pose(self, "T_parent_child", ("parent_frame_id", "child_frame_id"))
+        check_pose(self, "T_parent_child")
 
 
 @frozen
@@ -140,7 +137,7 @@ class GroundTruthPose:
     frame_id: str = "world"
 
     def __post_init__(self) -> None:
-        check_pose(self, "T_world_body", ("frame_id",))
+        check_pose(self, "T_world_body")
 
 
 @frozen

@@ -13,6 +13,7 @@ import numpy as np
 from logs.errors import InvalidRecordError
 from logs.validation import is_rotation, rotation_errors
 
+_FRAME_FIELDS = ("frame_id", "parent_frame_id", "child_frame_id")
 _T = TypeVar("_T")
 
 
@@ -22,14 +23,19 @@ def frozen(data: type[_T]) -> type[_T]:
     return dataclass(frozen=True, slots=True, eq=False)(data)
 
 
-def check_pose(record: Any, name: str, frames: tuple[str, ...]) -> None:
-    """See that the stamp, the transform ``name`` and the names of ``frames`` of a record are what it documents.
+def frames_of(record: Any) -> dict[str, str]:
+    """The names of frames in a record, by the fields that hold them, a parent before its child."""
+    return {name: getattr(record, name) for name in _FRAME_FIELDS if hasattr(record, name)}
+
+
+def check_pose(record: Any, name: str) -> None:
+    """See that the stamp, the transform ``name`` and the names of frames of a record are what it documents.
 
     Raises:
         InvalidRecordError: another shape or type, or a matrix that is no rigid transform; names the field and the
             remedy.
     """
-    _check_stamp_and_frames(record, frames)
+    _check_stamp_and_frames(record)
     _check_array(record, name, (4, 4))
     T = getattr(record, name)
     *rows, last = T.tolist()
@@ -49,7 +55,7 @@ def check_objects(record: Any) -> None:
     Raises:
         InvalidRecordError: another shape or type; names the field and the remedy.
     """
-    _check_stamp_and_frames(record, ("frame_id",))
+    _check_stamp_and_frames(record)
     labels = record.labels
     if not (isinstance(labels, tuple) and {*map(type, labels)} <= {str, np.str_}):
         raise _error(record, "labels", "not a tuple of strings; give one for each position")
@@ -60,12 +66,12 @@ def check_objects(record: Any) -> None:
         _check_array(record, "covariances", (count, 3, 3))
 
 
-def _check_stamp_and_frames(record: Any, frames: tuple[str, ...]) -> None:
+def _check_stamp_and_frames(record: Any) -> None:
     if not isinstance(record.stamp_ns, int | np.integer) or abs(int(record.stamp_ns)) >= 2**63:
         raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
-    for name in frames:
-        if not isinstance(getattr(record, name), str):
-            raise _error(record, name, f"{getattr(record, name)!r:.40}; give a string")
+    for name, frame in frames_of(record).items():
+        if not isinstance(frame, str):
+            raise _error(record, name, f"{frame!r:.40}; give a string")
 
 
 def _check_array(record: Any, name: str, shape: tuple[int, ...]) -> None:

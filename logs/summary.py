@@ -11,7 +11,7 @@ from logs.closures import find_final_decisions
 from logs.container.limits import ReadingLimits
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
-from logs.records import frozen
+from logs.records import frames_of, frozen
 from logs.selection import Selection, select_all, select_topics
 from logs.storage.regular_file import AnyPath
 from logs.topics import RawMessage, RecordKind, TopicInfo
@@ -131,7 +131,7 @@ class _TopicGathering:
 
     def add(self, record: m.Record) -> None:
         """Note the frames that a record names and connects, and how far an odometry has moved."""
-        names = [getattr(record, name).lstrip("/") for name in m.FRAME_FIELDS if hasattr(record, name)]
+        names = [name.lstrip("/") for name in frames_of(record).values()]
         if len(self._frames) < 100:
             self._frames |= {*names} - {""}
             self._edges |= {(names[0], names[1])} if len(names) == 2 and all(names) else set()

@@ -10,7 +10,8 @@ from logs.decoders import protobuf, ros2
 from logs.decoders.field_mapping import FieldMapping
 from logs.decoders.parts import Context, MessageDecoder, Records
 from logs.errors import InvalidRecordError
-from logs.messages import FRAME_FIELDS, ImageDetections, ObjectDetections, Record
+from logs.messages import ImageDetections, ObjectDetections, Record
+from logs.records import frames_of
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.validation import LAST_NS, Refusal
 
@@ -108,7 +109,7 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         raise Refusal("time is not a whole number", f"{record.stamp_ns!r:.40} ns")
     if not 0 <= record.stamp_ns <= LAST_NS:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
-    names = [getattr(record, field) for field in FRAME_FIELDS if hasattr(record, field)]
+    names = [*frames_of(record).values()]
     if isinstance(record, ObjectDetections | ImageDetections):
         if len(record.labels) > limits.objects:
             raise Refusal("too many objects for memory_mb", f"{len(record.labels)}, more than {limits.objects}")
