@@ -16,7 +16,6 @@ from logs.records import frozen
 
 BODY_FRAME = "base_link"
 
-_SCORES = ("score", "confidence", "probability")
 _DEGREES = {"": 1.0, "deg": 1.0}
 
 
@@ -85,7 +84,7 @@ def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], 
         remedy = "give a number (only a row with neither position nor label is a scan without objects)"
         column.refuse(np.isnan(values) & ~is_empty, f"empty; {remedy}")
         positions[:, i] = np.nan_to_num(values)
-        median_m = float(np.median(np.abs(positions[~is_empty, i]))) if not is_empty.all() else 0.0
+        median_m = np.median(np.abs(values[~is_empty])) if not is_empty.all() else 0.0
         # No range at which objects are detected, but another unit or another frame.
         if median_m > 1000.0:
             raise DatasetError(
@@ -96,7 +95,7 @@ def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], 
 
 
 def _scores(table: Table) -> FloatArray:
-    column = table.find(_SCORES)
+    column = table.find(("score", "confidence", "probability"))
     if column is None:
         return np.ones(len(table.lines))
     scores = column.numbers(empty=1.0)

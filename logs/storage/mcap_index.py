@@ -279,18 +279,16 @@ class McapIndex:
 
     def _add(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
         if isinstance(definition, mcap_records.Schema):
-            self._check_name("a schema", definition.name)
+            what, name = "a schema", definition.name
             self.schemas[definition.id] = Schema(definition.name, definition.encoding, definition.data)
         else:
-            self._check_name("a topic", definition.topic)
+            what, name = "a topic", definition.topic
             self.channels[definition.id] = Channel(
                 definition.topic,
                 definition.message_encoding,
                 self.schemas.get(definition.schema_id),
                 definition.metadata,
             )
+        self._limits.check(self._name, len(name), f"characters in the name of {what}", self._limits.name_length)
         count = max(len(self.schemas), len(self.channels))
         self._limits.check(self._name, count, "channels or schemas", self._limits.channels)
-
-    def _check_name(self, what: str, name: str) -> None:
-        self._limits.check(self._name, len(name), f"characters in the name of {what}", self._limits.name_length)

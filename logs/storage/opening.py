@@ -82,9 +82,10 @@ def find_bag_files(folder: Path) -> list[Path]:
         UnreadableLogError: no usable metadata.yaml, or it names a file that is not there, or compressed ones.
     """
     about = _read_information(folder / METADATA_FILE)
-    if about.compression_mode.lower() in ("file", "message"):
+    mode = about.compression_mode.lower()
+    if mode in ("file", "message"):
         raise UnreadableLogError(
-            f"{folder} is compressed by {about.compression_mode.lower()}; unpack it by 'rosbags-convert --src {folder} "
+            f"{folder} is compressed by {mode}; unpack it by 'rosbags-convert --src {folder} "
             "--dst NEW --dst-storage mcap', whose chunks are compressed"
         )
     # The oldest recordings name the files relative to the folder above.
