@@ -52,7 +52,7 @@ class FieldMapping:
         message = _tree(context.raw)
         objects = _field(message, self.objects) if self.objects else message
         found = [self._detection(each) for each in (objects if isinstance(objects, list) else [objects])]
-        header = None if isinstance(message, list) else _field(message, "header", None)
+        header = None if isinstance(message, list) else _members(message).get("header")
         place = context.raw.log_time_ns, ""
         if header is not None:
             seconds, nanoseconds = _field(header, "stamp.sec"), _field(header, "stamp.nanosec")
@@ -76,15 +76,14 @@ def _tree(raw: RawMessage) -> Any:
     return parse(raw)
 
 
-_MISSING = object()
+def _members(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else vars(value)
 
 
-def _field(value: Any, path: str, otherwise: Any = _MISSING) -> Any:
+def _field(value: Any, path: str) -> Any:
     for name in path.split("."):
-        there = value if isinstance(value, dict) else vars(value)
+        there = _members(value)
         if name not in there:
-            if otherwise is not _MISSING:
-                return otherwise
             raise Refusal("no such field", f"{name!r} among {', '.join(map(str, there))}"[:200])
         value = there[name]
     return value
@@ -94,4 +93,4 @@ def _xyz(value: Any) -> tuple[float, float, float]:
     if isinstance(value, list | tuple) or hasattr(value, "tolist"):
         x, y, *z = (float(number) for number in value)
         return x, y, sum(z[:1])
-    return float(_field(value, "x")), float(_field(value, "y")), float(_field(value, "z", 0.0))
+    return float(_field(value, "x")), float(_field(value, "y")), float(_members(value).get("z", 0.0))
