@@ -53,14 +53,14 @@ class LearnedLikelihood:
     def bits(self, pairs: Pairs) -> BoolArray:
         """Which cells (P, cells) around pairs of a map are likely to hold an object."""
         sizes = self.architecture
-        owners = pairs.owners
-        places = np.arange(len(owners)) - pairs.offsets[owners]
-        rings = np.zeros((len(pairs), MAX_NEIGHBOURS + 2, sizes.rings), dtype=np.float32)
-        sectors = np.zeros((len(pairs), MAX_NEIGHBOURS + 2, sizes.sectors), dtype=np.float32)
+        present = np.arange(MAX_NEIGHBOURS + 2) < np.diff(pairs.offsets)[:, None]
+        rings, sectors = (np.zeros((*present.shape, count), np.float32) for count in (sizes.rings, sizes.sectors))
         gates = np.exp(self._perceive("gate", pairs.features))
         steps = np.rint(pairs.radii * ((RADIUS_STEPS - 1) / sizes.outer)).astype(np.int64)
-        rings[owners, places] = gates * self._rings[np.minimum(steps, RADIUS_STEPS - 1)]
-        sigmas = np.hypot(self._across / np.maximum(pairs.radii, MIN_RADIUS), self._heading / pairs.lengths[owners])
+        rings[present] = gates * self._rings[np.minimum(steps, RADIUS_STEPS - 1)]
+        sigmas = np.hypot(
+            self._across / np.maximum(pairs.radii, MIN_RADIUS), self._heading / pairs.lengths[pairs.owners]
+        )
         ratio = np.log(self._sigmas[-1] / self._sigmas[0]) / (SIGMA_STEPS - 1)
         wide = np.clip(np.rint(np.log(sigmas / self._sigmas[0]) / ratio), 0, SIGMA_STEPS - 1).astype(np.int64)
         turns = (pairs.angles / (2.0 * np.pi) % 1.0) * sizes.sectors
@@ -68,7 +68,7 @@ class LearnedLikelihood:
         fine = np.minimum(((turns - sector) * TURN_STEPS).astype(np.int64), TURN_STEPS - 1)
         columns = (np.arange(sizes.sectors) - sector[:, None]) % sizes.sectors
         first = (wide * TURN_STEPS + fine) * sizes.sectors
-        sectors[owners, places] = np.take(self._sectors, first[:, None] + columns)
+        sectors[present] = np.take(self._sectors, first[:, None] + columns)
         mass = rings.transpose(0, 2, 1) @ sectors  # (P, R, S)
         return (mass > self._least[:, None]).reshape(len(pairs), -1)
 

@@ -40,12 +40,9 @@ class DescriptellationLR(nn.Module):
         """Logits (P, R, S) of the bits of pairs of the map: nats above the threshold."""
         sizes = self.architecture
         owners = torch.as_tensor(pairs.owners, device=device)
-        radii = torch.as_tensor(pairs.radii, dtype=torch.float32, device=device)
-        angles = torch.as_tensor(pairs.angles, dtype=torch.float32, device=device)
-        lengths = torch.as_tensor(pairs.lengths, dtype=torch.float32, device=device)[owners]
         gates = self.gate(torch.as_tensor(pairs.features, device=device)).exp()  # (K, 1)
         edges = torch.as_tensor(sizes.edges, dtype=torch.float32, device=device)
-        rings, sectors = kernels(self.log_widths, radii, angles, lengths, edges, sizes.sectors)
+        rings, sectors = self._kernels(pairs, owners, edges)
         area = (edges[1:].square() - edges[:-1].square()) * (np.pi / sizes.sectors)  # (R,)
         laid = torch.einsum("kr,ks->krs", gates * rings, sectors)
         mass = torch.zeros(len(pairs), sizes.rings, sizes.sectors, device=device).index_add(0, owners, laid)
@@ -61,22 +58,21 @@ class DescriptellationLR(nn.Module):
         nats = nn.functional.softplus(self.worth(torch.as_tensor(features, device=device)))
         return nats[:, 0], nats[:, 1]
 
+    def _kernels(self, pairs: Pairs, owners: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:
+        """What share of each neighbour falls into each ring (K, R), between ``edges`` (R + 1,), and each sector (K, S).
 
-def kernels(
-    log_widths: Tensor, radii: Tensor, angles: Tensor, lengths: Tensor, edges: Tensor, sectors: int
-) -> tuple[Tensor, Tensor]:
-    """What share of each neighbour falls into each ring (K, R) and each sector (K, S).
-
-    The width along the direction of a neighbour is a constant; across it the noise of the neighbour itself adds to that
-    of the heading of the pair, which grows with the distance and falls with the length of the pair.
-    """
-    along, across, heading = log_widths.exp().unbind()
-    below = torch.special.ndtr((edges - radii[:, None]) / along)  # (K, R + 1)
-    sigma = torch.hypot(across / radii.clamp(min=MIN_RADIUS), heading / lengths).clamp(max=MAX_SIGMA)[:, None]  # (K, 1)
-    borders = torch.arange(sectors, device=radii.device) * (2.0 * np.pi / sectors)
-    apart = torch.remainder(borders - angles[:, None] + np.pi, 2.0 * np.pi) - np.pi  # (K, S) of the first border
-    shares = torch.special.ndtr((apart + 2.0 * np.pi / sectors) / sigma) - torch.special.ndtr(apart / sigma)
-    return below.diff(dim=1), shares
+        The width along the direction of a neighbour is a constant; across it the noise of the neighbour itself adds to
+        that of the heading of the pair, which grows with the distance and falls with the length of the pair.
+        """
+        radii, angles, lengths = (edges.new_tensor(each) for each in (pairs.radii, pairs.angles, pairs.lengths))
+        along, across, heading = self.log_widths.exp().unbind()
+        below = torch.special.ndtr((edges - radii[:, None]) / along)  # (K, R + 1)
+        sigma = torch.hypot(across / radii.clamp(min=MIN_RADIUS), heading / lengths[owners]).clamp(max=MAX_SIGMA)
+        step = 2.0 * np.pi / self.architecture.sectors
+        borders = torch.arange(self.architecture.sectors, device=edges.device) * step
+        apart = torch.remainder(borders - angles[:, None] + np.pi, 2.0 * np.pi) - np.pi  # (K, S) of the first border
+        upper, lower = (torch.special.ndtr(border / sigma[:, None]) for border in (apart + step, apart))
+        return below.diff(dim=1), upper - lower
 
 
 def query_scores(

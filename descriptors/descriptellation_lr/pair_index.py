@@ -98,15 +98,20 @@ class PairIndex:
     def __len__(self) -> int:
         return int(np.count_nonzero(self.classes != FILLER))
 
+    @property
+    def arrays(self) -> tuple[Words, UintArray, Float32Array, UintArray]:
+        """What :meth:`of` makes it of again: the words, the ends, the lengths and the classes."""
+        return self.words, self.ends, self.lengths, self.classes
+
     def read_ahead(self) -> None:
         """Read each page of an index that lies in a file once, so that no query waits for them."""
-        for array in (self.words, self.ends, self.lengths, self.classes):
+        for array in self.arrays:
             array.ravel()[:: mmap.PAGESIZE // array.itemsize].sum()
 
     @property
     def nbytes(self) -> int:
         """Memory of the pairs."""
-        return self.words.nbytes + self.ends.nbytes + self.lengths.nbytes + self.classes.nbytes
+        return sum(array.nbytes for array in self.arrays)
 
     def add(
         self,
@@ -129,9 +134,9 @@ class PairIndex:
         plane = positions[:, :2] / self.unit_m
         tree = cKDTree(plane)
         sizes = self.likelihood.architecture
+        numbers = np.arange(len(plane)) if numbers is None else numbers
         ends = find_ends(plane, labels, tree, sizes.partners, centres=centres)
-        if numbers is not None:
-            ends = ends[(numbers[ends] >= 0).all(axis=1)]
+        ends = ends[(numbers[ends] >= 0).all(axis=1)]
         apart = plane[ends[:, 1]] - plane[ends[:, 0]]
         lengths = np.hypot(apart[:, 0], apart[:, 1])
         classes = _class_codes(labels[ends])
@@ -146,9 +151,8 @@ class PairIndex:
         if not len(self.ends) and len(ends) > PAIRS_AT_ONCE:
             self._sorted = len(ends)
         filler = -len(ends) % WORD
-        numbered = ends if numbers is None else numbers[ends]
         self.words = np.concatenate([self.words, *blocks], axis=1)
-        self.ends = np.concatenate([self.ends, numbered, np.zeros((filler, 2))]).astype(np.uint32)
+        self.ends = np.concatenate([self.ends, numbers[ends], np.zeros((filler, 2))]).astype(np.uint32)
         self.lengths = np.concatenate([self.lengths, lengths, np.full(filler, np.inf)]).astype(np.float32)
         self.classes = np.concatenate([self.classes, classes, np.full(filler, FILLER)]).astype(np.uint32)
 
@@ -164,9 +168,9 @@ class PairIndex:
             allowed: which objects of the map, by their number, may be matched; all by default.
         """
         none = np.zeros((0, 2), dtype=np.int64)
-        found = [PairMatches(none, none, np.zeros(0))]
+        found = [(none, none, np.zeros(0))]
         if len(positions) >= 2 and self.unit_m is not None:
-            pairs = self._asked(positions / self.unit_m, labels)
+            pairs = self._asked(positions[:, :2] / self.unit_m, labels)
             asked = self._ask(pairs, labels, sigmas_m / self.unit_m)
             is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[None])[0]
             for rows, firsts, eligible in self._windows(asked):
@@ -175,10 +179,9 @@ class PairIndex:
                 counters = _sum(self._columns(asked, rows, firsts, eligible.shape[1]), np.zeros_like(eligible))
                 row, place, counts = _largest(counters, eligible, MATCHES_PER_PAIR)
                 ends = self.ends[place + firsts[row] * WORD].astype(np.int64)
-                found.append(PairMatches(pairs.ends[rows[row]], ends, STEP_NATS * counts - asked.misses[rows[row]]))
-        nats = np.concatenate([each.nats for each in found])
+                found.append((pairs.ends[rows[row]], ends, STEP_NATS * counts - asked.misses[rows[row]]))
+        queries, entries, nats = (np.concatenate(parts) for parts in zip(*found, strict=True))
         best = np.argsort(-nats, kind="stable")[:3000]
-        queries, entries = (np.concatenate([getattr(each, name) for each in found]) for name in ("queries", "entries"))
         return PairMatches(queries[best], entries[best], nats[best])
 
     def _ask(self, pairs: Pairs, labels: IntArray, noise: FloatArray) -> "_Asked":
@@ -189,11 +192,10 @@ class PairIndex:
         inside = np.flatnonzero(cells >= 0)
         owners, cells = owners[inside], cells[inside]
         counts = np.bincount(owners, minlength=len(pairs))
-        places = np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]
-        shape = len(pairs), int(counts.max(initial=0))
-        laid, steps = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-        laid[owners, places] = cells
-        steps[owners, places] = np.clip(np.rint((hits + misses)[inside] / STEP_NATS), 1, MAX_STEPS)
+        present = np.arange(counts.max(initial=0)) < counts[:, None]
+        laid, steps = np.zeros((2, *present.shape), dtype=np.int64)
+        laid[present] = cells
+        steps[present] = np.clip(np.rint((hits + misses)[inside] / STEP_NATS), 1, MAX_STEPS)
         tolerances = length_tolerances(sigmas)
         return _Asked(
             laid,
@@ -206,14 +208,14 @@ class PairIndex:
 
     def _asked(self, plane: FloatArray, labels: IntArray) -> Pairs:
         """The pairs of a query, those with most around them if there are too many."""
-        tree = cKDTree(plane[:, :2])
-        ends = find_ends(plane[:, :2], labels, tree, QUERY_PARTNERS, both_ways=True)
-        pairs = gather_pairs(plane[:, :2], labels, ends, tree, self.likelihood.architecture)
+        tree = cKDTree(plane)
+        ends = find_ends(plane, labels, tree, QUERY_PARTNERS, both_ways=True)
+        pairs = gather_pairs(plane, labels, ends, tree, self.likelihood.architecture)
         # So many tell enough. The shortest are often of one object mapped twice.
         most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:240]
         if len(most) == len(ends):
             return pairs
-        return gather_pairs(plane[:, :2], labels, ends[np.sort(most)], tree, self.likelihood.architecture)
+        return gather_pairs(plane, labels, ends[np.sort(most)], tree, self.likelihood.architecture)
 
     def _windows(self, asked: "_Asked") -> Iterator[tuple[IntArray, IntArray, Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
@@ -276,13 +278,9 @@ def _class_codes(labels: IntArray) -> UintArray:
 
 def _mask(bounds: IntArray, width: int) -> Words:
     """Words (B, W) in which the bits from the first of ``bounds`` (B, 2) to the second are set."""
-    mask = np.zeros((len(bounds), width), dtype=np.uint64)
-    for words, (begin, end) in zip(mask, bounds.tolist(), strict=True):
-        words[begin // WORD : -(-end // WORD)] = ~np.uint64(0)
-        words[begin // WORD] &= ~np.uint64(0) << np.uint64(begin % WORD)
-        if end % WORD:
-            words[end // WORD] &= ~(~np.uint64(0) << np.uint64(end % WORD))
-    return mask
+    before = (bounds[:, :, None] - WORD * np.arange(width)).clip(0, WORD)  # bits of each word before either bound
+    begins, ends = np.moveaxis(~np.uint64(0) << before.astype(np.uint64), 1, 0)  # a shift by a whole word gives 0
+    return begins & ~ends
 
 
 def _packed(bits: BoolArray) -> Words:
