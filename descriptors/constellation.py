@@ -70,8 +70,9 @@ def gather_constellations(
     Raises:
         DescriptorError: positions that are not finite, or labels that the vocabulary lacks.
     """
-    if not np.all(np.isfinite(positions)):
-        bad = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
+    is_finite = np.isfinite(positions).all(axis=1)
+    if not is_finite.all():
+        bad = int(is_finite.argmin())
         raise DescriptorError(f"object {bad} is at {positions[bad]}, which is not finite")
     if len(labels) and (labels.min() < 0 or labels.max() >= len(vocabulary)):
         raise DescriptorError(f"labels {labels.min()} to {labels.max()} of a vocabulary of {len(vocabulary)} classes")
@@ -81,7 +82,7 @@ def gather_constellations(
     near = near[np.lexsort((near["j"], near["i"]))]
     near = near[near["j"] != chosen[near["i"]]]
     owners, neighbours = near["i"], near["j"]
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=len(chosen)))])
+    offsets = np.searchsorted(owners, np.arange(len(chosen) + 1))
     return Constellations(
         positions[neighbours] - positions[chosen[owners]],
         labels[neighbours],

@@ -75,8 +75,8 @@ class OwnDescriptor:
             raise DescriptorError(
                 f"{self._class}: describe returns vectors of length {vectors.shape[1]}, before of length {self._length}"
             )
-        if not np.isfinite(vectors).all():
-            row = int(np.flatnonzero(~np.isfinite(vectors).all(axis=1))[0])
-            raise DescriptorError(f"{self._class}: the vector of constellation {row} is not finite")
+        is_finite = np.isfinite(vectors).all(axis=1)
+        if not is_finite.all():
+            raise DescriptorError(f"{self._class}: the vector of constellation {is_finite.argmin()} is not finite")
         self._length = vectors.shape[1]
         return vectors

@@ -44,9 +44,11 @@ def make_descriptor(name: str) -> Descriptor | LearnedLikelihood:
     Raises:
         DescriptorError: there is none of that name, weights that do not fit, or a class that cannot be made.
     """
+    if name == LearnedLikelihood.name:
+        return shipped_likelihood()
     if name in HANDCRAFTED:
         return HANDCRAFTED[name]()
-    if name in LEARNED:
+    if name == PAPER:
         return _from_weights(shipped_weights(name))
     if name.endswith(WEIGHTS_SUFFIX):
         return _from_weights(Path(name))
@@ -64,8 +66,6 @@ def make_index(name: str) -> PairIndex | VectorIndex:
     Raises:
         DescriptorError: as :func:`make_descriptor`.
     """
-    if name == LearnedLikelihood.name:
-        return PairIndex(shipped_likelihood())
     descriptor = make_descriptor(name)
     if isinstance(descriptor, LearnedLikelihood):
         return PairIndex(descriptor)
