@@ -94,8 +94,6 @@ def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) ->
 
 def _load_map(path: Path) -> "TrainingMap":
     """The objects of a CSV file, of a map of any kind, or of the final map in a log."""
-    import numpy as np
-
     from descriptors.training.maps import TrainingMap
     from logs.importers.maps.object_table import read_object_table
     from slam.common.errors import InputDataError
@@ -104,5 +102,4 @@ def _load_map(path: Path) -> "TrainingMap":
     objects: Any = read_object_table(path).in_metres() if path.suffix.lower() == ".csv" else read_map(path)
     if not len(objects.labels):
         raise InputDataError(f"{path} holds no object")
-    found, numbers = np.unique(objects.labels, return_inverse=True)
-    return TrainingMap(objects.positions, numbers, len(found))
+    return TrainingMap.of(objects.positions, objects.labels)

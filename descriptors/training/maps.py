@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from descriptors.arrays import ComplexArray, FloatArray, IntArray
@@ -19,6 +20,12 @@ class TrainingMap:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    @staticmethod
+    def of(positions: FloatArray, labels: ArrayLike) -> "TrainingMap":
+        """Objects with labels (N,) of any kind, whose classes are numbered in ascending order."""
+        found, numbers = np.unique(labels, return_inverse=True)
+        return TrainingMap(positions, numbers, len(found))
 
 
 PATTERNS = ("line", "circle", "cluster")
@@ -52,8 +59,7 @@ def piece_of(given: TrainingMap, *, rng: np.random.Generator) -> TrainingMap:
     labels = given.labels[near]
     if rng.random() < 0.3:
         labels = labels % int(rng.integers(1, 4))
-    found, labels = np.unique(labels, return_inverse=True)
-    return TrainingMap(positions, labels, len(found))
+    return TrainingMap.of(positions, labels)
 
 
 def draw_patterns(*, rng: np.random.Generator) -> TrainingMap:
@@ -73,8 +79,7 @@ def draw_patterns(*, rng: np.random.Generator) -> TrainingMap:
         labels.append(np.full(size, rng.choice(classes)) if rng.random() < 0.4 else rng.choice(classes, size=size))
     plan = np.concatenate(plans)
     heights = rng.normal(scale=1.5, size=len(plan))
-    found, numbers = np.unique(np.concatenate(labels), return_inverse=True)
-    return TrainingMap(np.column_stack([plan.real, plan.imag, heights]), numbers, len(found))
+    return TrainingMap.of(np.column_stack([plan.real, plan.imag, heights]), np.concatenate(labels))
 
 
 def draw_pattern(kind: str, size: int, *, rng: np.random.Generator) -> ComplexArray:

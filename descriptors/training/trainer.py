@@ -88,7 +88,6 @@ class Recipe:
     def validate(self) -> dict[str, float]:
         """Mean loss, and the mean share of objects among the first 1, 5 and 25."""
         self.network.eval()
-        ranks = (1, 5, 25)
         losses, places = [], []
         with torch.no_grad():
             for sample in self._validation:
@@ -97,9 +96,11 @@ class Recipe:
                 losses.append(float(sample.loss(scores)))
                 # NaN comes before all others.
                 places.append((~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1).numpy())
-        shares = {rank: np.mean([np.mean(before < rank) for before in places]) for rank in ranks}
-        of_ranks = {f"validation_top_{rank}": float(share) for rank, share in shares.items()}
-        return {"validation_loss": float(np.mean(losses)), **of_ranks}
+        shares = {rank: float(np.mean([np.mean(before < rank) for before in places])) for rank in (1, 5, 25)}
+        return {
+            "validation_loss": float(np.mean(losses)),
+            **{f"validation_top_{rank}": share for rank, share in shares.items()},
+        }
 
     @cached_property
     def _validation(self) -> list[Sample | PairSample]:

@@ -42,16 +42,15 @@ def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, sigma_m: float
     seen = np.flatnonzero(in_view.any(axis=1) & (rng.random(len(seen_map)) >= missed))
     eye = path[nearest[seen]]
     positions = seen_map.positions[seen]
-    labels = seen_map.labels[seen]
     if sigma_m is None:
         sigma_m = float(np.exp(rng.uniform(np.log(0.03), np.log(0.7))))
     positions[:, :2] = eye + _measured(positions[:, :2] - eye, sigma_m, rng=rng)
     positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
     wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
-    labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
+    labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), seen_map.labels[seen])
     clutter = rng.poisson(rng.uniform(0.0, 0.3) * len(seen))  # none where nothing is seen
     middle = path[rng.integers(len(path), size=clutter)]
-    at = middle + range_m * np.sqrt(rng.random(clutter))[:, None] * _directions(clutter, rng=rng)
+    at = middle + range_m * np.sqrt(rng.random(clutter))[:, None] * _directions(rng.uniform(-np.pi, np.pi, clutter))
     like = rng.integers(max(len(seen), 1), size=clutter)
     return View(
         np.vstack([positions, np.column_stack([at, positions[like, 2]])]),
@@ -67,7 +66,7 @@ def _draw_path(seen_map: TrainingMap, *, rng: np.random.Generator) -> tuple[Floa
     length_m = rng.uniform(0.0, 40.0) if rng.random() < 0.7 else 0.0
     steps_m = np.arange(0.0, length_m + 1e-9, 5.0)
     headings = rng.uniform(-np.pi, np.pi) + rng.normal(0.0, 0.01) * steps_m
-    return start + np.column_stack([steps_m * np.cos(headings), steps_m * np.sin(headings)]), headings
+    return start + steps_m[:, None] * _directions(headings), headings
 
 
 def _measured(offsets: FloatArray, sigma_m: float, *, rng: np.random.Generator) -> FloatArray:
@@ -80,6 +79,5 @@ def _measured(offsets: FloatArray, sigma_m: float, *, rng: np.random.Generator) 
     return noisy
 
 
-def _directions(count: int, *, rng: np.random.Generator) -> FloatArray:
-    angles = rng.uniform(-np.pi, np.pi, count)
+def _directions(angles: FloatArray) -> FloatArray:
     return np.column_stack([np.cos(angles), np.sin(angles)])
