@@ -29,7 +29,6 @@ from slam.place_recognition.place_search import PlaceSearch
 
 MAKE_IT = "import it again by 'dslam import'"
 _CHECKED = ("positions", "classes", "ids")
-_OF_PAIRS = ("words", "ends", "lengths", "classes")
 _LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "pair_words": ("u", 2), "pair_ends": ("u", 2),
            "pair_lengths": ("f", 1), "pair_classes": ("u", 1)}  # fmt: skip
 
@@ -144,10 +143,9 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
             writer.write(OBJECTS_TOPIC, objects)
         stamp_ns, colors = objects.stamp_ns if objects else 0, class_colors(imported.classes.astype(np.int64))
         writer.write(POINTS_TOPIC, ScenePoints(stamp_ns, "map", imported.positions.astype(np.float64), colors))
-        for name in _CHECKED:
-            writer.add_array(name, getattr(imported, name))
-        for name in _OF_PAIRS:
-            writer.add_array(f"pair_{name}", getattr(imported.pairs, name))
+        arrays: list[NDArray[Any]] = [imported.positions, imported.classes, imported.ids, *imported.pairs.arrays]
+        for name, array in zip(_LAYOUT, arrays, strict=True):
+            writer.add_array(name, array)
 
 
 def load_imported_map(path: AnyPath) -> ImportedMap:
@@ -177,23 +175,21 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
             raise ValueError(f"its array {name} is of {arrays[name].dtype} and shape {arrays[name].shape}")
     grid = from_json(about["grid"])
     georeference = about.get("georeference")
+    positions, classes, ids, *of_pairs = (arrays[name] for name in _LAYOUT)
     imported = ImportedMap(
-        positions=arrays["positions"],
-        classes=arrays["classes"],
-        ids=arrays["ids"],
+        positions=positions,
+        classes=classes,
+        ids=ids,
         vocabulary=tuple(from_json(about["vocabulary"])),
         sigma_m=float(grid["sigma_m"]),
-        pairs=PairIndex.of(
-            shipped_likelihood(), float(grid["unit_m"]), *(arrays[f"pair_{name}"] for name in _OF_PAIRS)
-        ),
+        pairs=PairIndex.of(shipped_likelihood(), float(grid["unit_m"]), *of_pairs),
         georeference=None if georeference is None else Georeference.from_json(georeference),
         metadata=about,
     )
-    counts = {len(imported), len(imported.positions), len(imported.ids)}
     if (
-        len(counts) > 1
-        or imported.pairs.ends.max(initial=0) >= len(imported)
-        or imported.classes.max(initial=0) >= len(imported.vocabulary)
+        not len(positions) == len(classes) == len(ids)
+        or imported.pairs.ends.max(initial=0) >= len(ids)
+        or classes.max(initial=0) >= len(imported.vocabulary)
     ):
         raise ValueError("its arrays disagree on the number of objects or classes")
     return imported
@@ -203,8 +199,9 @@ def _check_positions(positions: FloatArray) -> None:
     """Refuse positions that cannot be metres in the plane of one map."""
     if len(positions) < 4:
         raise SavedMapError(f"{len(positions)} objects; a map for relocalization needs at least four")
-    if not np.isfinite(positions).all():
-        raise SavedMapError(f"object {int((~np.isfinite(positions)).any(axis=1).argmax())} has no finite position")
+    is_finite = np.isfinite(positions).all(axis=1)
+    if not is_finite.all():
+        raise SavedMapError(f"object {is_finite.argmin()} has no finite position")
     plane = positions[:, :2]
     extent_m = np.ptp(plane, axis=0).max()
     spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))

@@ -37,10 +37,9 @@ class PlaceRetriever:
         self._extent_m = config.traversal_extent_m
         self._map = object_map
         self._pairs = make_landmark_pairs(config)
-        self._likelihood = shipped_likelihood()
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._search: PlaceSearch | None = None
-        self._shifts_m, self._pitch_m = {0: 0.0}, 1.0  # of segments side by side
+        self._segments, self._shifts_m, self._pitch_m = np.zeros(0, dtype=np.int64), np.zeros(0), 1.0  # side by side
         self._indexed_m, self._indexed_segment = -np.inf, -1
 
     def index_inactive_landmarks(self, pose: OdometryPose) -> None:
@@ -111,13 +110,13 @@ class PlaceRetriever:
         positions, of = (self._map.rows[name][self._rows] for name in ("position_local", "segment"))
         middle = np.append(query.positions.mean(axis=0), 1.0)
         radius_m = np.linalg.norm(query.positions[:, :2] - middle[:2], axis=1).max()
-        slots = dict(enumerate(self._shifts_m))
         places = []
         for T in self._search.find_poses(query, count=self._count, allowed=allowed):
-            segment = slots.get(int((T @ middle)[0] // self._pitch_m))
-            if segment is None:
+            slot = int((T @ middle)[0] // self._pitch_m)
+            if not 0 <= slot < len(self._segments):
                 continue
-            T[0, 3] -= self._shifts_m[segment]
+            T[0, 3] -= self._shifts_m[slot]
+            segment = int(self._segments[slot])
             offsets = positions[:, :2] - (T @ middle)[:2]
             near = allowed & (of == segment) & (np.hypot(*offsets.T) <= radius_m)
             if near.any():
@@ -127,14 +126,11 @@ class PlaceRetriever:
     def _side_by_side(self) -> PlaceSearch:
         """All entries in one map, those of each segment of the odometry apart from the others, along x."""
         placed, of = self._map.rows["position_local"][self._rows], self._map.rows["segment"][self._rows]
-        segments = np.unique(of).tolist()
-        xs_m = [placed[of == segment, 0] for segment in segments]
-        self._pitch_m = 2.0 * max(np.ptp(x_m) for x_m in xs_m) + 1e3 * spacing_m(placed)
-        self._shifts_m = {
-            segment: (slot + 0.25) * self._pitch_m - x_m.min()
-            for slot, (segment, x_m) in enumerate(zip(segments, xs_m, strict=True))
-        }
-        placed[:, 0] += np.vectorize(self._shifts_m.__getitem__, otypes=[float])(of)
+        self._segments, slots = np.unique(of, return_inverse=True)
+        ends_m = np.array([(placed[of == each, 0].min(), placed[of == each, 0].max()) for each in self._segments])
+        self._pitch_m = 2.0 * np.diff(ends_m).max() + 1e3 * spacing_m(placed)
+        self._shifts_m = (np.arange(len(ends_m)) + 0.25) * self._pitch_m - ends_m[:, 0]
+        placed[:, 0] += self._shifts_m[slots]
         return PlaceSearch(self._pairs, placed, self._map.labels.classes(self._rows), len(self._map.labels.vocabulary))
 
     def _traversal_m(self, rows: IntArray) -> float:
@@ -151,7 +147,7 @@ class PlaceRetriever:
         """Poses (H, 4, 4) of a query in itself at which its objects repeat: the identity, and as many as a query in the
         map has candidates.
         """
-        pairs = PairIndex(self._likelihood)
+        pairs = PairIndex(shipped_likelihood())
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.labels.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
