@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from logs.messages import ObjectDetections, Record, StatusRecord, Transform
@@ -51,9 +52,9 @@ class LiveSlam:
         ``config.calibrate`` is off, all of it. ``delays``: how long after their stamps messages were logged so far.
         """
         self._given = config if calibration is None else config.model_copy(update={"calibration": calibration})
-        self._prior_map, self._extend, self._initial_pose = prior_map, extend, initial_pose
+        self._prior_map, self._extend, self._delays = prior_map, extend, delays
         self._frames = frames or SensorFrames()
-        self._delays = delays
+        self._build = partial(Slam, prior_map=prior_map, extend=extend, initial_pose=initial_pose, frames=self._frames)
         self.calibration = CalibratedLog(self._given)
         """The current calibration, with its corrections."""
         self._slam = self._build(self._given)
@@ -144,9 +145,6 @@ class LiveSlam:
         drives = None if prior_map is None else prior_map.drives
         about = provenance or settings_of(self._given, self.calibration, prior_map, extend=self._extend)
         save_map(Path(path), final.object_map, final.graph, about, earlier_drives=drives)
-
-    def _build(self, config: Config) -> Slam:
-        return Slam(config, self._prior_map, extend=self._extend, initial_pose=self._initial_pose, frames=self._frames)
 
     def _calibrate(self) -> None:
         """Start to estimate the calibration from all records so far, in a thread."""
