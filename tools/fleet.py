@@ -50,7 +50,7 @@ def add(
     from slam.common.config import load_config
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
-    from slam.fleet.report import REPORT_NAME, fleet_report, write_report
+    from slam.fleet.report import REPORT_NAME, write_report
     from tools import console
 
     if city.suffix and not city.is_dir():
@@ -67,8 +67,7 @@ def add(
         georeference=georeference,
         tell=partial(typer.echo, err=True),
     )
-    write_report(city, result)
-    report = fleet_report(result)
+    report = write_report(city, result)
     if json:
         console.show_json(report)
     else:

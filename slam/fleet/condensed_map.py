@@ -69,11 +69,12 @@ def _edges(graph: FactorGraphRecord, cell: IntArray, T_map_place: FloatArray) ->
     keyframes = _rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel()).reshape(-1, 2)
     ends, is_step = cell[keyframes], are_of_kind(graph, EdgeKind.ODOMETRY)
     is_between = ~are_of_kind(graph, EdgeKind.DISCONTINUITY) & (ends[:, 0] != ends[:, 1])
-    found = {}
-    for row in [*np.flatnonzero(is_between & is_step).tolist(), *np.flatnonzero(is_between & ~is_step).tolist()]:
+    rows = np.argsort(~is_step, kind="stable")
+    rows = rows[is_between[rows]]
+    _, firsts = np.unique(np.sort(ends[rows], axis=1), axis=0, return_index=True)
+    found = []
+    for row in rows[np.sort(firsts)].tolist():
         first, second = ends[row].tolist()
-        if (first, second) in found or (second, first) in found:
-            continue
         T_from_to = invert(T_map_place[first]) @ T_map_place[second]
         R_map_body = graph.T_map_body[keyframes[row, 1], :3, :3]
         covariance = covariance_in_axes(graph.edge_covariances[row], R_map_body.T @ T_map_place[second, :3, :3])
@@ -81,8 +82,8 @@ def _edges(graph: FactorGraphRecord, cell: IntArray, T_map_place: FloatArray) ->
             lengths_m = np.linalg.norm([T_from_to[:3, 3], graph.edge_transforms[row, :3, 3]], axis=1)
             covariance = covariance * max(lengths_m[0] / max(lengths_m[1], 1e-9), 1.0)
         kind = EdgeKind.ODOMETRY if is_step[row] else EdgeKind.LOOP_CLOSURE
-        found[first, second] = Edge(first, second, T_from_to, covariance, kind)
-    return list(found.values())
+        found.append(Edge(first, second, T_from_to, covariance, kind))
+    return found
 
 
 def _observations(saved: SavedMap, cell: IntArray, T_map_place: FloatArray, cell_m: float) -> list[Observation]:

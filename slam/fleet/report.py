@@ -9,6 +9,7 @@ import numpy as np
 
 from logs.storage.placement import write_text
 from slam.fleet.fleet import CityMap, Fleet
+from slam.fleet.logs import FleetLog
 from slam.fleet.presence import REPORTED
 from slam.object_map.map_summary import summarize_map
 
@@ -18,7 +19,7 @@ STATES = ("joined", "alone", "not mapped", "repeated")
 
 def fleet_report(fleet: Fleet) -> dict[str, Any]:
     """The report as JSON: of the logs and of the parts of the map; and in figures."""
-    logs = [{"log": log.name, "sha256": log.sha256, **_of_log(fleet, row)} for row, log in enumerate(fleet.logs)]
+    logs = [{"log": log.name, "sha256": log.sha256, **_of_log(fleet, log)} for log in fleet.logs]
     parts = [_of_map(each) for each in fleet.maps if each.file]
     states = Counter(log["status"] for log in logs)
     of_map = {f"map_{key}": value for key, value in parts[0].items() if key != "map"} if parts else {}
@@ -35,24 +36,25 @@ def fleet_report(fleet: Fleet) -> dict[str, Any]:
     }
 
 
-def write_report(folder: Path, fleet: Fleet) -> None:
-    """Write the report into the folder of a fleet.
+def write_report(folder: Path, fleet: Fleet) -> dict[str, Any]:
+    """Write the report, which is returned, into the folder of a fleet.
 
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    write_text(folder / REPORT_NAME, json.dumps(fleet_report(fleet), indent=1) + "\n")
+    report = fleet_report(fleet)
+    write_text(folder / REPORT_NAME, json.dumps(report, indent=1) + "\n")
+    return report
 
 
-def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
-    digest = fleet.logs[row].sha256
-    session = fleet.sessions[digest]
-    first = next(log for log in fleet.logs if log.sha256 == digest)
-    if first is not fleet.logs[row]:
+def _of_log(fleet: Fleet, log: FleetLog) -> dict[str, Any]:
+    session = fleet.sessions[log.sha256]
+    first = next(each for each in fleet.logs if each.sha256 == log.sha256)
+    if first is not log:
         return {"status": "repeated", "reason": f"the same log as {first.name}"}
     if not session.is_mapped:
         return {"status": "not mapped", "reason": session.reason}
-    number = fleet.order.index(digest)
+    number = fleet.order.index(log.sha256)
     city_map = next(each for each in fleet.maps if number in each.part.visits)
     return {
         "status": "alone" if number in fleet.alone else "joined",
