@@ -35,8 +35,6 @@ class Change:
 
 def find_changes(part: Part, presence: Presence, stamps_ns: Sequence[int]) -> tuple[Change, ...]:
     """What changed in a part of the map, by the presence of its landmarks in the sessions with these stamps."""
-    if len(stamps_ns) < 2:
-        return ()
     dates = [datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() for stamp_ns in stamps_ns]
     appeared, gone = (
         {
@@ -94,5 +92,5 @@ def _moves(
 
 def _area_m2(positions: FloatArray) -> float:
     """Area that positions (N, 2) cover, N >= 2: points at random are half a mean spacing from the nearest other."""
-    nearest_m = np.asarray(cKDTree(positions).query(positions, k=2)[0])[:, 1]
+    nearest_m = cKDTree(positions).query(positions, k=[2])[0]
     return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +46,8 @@ class ImportedMap:
     vocabulary: tuple[str, ...]
     sigma_m: float
     pairs: PairIndex
-    georeference: Georeference | None = None
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    georeference: Georeference | None
+    metadata: Mapping[str, str]
 
     def __len__(self) -> int:
         return len(self.classes)
@@ -204,7 +203,7 @@ def _check_positions(positions: FloatArray) -> None:
         raise SavedMapError(f"object {is_finite.argmin()} has no finite position")
     plane = positions[:, :2]
     extent_m = np.ptp(plane, axis=0).max()
-    spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
+    spacing_m = float(np.median(cKDTree(plane).query(plane, k=[2])[0]))
     if extent_m > 1e6:
         raise SavedMapError(f"the objects extend over {extent_m / 1000.0:.0f} km, too much for a plane; crop the map")
     if spacing_m < 0.01 and np.abs(plane).max() <= 180.0:

@@ -50,25 +50,10 @@ class _Query:
     fitted_sigmas_m: FloatArray
 
 
-@frozen
-class _Poses:
-    """H poses: where the ``middles`` of the query are (H,), complex metres, and the rotations ``turns`` (H,)."""
-
-    middles: ComplexArray
-    turns: ComplexArray
-
-    @staticmethod
-    def of(T_map_query: FloatArray, middle: complex) -> "_Poses":
-        """The poses (H, 4, 4) of a query whose middle is there, complex metres."""
-        turns = T_map_query[:, 0, 0] + 1j * T_map_query[:, 1, 0]
-        return _Poses(T_map_query[:, 0, 3] + 1j * T_map_query[:, 1, 3] + turns * middle, turns)
-
-    def __getitem__(self, rows: IntArray) -> "_Poses":
-        return _Poses(self.middles[rows], self.turns[rows])
-
-
 class PlaceSearch:
     """A map that can be searched.
+
+    Poses (2, H) of a query are where its middle is, complex metres, and its rotations, complex too.
 
     Args:
         pairs: the index of the map, whose objects are numbered by their rows.
@@ -99,7 +84,7 @@ class PlaceSearch:
     def count_met(self, query: Submap, T_map_query: FloatArray) -> IntArray:
         """How many objects of a query, whose classes the map has, meet one of their class at each pose (H, 4, 4)."""
         placed = _query(query.positions, query.labels, query.sigmas)
-        apart_m, _ = self._met(_Poses.of(T_map_query, placed.middle), placed, query.sigmas)
+        apart_m, _ = self._met(_of_middle(T_map_query, placed.middle), placed, query.sigmas)
         return np.isfinite(apart_m).sum(axis=1)
 
     def find_poses(
@@ -137,25 +122,25 @@ class PlaceSearch:
             count=max(count, 600),  # with 200, 7 of 100 places with much clutter are missed
         )
         placed = _query(positions, labels, sigmas_m)
-        voted = _Poses.of(T_voted, placed.middle)
+        voted = _of_middle(T_voted, placed.middle)
         scores = self._log_likelihood_ratios(voted, placed, placed.voted_sigmas_m)
         likeliest = _likeliest(scores)[: max(count, 40)]  # with 200 no more places are found
-        fitted = voted[likeliest]
+        fitted = voted[:, likeliest]
         # After one round with either noise, right poses 2 m off are not yet better than others.
         for fit_sigmas_m in 3 * [placed.voted_sigmas_m] + 3 * [placed.fitted_sigmas_m]:
             fitted = self._fitted(fitted, placed, fit_sigmas_m)
         scores = self._log_likelihood_ratios(fitted, placed, placed.fitted_sigmas_m)
         chosen = self._distinct(fitted, scores, count)
-        best = fitted[chosen]
-        origins = best.middles - best.turns * placed.middle
+        middles, turns = fitted[:, chosen]
+        origins = middles - turns * placed.middle
         places = np.column_stack([origins.real, origins.imag, T_voted[likeliest[chosen], 2, 3]])
-        return transform_from_xyz_yaw(places, np.angle(best.turns))
+        return transform_from_xyz_yaw(places, np.angle(turns))
 
-    def _met(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    def _met(self, poses: ComplexArray, query: _Query, sigmas_m: FloatArray) -> tuple[FloatArray, ComplexArray]:
         """Distance [m] of each object of a query at each pose to the nearest of its class, and where that is: (H, N)
         each, infinite and 0 where there is none in reach.
         """
-        placed = poses.middles[:, None] + poses.turns[:, None] * query.objects
+        placed = poses[0][:, None] + poses[1][:, None] * query.objects
         classes = np.broadcast_to(self._pitch_m * query.labels, placed.shape)
         asked = np.stack([placed.real, placed.imag, classes], axis=-1).reshape(-1, 3)
         # Of 1000 pairs of observations of one object 2 are farther apart in the plane than 3.5 standard deviations. No
@@ -166,7 +151,7 @@ class PlaceSearch:
         is_met = apart_m <= reach_m
         return np.where(is_met, apart_m, np.inf), np.where(is_met, self._plane[np.where(is_met, rows, 0)], 0.0)
 
-    def _fitted(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> _Poses:
+    def _fitted(self, poses: ComplexArray, query: _Query, sigmas_m: FloatArray) -> ComplexArray:
         """The poses by weighted least squares over what the query meets there; those that meet little as they are."""
         apart_m, met = self._met(poses, query, sigmas_m)
         weights = np.where(np.isfinite(apart_m), 1.0 / sigmas_m**2, 0.0)
@@ -176,10 +161,10 @@ class PlaceSearch:
         mean_query, mean_met = weights @ query.objects, (weights * met).sum(axis=1)
         turns = (weights * (met - mean_met[:, None]) * (query.objects - mean_query[:, None]).conj()).sum(axis=1)
         has_enough &= np.abs(turns) > 0.0
-        turns = np.where(has_enough, turns / np.maximum(np.abs(turns), np.finfo(np.float64).tiny), poses.turns)
-        return _Poses(np.where(has_enough, mean_met - turns * mean_query, poses.middles), turns)
+        turns /= np.maximum(np.abs(turns), np.finfo(np.float64).tiny)
+        return np.where(has_enough, [mean_met - turns * mean_query, turns], poses)
 
-    def _log_likelihood_ratios(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> FloatArray:
+    def _log_likelihood_ratios(self, poses: ComplexArray, query: _Query, sigmas_m: FloatArray) -> FloatArray:
         """Of the objects of a query being those of the map at each pose, against any others, up to a constant: (H,).
 
         Three of four are, the others are missing in the map or clutter.
@@ -189,12 +174,12 @@ class PlaceSearch:
         density = np.exp(-0.5 * apart_m**2 / variance) / (2.0 * np.pi * variance)
         return np.log1p(3.0 * density / self._densities[query.labels]).sum(axis=1)
 
-    def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
+    def _distinct(self, poses: ComplexArray, scores: FloatArray, count: int) -> IntArray:
         """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""
-        chosen = list[int]()
+        chosen, (middles, turns) = list[int](), poses
         for row in _likeliest(scores).tolist():
-            near = np.abs(poses.middles[chosen] - poses.middles[row]) < 0.5 * self._spacing_m
-            near &= np.abs(np.angle(poses.turns[chosen] * poses.turns[row].conj())) < SAME_TURN_RAD
+            near = np.abs(middles[chosen] - middles[row]) < 0.5 * self._spacing_m
+            near &= np.abs(np.angle(turns[chosen] * turns[row].conj())) < SAME_TURN_RAD
             if not near.any():
                 chosen.append(row)
             if len(chosen) == count:
@@ -208,6 +193,12 @@ def _likeliest(scores: FloatArray) -> IntArray:
     What differs in the seventh decimal is rounding.
     """
     return np.argsort(-np.round(scores, 6), kind="stable")
+
+
+def _of_middle(T_map_query: FloatArray, middle: complex) -> ComplexArray:
+    """The poses (2, H) at (H, 4, 4) of a query whose middle is there, complex metres."""
+    turns = T_map_query[:, 0, 0] + 1j * T_map_query[:, 1, 0]
+    return np.array([T_map_query[:, 0, 3] + 1j * T_map_query[:, 1, 3] + turns * middle, turns])
 
 
 def _query(positions: FloatArray, labels: IntArray, sigmas_m: FloatArray) -> _Query:
@@ -265,8 +256,8 @@ def vote_for_poses(
     _, voted = np.unique((x * (y.max() + 1) + y) * headings + heading, return_inverse=True)
     totals = np.bincount(voted, weights)
     best = np.argsort(-totals, kind="stable")[:count]
-    parts = np.column_stack([places.real, places.imag, rises, turns.real, turns.imag])
-    means = np.column_stack([np.bincount(voted, weights * part)[best] / totals[best] for part in parts.T])
+    parts = places.real, places.imag, rises, turns.real, turns.imag
+    means = np.column_stack([np.bincount(voted, weights * part)[best] / totals[best] for part in parts])
     T = transform_from_xyz_yaw(means[:, :3], np.arctan2(means[:, 4], means[:, 3]))
     T[:, :3, 3] += far - T[:, :3, :3] @ middle
     return T

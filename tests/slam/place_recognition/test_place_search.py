@@ -8,7 +8,7 @@ from descriptors.registry import shipped_likelihood
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert
 from slam.object_map.submap import Submap
-from slam.place_recognition.place_search import SAME_TURN_RAD, PlaceSearch, _Poses, _query
+from slam.place_recognition.place_search import SAME_TURN_RAD, PlaceSearch, _query
 from tests.helpers.poses import pose_at
 
 SIGMA_M = 0.2
@@ -101,7 +101,7 @@ def test_of_poses_that_are_one_the_likeliest_is_kept(yaw: float) -> None:
     search = searched(*town(50))
     apart_m, turn_rad = 0.4 * search._spacing_m, 0.8 * SAME_TURN_RAD
     middles = 20.0 + np.array([0.0, apart_m, apart_m * 1j, 2.0 * apart_m, 0.0])
-    poses = _Poses(middles, np.exp(1j * (yaw + np.array([0.0, turn_rad, -turn_rad, 0.0, 2.0 * turn_rad]))))
+    poses = np.array([middles, np.exp(1j * (yaw + np.array([0.0, turn_rad, -turn_rad, 0.0, 2.0 * turn_rad])))])
     assert search._distinct(poses, np.array([5.0, 4.0, 3.0, 2.0, 1.0]), 5).tolist() == [0, 3, 4]
     assert search._distinct(poses, np.arange(5.0), 2).tolist() == [4, 3]
 
@@ -137,7 +137,7 @@ def test_objects_are_met_no_farther_than_the_next_object_of_the_map() -> None:
     search = searched(row, np.zeros(10, int))
     positions = np.array([[4.0, 1.0, 0.0], [8.0, 3.0, 0.0]])
     asked = _query(positions, np.zeros(2, int), np.full(2, 5.0))
-    apart_m, _ = search._met(_Poses(np.array([asked.middle]), np.ones(1, dtype=complex)), asked, np.full(2, 5.0))
+    apart_m, _ = search._met(np.array([[asked.middle], [1.0]]), asked, np.full(2, 5.0))
     np.testing.assert_allclose(apart_m, [[1.0, np.inf]], atol=1e-6)
 
 
