@@ -48,9 +48,8 @@ def add(
     Example: dslam fleet add city monday.mcap tuesday.mcap --require "figures.map_median_sigma_m<=0.1"
     """
     from slam.common.config import load_config
-    from slam.fleet.fleet import map_fleet
-    from slam.fleet.logs import add_logs, find_logs
-    from slam.fleet.report import REPORT_NAME, write_report
+    from slam.fleet.fleet import REPORT_NAME, map_fleet, write_report
+    from slam.fleet.sessions import add_logs, find_logs
     from tools import console
 
     if city.suffix and not city.is_dir():
@@ -72,13 +71,12 @@ def add(
         console.show_json(report)
     else:
         names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
-        written = [str(city / name) for name in names if (city / name).exists()]
         columns = ("log", "status", "map", "reason")
         console.show(
             console.table(console.rows(report["logs"], columns), texts=columns),
             console.table(console.rows(report["parts"], FIGURES)),
             *(f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])),
-            f"written: {', '.join(written)}",
+            f"written: {', '.join(str(city / name) for name in names)}",
         )
     finish({"": report}, require, quiet=json)
     if any(log["status"] == "not mapped" for log in report["logs"]):

@@ -58,7 +58,7 @@ def _middles(cell: IntArray, positions: FloatArray) -> IntArray:
     """Row of the keyframe (S,) in the middle of those in each cell, by the positions (K, 3) of the keyframes."""
     by_cell = pd.DataFrame(positions).groupby(cell)
     offsets = positions - 0.5 * (by_cell.transform("min") + by_cell.transform("max"))
-    return np.asarray(pd.Series(np.linalg.norm(offsets, axis=1)).groupby(cell).idxmin(), dtype=np.int64)
+    return pd.Series(np.linalg.norm(offsets, axis=1)).groupby(cell).idxmin().to_numpy()
 
 
 def _edges(graph: FactorGraphRecord, cell: IntArray, T_map_place: FloatArray) -> list[Edge]:

@@ -1,15 +1,19 @@
 """A fleet: logs in, one map out. What is done stays in the folder, by what it was made from, and is not done again."""
 
+import json
 import logging
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from logs.digest import content_key
 from logs.errors import LogError
 from logs.records import frozen
+from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
@@ -17,12 +21,12 @@ from slam.fleet.changes import Change, find_changes
 from slam.fleet.condensed_map import cell_length_m, condense_map
 from slam.fleet.joins import accept_joins, find_joins, read_joins, why_alone, write_joins
 from slam.fleet.joint_map import join_parts
-from slam.fleet.logs import FleetLog
 from slam.fleet.part import Part, are_saved, common_metadata, load_parts, save_parts, session_part
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
-from slam.fleet.sessions import MAP_NAME, VERSION, Session, map_sessions, session_folder
+from slam.fleet.sessions import MAP_NAME, VERSION, FleetLog, Session, map_sessions, session_folder
 from slam.formats.landmark_tables import write_points
 from slam.object_map.map_io import SavedMap, load_map, of_rows
+from slam.object_map.map_summary import summarize_map
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 from slam.provenance import recorded_config
 
@@ -33,6 +37,9 @@ BLOCK = 16
 
 FIRST_LOG = "first_log"
 """In the metadata of a map: the digest of the log at whose start its frame is."""
+
+REPORT_NAME = "report.json"
+STATES = ("joined", "alone", "not mapped", "repeated")
 
 
 @frozen
@@ -73,8 +80,8 @@ def map_fleet(
     config: Config,
     *,
     workers: int,
-    georeference: Georeference | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    georeference: Georeference | None,
+    tell: Callable[[str], None],
 ) -> Fleet:
     """Map logs by themselves, find them in one another, and join them; write the maps and what changed.
 
@@ -116,7 +123,7 @@ def map_fleet(
 
 def _by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
     """The sessions that were mapped."""
-    mapped = [session for session in sessions.values() if session.is_mapped]
+    mapped = [session for session in sessions.values() if not session.reason]
     if not mapped:
         reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
         raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
@@ -202,3 +209,66 @@ def _save(
         return False
     save_imported_map(path, tiles, now)
     return True
+
+
+def fleet_report(fleet: Fleet) -> dict[str, Any]:
+    """The report as JSON: where each log joined, or why it did not; the parts of the map; and figures."""
+    logs = [{"log": log.name, "sha256": log.sha256, **_of_log(fleet, log)} for log in fleet.logs]
+    parts = [_of_map(each) for each in fleet.maps if each.file]
+    states = Counter(log["status"] for log in logs)
+    of_map = {f"map_{key}": value for key, value in parts[0].items() if key != "map"} if parts else {}
+    return {
+        "logs": logs,
+        "figures": {
+            **{state.replace(" ", "_"): states[state] for state in STATES},
+            "parts": len(parts),
+            "warnings": sum(len(log.get("notes", ())) for log in logs),
+            **of_map,
+        },
+        "parts": parts,
+        "changes": len(fleet.maps[0].changes) if fleet.maps else 0,
+    }
+
+
+def write_report(folder: Path, fleet: Fleet) -> dict[str, Any]:
+    """Write the report, which is returned, into the folder of a fleet.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    report = fleet_report(fleet)
+    write_text(folder / REPORT_NAME, json.dumps(report, indent=1) + "\n")
+    return report
+
+
+def _of_log(fleet: Fleet, log: FleetLog) -> dict[str, Any]:
+    session = fleet.sessions[log.sha256]
+    first = next(each for each in fleet.logs if each.sha256 == log.sha256)
+    if first is not log:
+        return {"status": "repeated", "reason": f"the same log as {first.name}"}
+    if session.reason:
+        return {"status": "not mapped", "reason": session.reason}
+    number = fleet.order.index(log.sha256)
+    city_map = next(each for each in fleet.maps if number in each.part.visits)
+    return {
+        "status": "alone" if number in fleet.alone else "joined",
+        "reason": fleet.alone.get(number, ""),
+        "map": city_map.file,
+        "travel_m": session.travel_m,
+        "landmarks": session.landmarks,
+        "notes": session.notes,
+    }
+
+
+def _of_map(city_map: CityMap) -> dict[str, Any]:
+    part = city_map.part
+    return {
+        "map": city_map.file,
+        "logs": len(part.visits),
+        "landmarks": len(part.objects.ids),
+        "landmarks_of_logs": sum(len(visit.landmarks) for visit in part.visits.values()),
+        "present": int(np.count_nonzero(city_map.presence.present >= REPORTED)),
+        "median_sigma_m": round(summarize_map(part.saved)["median_sigma_m"], 3),
+        "hazard_per_day": city_map.presence.hazard_per_day,
+        "changes": len(city_map.changes),
+    }

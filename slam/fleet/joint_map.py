@@ -10,12 +10,10 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from logs.messages import ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import ObjectCalibration
 from slam.common.config import Config
 from slam.common.geometry import apply_each, invert, squared_mahalanobis
 from slam.fleet.joins import Join
@@ -134,13 +132,20 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
     graph = FactorGraph(sensor_range_m=config.sensor_range_m)
     rows_of, observations = dict[int, IntArray](), []
     for number, part in group.parts.items():
-        rows_of[number] = object_map.restore(_carried(part.saved, T_map_place[group.rows(number)]), travel_m=0.0)
+        positions, R = _moved(part.saved, T_map_place[group.rows(number)], part.objects.positions)
+        covariances = R @ part.objects.covariances @ np.swapaxes(R, 1, 2)
+        carried = replace(part.objects, positions=positions, covariances=covariances)
+        rows_of[number] = object_map.restore(carried, travel_m=0.0)
         landmark_of = dict(zip(part.objects.ids, rows_of[number].tolist(), strict=True))
         observations += observations_of(part.saved.graph, group.places(number), landmark_of)
     graph.restore(T_map_place, [*group.edges(), *map(group.closure, joins)], observations)
     _merge_matched(object_map, joins, rows_of)
     graph.alias_landmarks(object_map.aliases)
-    _optimize(graph, object_map, config.calibration.objects)
+    graph.optimize()
+    if fuse_landmarks(object_map, graph, config.calibration.objects):
+        graph.optimize()
+    landmarks, covariances = graph.landmarks, graph.covariances()[1]
+    object_map.assign(landmarks, position_map=graph.landmark_positions(landmarks), covariance_map=covariances)
     stamps_ns = np.concatenate([part.saved.graph.keyframe_stamps_ns for part in group.parts.values()])
     objects = confirmed(object_map.to_record(int(stamps_ns.max())))
     record = observing(graph.to_record(objects.stamp_ns, stamps_ns), objects, np.ones(len(stamps_ns), dtype=np.bool_))
@@ -153,12 +158,6 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
             rows = [row_of[row] for row in object_map.canonical[rows_of[number][visit.landmarks]].tolist()]
             visits[session] = Visit(points.reshape(visit.steps.shape), np.unique(np.array(rows, dtype=np.int64)))
     return Part(joint, visits)
-
-
-def _carried(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
-    """The landmarks of a map as they move along with its places, which are at (K, 4, 4) now."""
-    positions, R = _moved(saved, T_joint_place, saved.objects.positions)
-    return replace(saved.objects, positions=positions, covariances=R @ saved.objects.covariances @ np.swapaxes(R, 1, 2))
 
 
 def _moved(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -182,14 +181,3 @@ def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mappin
             if maps_of[kept].isdisjoint(maps_of[dropped]):
                 object_map.merge(kept, dropped)
                 maps_of[kept] |= maps_of[dropped]
-
-
-def _optimize(graph: FactorGraph, object_map: ObjectMap, config: ObjectCalibration) -> None:
-    """Optimise a graph and fuse its duplicate landmarks; the object map takes the estimates."""
-    graph.optimize()
-    if fuse_landmarks(object_map, graph, config):
-        graph.optimize()
-    landmarks = graph.landmarks
-    object_map.assign(
-        landmarks, position_map=graph.landmark_positions(landmarks), covariance_map=graph.covariances()[1]
-    )

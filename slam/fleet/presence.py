@@ -35,9 +35,7 @@ def find_passes(part: Part) -> tuple[BoolArray, FloatArray]:
     """Which landmarks each session of a part saw, and how far from them it passed [m]: (L, M) each."""
     landmarks = part.objects.positions[:, :2]
     visits = [part.visits[number] for number in part.sessions]
-    seen = np.zeros((len(landmarks), len(visits)), dtype=np.bool_)
-    for column, visit in enumerate(visits):
-        seen[visit.landmarks, column] = True
+    seen = np.column_stack([np.isin(np.arange(len(landmarks)), visit.landmarks) for visit in visits])
     return seen, np.column_stack([_distances_m(landmarks, visit.steps[:, :, :2]) for visit in visits])
 
 
@@ -127,8 +125,8 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Seq
     for _ in range(12):
         states, shares = _average(seen, probabilities, days, hazard, weights)
         presence = Presence(states, shares @ DETECTABILITIES, hazard)
-        there_days = float((states[:, :-1, PRESENT] @ days).sum())
-        hazard = (0.5 * float(presence.changed.sum()) + first_changes) / (there_days + span)
+        there_days = (states[:, :-1, PRESENT] @ days).sum()
+        hazard = (0.5 * presence.changed.sum() + first_changes) / (there_days + span)
         weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
     return presence
 

@@ -1,4 +1,7 @@
-"""Logs, each mapped by itself in a process of its own: a session is a function of its log and the settings."""
+"""The logs of a fleet by their content, each mapped by itself in a process of its own.
+
+A session is a function of its log and the settings.
+"""
 
 import shutil
 from collections.abc import Callable, Sequence
@@ -9,13 +12,13 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from logs.digest import content_key
+from logs.digest import content_key, file_sha256
 from logs.errors import LogError
+from logs.records import frozen
 from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import FleetError, SlamError
 from slam.fleet.condensed_map import cell_length_m, condense_map
-from slam.fleet.logs import FleetLog
 from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
 from slam.provenance import recorded_config
@@ -23,13 +26,22 @@ from slam.replay import replay
 from slam.sweeps.workers import compute_all
 
 VERSION = version("descriptellation-slam")
-MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
+MEMBERS_NAME, MAP_NAME, LEDGER_NAME = "logs.json", "map.mcap", "session.json"
+
+
+@frozen
+class FleetLog:
+    """A log by the name that people know, where it is or was, and the ``sha256`` of its content."""
+
+    name: str
+    path: Path
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """The result of mapping a log. ``reason``: why it has no map; ``first_ns``: stamp of its first keyframe; ``notes``:
-    what a replay would warn of. Nothing in it depends on when or where it was mapped.
+    """The result of mapping a log. ``reason``: why it has no map, empty if it has one; ``first_ns``: stamp of its first
+    keyframe; ``notes``: what a replay would warn of. Nothing in it depends on when or where it was mapped.
     """
 
     sha256: str
@@ -39,13 +51,62 @@ class Session:
     first_ns: int = 0
     notes: tuple[str, ...] = ()
 
-    @property
-    def is_mapped(self) -> bool:
-        """Whether there is a map."""
-        return not self.reason
-
 
 _LEDGER = TypeAdapter(Session)
+_MEMBERS = TypeAdapter(list[FleetLog])
+
+
+def find_logs(sources: Sequence[str]) -> list[FleetLog]:
+    """Logs by their paths, each once, in that order.
+
+    Raises:
+        FleetError: a log that is not there.
+        LogError: one that cannot be read.
+    """
+    paths = {name: Path(name) for name in sources}
+    for path in paths.values():
+        if not path.exists():
+            raise FleetError(f"there is no log {path}; check the path")
+    return [FleetLog(name, path.absolute(), file_sha256(path)) for name, path in paths.items()]
+
+
+def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
+    """The logs of the fleet in a folder, which keeps the list of them: those of earlier runs, then the ``named`` ones.
+
+    Logs are distinguished by their content, also under one name. A log of an earlier run need not be there any more, as
+    long as its session is kept.
+
+    Args:
+        folder: of the fleet.
+        named: logs of this run.
+        only: leave out those of earlier runs that are not named.
+
+    Raises:
+        FleetError: no log at all, or a list that cannot be read.
+        LogError: the list cannot be written.
+    """
+    contents = {log.sha256 for log in named}
+    members = {(log.name, log.sha256): log for log in read_members(folder) if log.sha256 in contents or not only}
+    for log in named:
+        members.setdefault((log.name, log.sha256), log)
+    if not members:
+        raise FleetError("no log was given; give at least one")
+    write_text(folder / MEMBERS_NAME, _MEMBERS.dump_json(list(members.values()), indent=1).decode() + "\n")
+    return list(members.values())
+
+
+def read_members(folder: Path) -> list[FleetLog]:
+    """The logs of the fleet in a folder; none where no fleet is.
+
+    Raises:
+        FleetError: the list of them cannot be read.
+    """
+    path = folder / MEMBERS_NAME
+    try:
+        return _MEMBERS.validate_json(path.read_bytes()) if path.exists() else []
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise FleetError(f"the list of logs {path} cannot be read ({reason}); remove it and name all logs") from error
 
 
 def map_sessions(
@@ -75,7 +136,7 @@ def map_sessions(
             reason = "the process that mapped it died, perhaps for lack of memory; add it again, with fewer --workers"
             outcome = Session(log.sha256, reason)
         sessions[log.sha256] = outcome
-        result = f"mapped, {len(outcome.notes)} warnings" if outcome.is_mapped else "not mapped"
+        result = "not mapped" if outcome.reason else f"mapped, {len(outcome.notes)} warnings"
         tell(f"{finished}/{len(waiting)} {log.path.name}: {result}")
     return sessions
 

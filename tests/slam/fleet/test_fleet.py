@@ -13,10 +13,9 @@ from scipy.spatial import cKDTree
 from slam.common.config import Config
 from slam.common.errors import FleetError
 from slam.common.georeference import Georeference
-from slam.fleet.fleet import Fleet, map_fleet
-from slam.fleet.logs import FleetLog, find_logs
+from slam.fleet.fleet import Fleet, fleet_report, map_fleet, write_report
 from slam.fleet.part import Part, load_parts
-from slam.fleet.report import fleet_report, write_report
+from slam.fleet.sessions import FleetLog, find_logs
 from slam.library import read_map
 from slam.place_recognition.imported_map import load_imported_map
 from slam.simulation.config import SimulationConfig
@@ -57,7 +56,7 @@ def run(logs: list[FleetLog], folder: Path, *, workers: int = 0, georeference: G
     with pytest.MonkeyPatch.context() as patch:
         if not workers:
             patch.setattr("slam.fleet.sessions.compute_all", compute_inline)
-        fleet = map_fleet(logs, folder, Config(), workers=workers, georeference=georeference)
+        fleet = map_fleet(logs, folder, Config(), workers=workers, georeference=georeference, tell=print)
     write_report(folder, fleet)
     return fleet
 
