@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from descriptors.baselines.gosmatch import GosmatchVertex
+from descriptors.baselines import GosmatchVertex, RandomVector
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.pair_index import PairIndex
 from descriptors.descriptor import Descriptor
@@ -12,14 +12,10 @@ from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
 from descriptors.learned.weights import read_weights
 from descriptors.own_class import OwnDescriptor, is_own_class
-from descriptors.random_vector import RandomVector
 
 PAPER = "descriptellation"
 LEARNED = (LearnedLikelihood.name, PAPER)
-HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
-    GosmatchVertex.name: GosmatchVertex,
-    RandomVector.name: RandomVector,
-}
+HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {each.name: each for each in (GosmatchVertex, RandomVector)}
 DESCRIPTOR_NAMES = (*LEARNED, *HANDCRAFTED)
 WEIGHTS_SUFFIX = ".safetensors"
 
@@ -76,7 +72,7 @@ def _from_weights(path: Path) -> Descriptor | LearnedLikelihood:
     if read_weights(path).architecture.get("name") == LearnedLikelihood.name:
         return LearnedLikelihood(path)
     try:
-        from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
+        from descriptors.learned.networks import LearnedDescriptor  # loads torch
     except ModuleNotFoundError as error:
         raise DescriptorError(
             f"the descriptor {path.stem} is a network and needs torch: pip install 'descriptellation-slam[learn]'"

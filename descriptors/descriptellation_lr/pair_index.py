@@ -137,8 +137,7 @@ class PairIndex:
         numbers = np.arange(len(plane)) if numbers is None else numbers
         ends = find_ends(plane, labels, tree, sizes.partners, centres=centres)
         ends = ends[(numbers[ends] >= 0).all(axis=1)]
-        apart = plane[ends[:, 1]] - plane[ends[:, 0]]
-        lengths = np.hypot(apart[:, 0], apart[:, 1])
+        lengths = np.hypot(*(plane[ends[:, 1]] - plane[ends[:, 0]]).T)
         classes = _class_codes(labels[ends])
         order = np.lexsort((lengths, classes))
         ends, lengths, classes = ends[order], lengths[order], classes[order]

@@ -90,7 +90,7 @@ def spacing_m(positions: FloatArray) -> float:
     plane = np.unique(positions[:, :2], axis=0)
     if len(plane) < 2:
         return 1.0
-    return float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
+    return float(np.median(cKDTree(plane).query(plane, k=[2])[0]))
 
 
 def find_ends(
@@ -146,8 +146,7 @@ def gather_pairs(
     near_count = min(MAX_NEIGHBOURS + 2, len(positions))
     distances, near = tree.query(asked, k=[*range(1, near_count + 1)], distance_upper_bound=architecture.outer)
     is_other = np.isfinite(distances) & (near != ends[:, :1]) & (near != ends[:, 1:])
-    owners, ranks = np.nonzero(is_other)
-    rows = np.asarray(near)[owners, ranks]
+    owners, rows = np.nonzero(is_other)[0], near[is_other]
     local = (plane[rows] - middles[owners]) * ((second - first) / lengths)[owners].conj()
     counts = np.bincount(owners, minlength=len(ends))
     # Each class is turned against the one before by the golden section: patterns of different classes then fall into
@@ -200,12 +199,8 @@ def query_features(pairs: Pairs, sigmas: FloatArray) -> Float32Array:
         pairs: of the query.
         sigmas: (P,) standard deviation of a coordinate around each pair, of query and map together, in spacings.
     """
-    owners = pairs.owners
-    counts = np.diff(pairs.offsets)
-    return np.column_stack(
-        [np.log(np.maximum(pairs.radii, MIN_RADIUS)), np.log(pairs.lengths)[owners],
-         np.log(np.maximum(sigmas, 0.005))[owners] + 2.5, np.log(np.maximum(counts, 1))[owners] - 2.0]
-    ).astype(np.float32)  # fmt: skip
+    noise = np.log(np.maximum(sigmas, 0.005))[pairs.owners] + 2.5
+    return np.insert(pairs.features[:, :3], 2, noise, axis=1)
 
 
 def length_tolerances(sigmas: FloatArray) -> FloatArray:

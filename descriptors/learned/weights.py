@@ -45,9 +45,18 @@ def save_weights(path: Path, weights: Weights) -> None:
     from safetensors.numpy import save
 
     tensors = {name: np.asarray(tensor, order="C") for name, tensor in weights.tensors.items()}
+    write_file(path, save(tensors, metadata={_KEY: weights.model_dump_json()}))
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write NAME.part, which is renamed when it is complete.
+
+    Raises:
+        WeightsError: the file cannot be written.
+    """
     part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(save(tensors, metadata={_KEY: weights.model_dump_json()}))
+        part.write_bytes(content)
         os.replace(part, path)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written: {error.strerror}") from error

@@ -58,7 +58,7 @@ def piece_of(given: TrainingMap, *, rng: np.random.Generator) -> TrainingMap:
     positions = given.positions[near] * (factor, factor, 1.0)
     labels = given.labels[near]
     if rng.random() < 0.3:
-        labels = labels % int(rng.integers(1, 4))
+        labels = labels % rng.integers(1, 4)
     return TrainingMap.of(positions, labels)
 
 
@@ -68,10 +68,10 @@ def draw_patterns(*, rng: np.random.Generator) -> TrainingMap:
     Xing et al., Descriptellation: Deep Learned Constellation Descriptors, Section III-E. The paper names the patterns
     and the kinds of distributions but none of the ranges, and no pattern of one label, as the lamps of a row have.
     """
-    count = int(rng.integers(2, 30, endpoint=True))
+    count = rng.integers(2, 30, endpoint=True)
     classes = rng.permutation(64)[:count]
     plans, labels = [], []
-    for _ in range(int(rng.integers(40, 80, endpoint=True))):
+    for _ in range(rng.integers(40, 80, endpoint=True)):
         size = int(rng.integers(3, 9, endpoint=True))
         heading = np.exp(1j * rng.uniform(-np.pi, np.pi))
         middle = complex(*rng.uniform(0.0, 300.0, 2))
@@ -112,8 +112,8 @@ def draw_forest(*, rng: np.random.Generator) -> TrainingMap:
 
 def draw_street(*, rng: np.random.Generator) -> TrainingMap:
     """Winding streets with rows of equal things on both sides, and others between them, a few classes of them often."""
-    streets, length_m = int(rng.integers(2, 5)), 300.0
-    classes = int(rng.integers(3, 31))
+    streets, length_m = rng.integers(2, 5), 300.0
+    classes = rng.integers(3, 31)
     shares = 1.0 / np.arange(1, classes + 1) ** rng.uniform(0.3, 1.5)
     gathered, labels = [], []
     for street in range(streets):

@@ -2,7 +2,6 @@
 
 import hashlib
 import importlib.metadata
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -12,14 +11,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from torch import nn
 
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.networks import Architecture, load_network, make_network
-from descriptors.learned.weights import Weights, save_weights
-from descriptors.training.contrast import ContrastTraining, Sample, draw_sample
+from descriptors.learned.networks import load_network, make_network
+from descriptors.learned.weights import Weights, save_weights, write_file
+from descriptors.training.contrast import ContrastTraining, PairSample, Sample, draw_sample
 from descriptors.training.maps import TrainingMap
-from descriptors.training.pair_contrast import PairSample
 
 WEIGHTS, CURVES = "weights.safetensors", "curves.csv"
 
@@ -62,9 +59,12 @@ class Recipe:
         torch.manual_seed(config.seed)
         try:
             self.device = torch.device(device)
-            self.network = _start_network(config.architecture, start).to(self.device)
+            network = make_network(config.architecture) if start is None else load_network(start)
+            self.network = network.to(self.device)
         except (RuntimeError, AssertionError) as error:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
+        if network.architecture != config.architecture:
+            raise WeightsError(f"{start}: its architecture is not {config.architecture}")
         if start is not None:
             self.identity["start"] = hashlib.sha256(start.read_bytes()).hexdigest()
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
@@ -138,10 +138,8 @@ def train(
         row: Epoch = {"epoch": number, "train_loss": train_loss, **recipe.validate()}
         epochs.append(row | {"seconds": time.perf_counter() - started})
         if best_of(epochs) is epochs[-1]:
-            _save_weights(folder / WEIGHTS, recipe, epochs[-1])
-        part = folder / f"{CURVES}.part"
-        pd.DataFrame(epochs).to_csv(part, index=False, lineterminator="\n")
-        os.replace(part, folder / CURVES)
+            _save_weights(folder / WEIGHTS, recipe, row)
+        write_file(folder / CURVES, pd.DataFrame(epochs).to_csv(index=False, lineterminator="\n").encode())
     return epochs
 
 
@@ -155,22 +153,13 @@ def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], Non
     return float(np.mean(losses))
 
 
-def _start_network(architecture: Architecture, start: Path | None) -> nn.Module:
-    if start is None:
-        return make_network(architecture)
-    network = load_network(start)
-    if network.architecture != architecture:
-        raise WeightsError(f"{start}: its architecture is not {architecture}")
-    return network
-
-
-def _save_weights(path: Path, recipe: Recipe, epoch: Epoch) -> None:
+def _save_weights(path: Path, recipe: Recipe, metrics: Epoch) -> None:
     weights = Weights(
         tensors={name: tensor.detach().cpu().numpy() for name, tensor in recipe.network.state_dict().items()},
         architecture=asdict(recipe.config.architecture),
         training=recipe.identity,
         seed=recipe.config.seed,
         code_version=importlib.metadata.version("descriptellation-slam"),
-        metrics={name: value for name, value in epoch.items() if name != "seconds"},
+        metrics=metrics,
     )
     save_weights(path, weights)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from descriptors.baselines.gosmatch import BINS, GosmatchVertex
+from descriptors.baselines import BINS, GosmatchVertex
 from descriptors.class_vectors import class_vectors
 from descriptors.constellation import gather_constellations
 from tests.descriptors.constellations import VOCABULARY, describe, scattered

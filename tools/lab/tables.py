@@ -38,7 +38,7 @@ def compared_descriptors(named: Sequence[str] | None) -> list[str]:
     Raises:
         DescriptorError: one that cannot be made; it is refused before anything is measured.
     """
-    from descriptors.random_vector import RandomVector
+    from descriptors.baselines import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES, make_index
 
     names = list(dict.fromkeys([*(named or DESCRIPTOR_NAMES), RandomVector.name]))

@@ -12,8 +12,7 @@ from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
-from descriptors.learned.descriptor import BATCH, LearnedDescriptor
-from descriptors.learned.networks import load_network, make_network, pad_constellations
+from descriptors.learned.networks import BATCH, LearnedDescriptor, load_network, make_network, pad_constellations
 from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.registry import make_index, shipped_weights
 from descriptors.training.contrast import ContrastTraining

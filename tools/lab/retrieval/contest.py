@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
-from descriptors.random_vector import RandomVector
+from descriptors.baselines import RandomVector
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config

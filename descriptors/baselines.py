@@ -1,4 +1,6 @@
-"""GOSMatch's vertex descriptor: the edges of an object, binned by the class at their other end and by their length.
+"""Descriptors to compare with: one of the literature, and one without information, the lower bound of a comparison.
+
+GOSMatch's vertex descriptor: the edges of an object, binned by the class at their other end and by their length.
 
 Zhu et al., GOSMatch: Graph-of-Semantics Matching for Detecting Loop Closures in 3D LiDAR Data, IROS 2020; its bins are
 61 of 1 m, the last of which takes all longer edges. The original describes the vertices of a scan; as in the
@@ -29,5 +31,19 @@ class GosmatchVertex:
         counts = np.bincount(cells, minlength=len(constellations) * BINS * classes)
         histogram = counts.reshape(len(constellations), BINS, classes).astype(np.float32)
         vectors = class_vectors(constellations.vocabulary, length=64)
-        described = (histogram @ vectors).reshape(len(constellations), BINS * vectors.shape[1])
-        return np.asarray(described, dtype=np.float32)
+        return (histogram @ vectors).reshape(len(constellations), BINS * vectors.shape[1])
+
+
+class RandomVector:
+    """Random numbers, the same ones for the same calls in the same order."""
+
+    name = "random"
+    radius_m = 30.0
+    length = 16
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+
+    def describe(self, constellations: Constellations) -> Float32Array:
+        """Vectors (B, length) that do not depend on the constellations."""
+        return self._rng.normal(size=(len(constellations), self.length)).astype(np.float32)

@@ -1,1 +1,0 @@
-"""Descriptors from the literature, to compare with."""
