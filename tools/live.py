@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from logs.reader import LogItem, LogReader
     from slam.common.config import Config
 
-STANDARD_INPUT = Path("-")
-
 
 def live(
     source: Annotated[Path, typer.Argument(metavar="LOG|-", help="A log, or '-' for a stream on standard input.")],
@@ -63,7 +61,7 @@ def live(
     with ExitStack() as stack:
         feed = stack.enter_context(closing(FoxgloveFeed(host, port)))
         typer.echo(f"Foxglove: ws://{host}:{feed.port}", err=True)
-        if source == STANDARD_INPUT:
+        if source == Path("-"):
             items = read_stream(sys.stdin.buffer, counters, config.reading_limits)
         else:
             items = _at_speed(stack.enter_context(LogReader(source, config.reading_limits)), config, chosen, speed)
