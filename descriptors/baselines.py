@@ -25,7 +25,7 @@ class GosmatchVertex:
     def describe(self, constellations: Constellations) -> Float32Array:
         """Vectors (B, 61 * 64): the sums of the class vectors, from the shortest edges on."""
         classes = len(constellations.vocabulary)
-        lengths_m = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])
+        lengths_m = np.hypot(*constellations.positions[:, :2].T)
         bins = np.minimum(lengths_m.astype(np.int64), BINS - 1)
         cells = (constellations.owners * BINS + bins) * classes + constellations.labels
         counts = np.bincount(cells, minlength=len(constellations) * BINS * classes)

@@ -1,16 +1,15 @@
 """Constellations: an object and its neighbours, many of them in one batch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from descriptors.arrays import FloatArray, IntArray
+from descriptors.arrays import FloatArray, IntArray, frozen
 from descriptors.errors import DescriptorError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Constellations:
     """B constellations in compressed rows: neighbours ``offsets[i]`` to ``offsets[i + 1]`` are those of the i-th.
 

@@ -1,15 +1,13 @@
 """Which entries of an index a constellation may be: nearest neighbours in descriptor space."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from descriptors.arrays import BoolArray, Float32Array, IntArray
+from descriptors.arrays import BoolArray, Float32Array, IntArray, frozen
 from descriptors.constellation import Constellations
 from descriptors.descriptor import Descriptor
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Matches:
     """Pairs (query, entry) with their distance, all (C,), query by query, the nearest first."""
 

@@ -8,14 +8,13 @@ those that have its classes and its length.
 
 import mmap
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from descriptors.arrays import BoolArray, Float32Array, FloatArray, IntArray, UintArray
+from descriptors.arrays import BoolArray, Float32Array, FloatArray, IntArray, UintArray, frozen
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.pairs import (
     QUERY_PARTNERS,
@@ -42,7 +41,7 @@ FILLER = np.uint32(0xFFFFFFFF)
 """Classes of what fills the last word."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PairMatches:
     """C pairs of the query that may be pairs of the map, the likeliest first: ``queries`` (C, 2) rows of the query,
     ``entries`` (C, 2) numbers of objects of the map, ``nats`` (C,) their log-likelihood ratios.
@@ -255,7 +254,7 @@ class PairIndex:
         return levels
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class _Asked:
     """What P pairs of a query ask: ``cells`` (P, K) of their neighbours and their ``steps`` (P, K), 0 of none;
     ``misses`` (P,): nats that all of them take; ``classes`` (P,), and the least and greatest lengths ``low`` and

@@ -6,14 +6,12 @@ in spacings, the median distance of an object of the map to its nearest neighbou
 look alike.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 from scipy.spatial import cKDTree
 
-from descriptors.arrays import ComplexArray, Float32Array, FloatArray, IntArray
+from descriptors.arrays import ComplexArray, Float32Array, FloatArray, IntArray, frozen
 
 FEATURES = 5
 """Numbers that :attr:`Pairs.features` gives for each neighbour."""
@@ -60,7 +58,7 @@ class DescriptellationLRArchitecture:
         return np.linspace(self.inner, self.outer, self.rings + 1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Pairs:
     """P pairs of objects and their K neighbours.
 
@@ -146,7 +144,7 @@ def gather_pairs(
     near_count = min(MAX_NEIGHBOURS + 2, len(positions))
     distances, near = tree.query(asked, k=[*range(1, near_count + 1)], distance_upper_bound=architecture.outer)
     is_other = np.isfinite(distances) & (near != ends[:, :1]) & (near != ends[:, 1:])
-    owners, rows = np.nonzero(is_other)[0], near[is_other]
+    owners, rows = np.nonzero(is_other)[0], np.asarray(near)[is_other]
     local = (plane[rows] - middles[owners]) * ((second - first) / lengths)[owners].conj()
     counts = np.bincount(owners, minlength=len(ends))
     # Each class is turned against the one before by the golden section: patterns of different classes then fall into

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from descriptors.arrays import BoolArray, FloatArray, IntArray
+from descriptors.arrays import BoolArray, FloatArray, IntArray, frozen
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation_lr.network import DescriptellationLR, query_scores
 from descriptors.descriptellation_lr.pairs import (
@@ -51,7 +51,7 @@ class ContrastTraining:
     seed: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Sample:
     """Objects of a map, and constellations of views with the places (Q,) of their objects among these."""
 
@@ -76,7 +76,7 @@ class Sample:
         return cross_entropy(scores, torch.as_tensor(self.objects, device=scores.device))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class PairSample:
     """Pairs ``known`` of a map, and ``queries``, pairs of views of it with the noise of each in spacings; ``objects``
     (Q,): which of the map each is; ``is_compared`` (Q, P): which ones it is told from, itself included.

@@ -1,16 +1,15 @@
 """Maps to train on: simulated streets, forests and patterns, and pieces of real maps that are given."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from descriptors.arrays import ComplexArray, FloatArray, IntArray
+from descriptors.arrays import ComplexArray, FloatArray, IntArray, frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class TrainingMap:
     """Objects at ``positions`` (N, 3) m, gravity along z, with ``labels`` (N,) below ``classes``."""
 

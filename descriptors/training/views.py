@@ -1,17 +1,15 @@
 """What a robot sees of a map on a short stretch: part of it, not exactly, and some things that are not there."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from descriptors.arrays import FloatArray, IntArray
+from descriptors.arrays import FloatArray, IntArray, frozen
 from descriptors.training.maps import TrainingMap
 
 CLUTTER = -1
 """What is seen and is no object of the map."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class View:
     """N objects at ``positions`` (N, 3) m with ``labels`` (N,); ``objects`` (N,): which of the map, or ``CLUTTER``;
     ``sigma_m``: noise of a coordinate, as the sensor knows it.
