@@ -93,7 +93,7 @@ class ScanLocalizer:
         """The query submap of one scan: its objects of classes of the map, numbered after the landmarks of the map."""
         known = np.flatnonzero([label in self._number for label in scan.labels])
         positions = scan.positions[known]
-        distances_m = np.hypot(positions[:, 0], positions[:, 1])
+        distances_m = np.hypot(*positions[:, :2].T)
         sigmas = np.hypot(self._objects.landmark_sigma_m, self._objects.landmark_sigma_per_m * distances_m)
         labels = np.array([self._number[scan.labels[row]] for row in known.tolist()], dtype=np.int64)
         return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4), before_m=0.0)

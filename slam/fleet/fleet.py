@@ -39,7 +39,6 @@ FIRST_LOG = "first_log"
 """In the metadata of a map: the digest of the log at whose start its frame is."""
 
 REPORT_NAME = "report.json"
-STATES = ("joined", "alone", "not mapped", "repeated")
 
 
 @frozen
@@ -220,7 +219,7 @@ def fleet_report(fleet: Fleet) -> dict[str, Any]:
     return {
         "logs": logs,
         "figures": {
-            **{state.replace(" ", "_"): states[state] for state in STATES},
+            **{state.replace(" ", "_"): states[state] for state in ("joined", "alone", "not mapped", "repeated")},
             "parts": len(parts),
             "warnings": sum(len(log.get("notes", ())) for log in logs),
             **of_map,

@@ -44,6 +44,11 @@ class Join:
     pairs: IntArray
 
     @property
+    def maps(self) -> tuple[int, int]:
+        """The two maps, the reference first."""
+        return self.reference_map, self.query_map
+
+    @property
     def T_reference_query(self) -> FloatArray:
         """The transform (4, 4) between the two maps that it implies."""
         return self.T_reference_place @ invert(self.T_query_place)
@@ -103,13 +108,13 @@ def find_joins(query_map: SavedMap, references: Sequence[SavedMap], config: Conf
 def accept_joins(joins: Sequence[Join], map_count: int, config: Config) -> list[Join]:
     """All joins of each two maps that the surest of them joins."""
     limit = _min_log_odds(map_count, config)
-    joined = {(join.reference_map, join.query_map) for join in joins if join.log_odds >= limit}
-    return [join for join in joins if (join.reference_map, join.query_map) in joined]
+    joined = {join.maps for join in joins if join.log_odds >= limit}
+    return [join for join in joins if join.maps in joined]
 
 
 def why_alone(number: int, joins: Sequence[Join], map_count: int, config: Config) -> str:
     """The reason why the map ``number`` of so many was joined with no other one."""
-    own = [join.log_odds for join in joins if number in (join.reference_map, join.query_map)]
+    own = [join.log_odds for join in joins if number in join.maps]
     if not own:
         return "none of its places was recognised in another log"
     best, limit = max(own), _min_log_odds(map_count, config)

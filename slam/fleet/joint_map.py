@@ -83,7 +83,7 @@ def join_parts(parts: Sequence[Part], joins: Sequence[Join], config: Config) -> 
 
 def _connected(numbers: Sequence[int], joins: Sequence[Join]) -> list[list[int]]:
     """The numbers of maps in groups that joins connect."""
-    ends = np.array([(join.reference_map, join.query_map) for join in joins], dtype=np.int64).reshape(-1, 2)
+    ends = np.array([join.maps for join in joins], dtype=np.int64).reshape(-1, 2)
     pairs = coo_array((np.ones(len(ends)), np.searchsorted(numbers, ends).T), shape=(len(numbers), len(numbers)))
     component = connected_components(pairs, directed=False)[1]
     return [np.asarray(numbers)[component == each].tolist() for each in np.unique(component)]
@@ -116,9 +116,8 @@ def _chained(count: int, joins: Sequence[Join]) -> FloatArray:
     costs[0, 1:] = 1.0  # so that maps that no join relates are in the tree, where they are
     T_between = {}
     for join in sorted(joins, key=lambda join: join.log_odds):
-        ends = join.reference_map, join.query_map
-        costs[ends] = min(costs[ends], 0.0) - join.log_odds
-        T_between[ends], T_between[ends[::-1]] = join.T_reference_query, invert(join.T_reference_query)
+        costs[join.maps] = min(costs[join.maps], 0.0) - join.log_odds
+        T_between[join.maps], T_between[join.maps[::-1]] = join.T_reference_query, invert(join.T_reference_query)
     order, previous = breadth_first_order(minimum_spanning_tree(costs), 0, directed=False)
     T_joint_map = np.tile(np.eye(4), (count, 1, 1))
     for row in order[1:].tolist():

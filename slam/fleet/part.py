@@ -73,8 +73,9 @@ def common_metadata(maps: Iterable[SavedMap]) -> Mapping[str, str]:
     Raises:
         SavedMapError: as :func:`slam.provenance.recorded_config`.
     """
-    metadata = [saved.metadata for saved in maps]
-    ordered = sorted(metadata, key=lambda each: recorded_config(each).calibration.objects.landmark_sigma_m)
+    ordered = sorted(
+        (saved.metadata for saved in maps), key=lambda each: recorded_config(each).calibration.objects.landmark_sigma_m
+    )
     return ordered[math.ceil(0.9 * (len(ordered) - 1))]
 
 
