@@ -98,9 +98,8 @@ def _observations(saved: SavedMap, cell: IntArray, T_map_place: FloatArray, cell
     # A landmark nearer to a place has no bearing there; the places beside it observe it.
     is_far = np.linalg.norm(positions, axis=1) > 0.02 * cell_m
     covariances = R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2)
-    summed = sum_observations(
-        places[is_far], landmarks[is_far], positions[is_far], covariances[is_far], np.ones(np.count_nonzero(is_far))
-    )
+    observed = places, landmarks, positions, covariances, np.ones(len(places))
+    summed = sum_observations(*(each[is_far] for each in observed))
     # Between two drives the kernel is as wide as that of one observation.
     return [
         replace(each, covariance=each.covariance_inflation * each.covariance, covariance_inflation=1.0)

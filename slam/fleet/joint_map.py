@@ -27,11 +27,15 @@ MAX_DEVIATIONS = 7.0
 
 
 class _Group:
-    """Parts by their numbers. Their places are numbered in the order of the parts: ``numbers`` (K,), part of each."""
+    """Some parts, by their numbers, with the joins between them.
 
-    def __init__(self, parts: Mapping[int, Part]) -> None:
-        self.parts = parts
-        self.numbers = np.repeat(list(parts), [len(part.saved.graph.keyframe_ids) for part in parts.values()])
+    Their places are numbered in the order of the parts: ``numbers`` (K,), part of each.
+    """
+
+    def __init__(self, parts: Sequence[Part], chosen: Sequence[int], joins: Sequence[Join]) -> None:
+        self.parts = {number: parts[number] for number in chosen}
+        self.joins = [join for join in joins if join.query_map in chosen]
+        self.numbers = np.repeat(chosen, [len(part.saved.graph.keyframe_ids) for part in self.parts.values()])
 
     def rows(self, number: int) -> IntArray:
         """Numbers (P,) of the places of a part."""
@@ -46,7 +50,11 @@ class _Group:
         parts = self.parts.items()
         return [edge for number, part in parts for edge in edges_of(part.saved.graph, self.places(number))]
 
-    def closure(self, join: Join) -> Edge:
+    def closures(self) -> list[Edge]:
+        """Edges of the joins."""
+        return [self._closure(join) for join in self.joins]
+
+    def _closure(self, join: Join) -> Edge:
         """From the nearest place of the reference map to the recognised place."""
         T_reference = self.parts[join.reference_map].saved.graph.T_map_body
         offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
@@ -70,14 +78,11 @@ def join_parts(parts: Sequence[Part], joins: Sequence[Join], config: Config) -> 
     T_joint_map = _chained(len(parts), joins)
     joined = []
     for related in _connected(range(len(parts)), joins):
-        group = _Group({number: parts[number] for number in related})
-        of_group = [join for join in joins if join.query_map in related]
-        T_map_place, agreeing = _placed(group, of_group, T_joint_map, config.sensor_range_m)
+        group = _Group(parts, related, joins)
+        T_map_place, agreeing = _placed(group, T_joint_map, config.sensor_range_m)
         for members in _connected(related, agreeing):
-            kept = [join for join in agreeing if join.query_map in members]
-            T = T_map_place[np.isin(group.numbers, members)]
-            members_group = _Group({number: parts[number] for number in members})
-            joined.append(_solved(members_group, kept, T, config) if kept else parts[members[0]])
+            kept, T = _Group(parts, members, agreeing), T_map_place[np.isin(group.numbers, members)]
+            joined.append(_solved(kept, T, config) if kept.joins else parts[members[0]])
     return sorted(joined, key=lambda part: (-len(part.visits), part.sessions))
 
 
@@ -89,16 +94,14 @@ def _connected(numbers: Sequence[int], joins: Sequence[Join]) -> list[list[int]]
     return [np.asarray(numbers)[component == each].tolist() for each in np.unique(component)]
 
 
-def _placed(
-    group: _Group, joins: Sequence[Join], T_joint_map: FloatArray, sensor_range_m: float
-) -> tuple[FloatArray, list[Join]]:
+def _placed(group: _Group, T_joint_map: FloatArray, sensor_range_m: float) -> tuple[FloatArray, list[Join]]:
     """Poses (K, 4, 4) of all places by the edges within the maps and by joins, without landmarks, and the joins that
     agree with them; maps begin at ``T_joint_map`` (M, 4, 4).
     """
     poses = np.concatenate([T_joint_map[number] @ part.saved.graph.T_map_body for number, part in group.parts.items()])
-    if not joins:
+    closures = group.closures()
+    if not closures:
         return poses, []
-    closures = [group.closure(join) for join in joins]
     graph = FactorGraph(sensor_range_m=sensor_range_m)
     graph.restore(poses, [*group.edges(), *closures], [])
     graph.optimize()
@@ -107,7 +110,7 @@ def _placed(
     T_error = invert(np.array([edge.T_from_to for edge in closures])) @ invert(T_from) @ T_to
     errors = RigidTransform.from_matrix(T_error).as_exp_coords()
     agree = squared_mahalanobis(errors, np.array([edge.covariance for edge in closures])) <= MAX_DEVIATIONS**2
-    return poses, list(compress(joins, agree.tolist()))
+    return poses, list(compress(group.joins, agree.tolist()))
 
 
 def _chained(count: int, joins: Sequence[Join]) -> FloatArray:
@@ -125,7 +128,7 @@ def _chained(count: int, joins: Sequence[Join]) -> FloatArray:
     return T_joint_map
 
 
-def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, config: Config) -> Part:
+def _solved(group: _Group, T_map_place: FloatArray, config: Config) -> Part:
     """All places and landmarks of parts whose places are at ``T_map_place`` already, estimated together."""
     object_map = ObjectMap(config.calibration.objects)
     graph = FactorGraph(sensor_range_m=config.sensor_range_m)
@@ -137,8 +140,8 @@ def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, confi
         rows_of[number] = object_map.restore(carried, travel_m=0.0)
         landmark_of = dict(zip(part.objects.ids, rows_of[number].tolist(), strict=True))
         observations += observations_of(part.saved.graph, group.places(number), landmark_of)
-    graph.restore(T_map_place, [*group.edges(), *map(group.closure, joins)], observations)
-    _merge_matched(object_map, joins, rows_of)
+    graph.restore(T_map_place, [*group.edges(), *group.closures()], observations)
+    _merge_matched(object_map, group.joins, rows_of)
     graph.alias_landmarks(object_map.aliases)
     graph.optimize()
     if fuse_landmarks(object_map, graph, config.calibration.objects):
