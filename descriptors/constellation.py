@@ -81,12 +81,11 @@ def gather_constellations(
     near = near[np.lexsort((near["j"], near["i"]))]
     near = near[near["j"] != chosen[near["i"]]]
     owners, neighbours = near["i"], near["j"]
-    offsets = np.searchsorted(owners, np.arange(len(chosen) + 1))
     return Constellations(
         positions[neighbours] - positions[chosen[owners]],
         labels[neighbours],
         labels[chosen],
-        offsets,
+        np.searchsorted(owners, np.arange(len(chosen) + 1)),
         tuple(vocabulary),
         positions[chosen],
     )

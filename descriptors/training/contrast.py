@@ -80,6 +80,9 @@ class Sample:
 class PairSample:
     """Pairs ``known`` of a map, and ``queries``, pairs of views of it with the noise of each in spacings; ``objects``
     (Q,): which of the map each is; ``is_compared`` (Q, P): which ones it is told from, itself included.
+
+    These are all pairs of the map of nearly the same length. The index compares pairs of the same classes only, which
+    are fewer in a map of this size.
     """
 
     known: Pairs
@@ -164,11 +167,7 @@ def _draw_constellations(
 def _draw_pairs(
     drawn: TrainingMap, architecture: DescriptellationLRArchitecture, *, views: int, rng: np.random.Generator
 ) -> PairSample | None:
-    """Views of a map; None if none of their pairs is one of the map.
-
-    The negatives are all pairs of the map of nearly the same length. The index compares pairs of the same classes only,
-    which are fewer in a map of this size.
-    """
+    """Views of a map; None if none of their pairs is one of the map."""
     unit_m = spacing_m(drawn.positions)
     map_sigma = rng.uniform(0.0, 0.04)  # in spacings
     positions = drawn.positions[:, :2] / unit_m + rng.normal(0.0, map_sigma, (len(drawn), 2))

@@ -110,12 +110,8 @@ def map_fleet(
         seen, distances_m = find_passes(part)
         presence = estimate_presence(seen, seen_probabilities(seen, distances_m), stamps_ns)
         file = "map.mcap" if rank == 1 else f"map_{rank}.mcap" if len(stamps_ns) > 1 else ""
-        source = {
-            "source": f"a fleet of {len(part.sessions)} sessions",
-            FIRST_LOG: order[part.sessions[0]],
-            "version": VERSION,
-        }
         place = georeference if rank == 1 else None
+        source = {"source": f"a fleet of {len(part.sessions)} sessions", FIRST_LOG: order[part.sessions[0]]}
         is_written = file and _save(folder / file, part, presence, compared_by, place, source)
         maps.append(CityMap(part, presence, find_changes(part, presence, stamps_ns), file if is_written else ""))
     changes = maps[0].changes
@@ -205,7 +201,7 @@ def _save(
             now.ids,
             sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference,
-            source=source,
+            source={**source, "version": VERSION},
         )
     except SavedMapError as error:
         logger.warning("%s is not written: %s", path.name, error)

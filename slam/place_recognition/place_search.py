@@ -243,13 +243,13 @@ def vote_for_poses(
     middle, far = query_positions.mean(axis=0), reference_positions.mean(axis=0)
     query, reference = (query_positions - middle)[queries], (reference_positions - far)[references]
     q, r = (points[:, :, 0] + 1j * points[:, :, 1] for points in (query, reference))
-    way = q[:, 1] - q[:, 0]
-    turns = (r[:, 1] - r[:, 0]) * way.conj()
+    query_way, way = (points[:, 1] - points[:, 0] for points in (q, r))
+    turns = way * query_way.conj()
     turns /= np.maximum(np.abs(turns), np.finfo(np.float64).tiny)
     places = r.mean(axis=1) - turns * q.mean(axis=1)
     rises = (reference - query)[:, :, 2].mean(axis=1)
     # A match turns by its tolerance over its size, and moves the middle of the query by that times its distance.
-    heading_rad = tolerance_m / np.median(np.abs(way))
+    heading_rad = tolerance_m / np.median(np.abs(query_way))
     edge_m = tolerance_m + heading_rad * np.sqrt(np.mean((query_positions - middle)[:, :2] ** 2) * 2.0)
     headings = max(int(np.pi / heading_rad), 4)
     x, y = (np.floor((part - part.min()) / edge_m).astype(np.int64) for part in (places.real, places.imag))
