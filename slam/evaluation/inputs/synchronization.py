@@ -46,24 +46,26 @@ class PoseSeries:
         known = (self.stamps_ns - origin_ns).astype(np.float64)
         return np.interp(offsets.astype(np.float64), known, self.travelled_m)
 
-    def poses_at(self, at_ns: IntArray) -> tuple[BoolArray, FloatArray]:
-        """Poses at any times, in any order, interpolated within the span of the series.
+    def poses_at(self, at_ns: IntArray) -> FloatArray:
+        """T_world_body (M, 4, 4) at any times, in any order, interpolated within the span of the series.
 
-        Strictly between two poses that are more than ``max_truth_gap_s`` of the protocol apart none is known; at the
-        stamp of a pose it is.
-
-        Returns:
-            Whether the pose is known (M,), and T_world_body (M, 4, 4), the identity where it is not.
+        It is NaN where it is not known: beyond the ends, and strictly between two poses that are more than
+        ``max_truth_gap_s`` of the protocol apart.
         """
-        T_world_body = np.tile(np.eye(4), (len(at_ns), 1, 1))
+        T_world_body = np.full((len(at_ns), 4, 4), np.nan)
         if not len(self):
-            return np.zeros(len(at_ns), dtype=np.bool_), T_world_body
+            return T_world_body
         after = np.searchsorted(self.stamps_ns, at_ns).clip(0, len(self) - 1)
         gaps_ns = self.stamps_ns[after] - self.stamps_ns[(after - 1).clip(0)]
         known = (self.stamps_ns[after] == at_ns) | (gaps_ns <= np.rint(Protocol().max_truth_gap_s * 1e9))
         known &= (at_ns >= self.stamps_ns[0]) & (at_ns <= self.stamps_ns[-1])
         T_world_body[known] = interpolate(self.stamps_ns, self.T_world_body, at_ns[known])
-        return known, T_world_body
+        return T_world_body
+
+
+def are_known(poses: FloatArray) -> BoolArray:
+    """Which of the poses (M, 4, 4) are not NaN: (M,)."""
+    return np.isfinite(poses[:, 3, 3])
 
 
 def series_of(stamped_poses: Iterable[tuple[int, FloatArray]]) -> PoseSeries:
@@ -102,7 +104,8 @@ def synchronize(estimate: PoseSeries, truth: PoseSeries) -> tuple[PoseSeries, Po
     if not len(estimate) or not len(truth):
         raise EvaluationError(f"no {'true' if len(estimate) else 'estimated'} pose to compare")
     stamps_ns = estimate.stamps_ns
-    known, T_world_body = truth.poses_at(stamps_ns)
+    T_world_body = truth.poses_at(stamps_ns)
+    known = are_known(T_world_body)
     if not known.any():
         bridged_s = Protocol().max_truth_gap_s
         raise EvaluationError(

@@ -88,7 +88,7 @@ def find_possible_associations(table: pd.DataFrame, *, revisit_m: float) -> Bool
     sightings = table[table["object"] != FALSE_POSITIVE].drop_duplicates(["object", "frame"])
     is_recent = sightings.groupby("object")["travelled_m"].diff() <= revisit_m
     recent = pd.MultiIndex.from_frame(sightings.loc[is_recent, ["object", "frame"]])
-    return np.asarray(pd.MultiIndex.from_frame(table[["object", "frame"]]).isin(recent), dtype=np.bool_)
+    return pd.MultiIndex.from_frame(table[["object", "frame"]]).isin(recent)
 
 
 def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> dict[str, float | None]:
@@ -111,10 +111,10 @@ def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> d
     possible = find_possible_associations(table, revisit_m=revisit_m)
     counts = {
         "detection_count": len(table),
-        "assigned_count": int(assigned.sum()),
-        "right_count": int(right.sum()),
-        "possible_count": int(possible.sum()),
-        "made_count": int((possible & right).sum()),
+        "assigned_count": assigned.sum(),
+        "right_count": right.sum(),
+        "possible_count": possible.sum(),
+        "made_count": (possible & right).sum(),
     }
     precision = fraction(counts["right_count"], counts["assigned_count"])
     return {**counts, "precision": precision, "recall": fraction(counts["made_count"], counts["possible_count"])}

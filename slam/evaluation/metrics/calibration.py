@@ -13,7 +13,7 @@ from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, least_eigenvalues
 from slam.common.geometry import apply, invert, squared_mahalanobis
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.synchronization import PoseSeries, are_known
 
 NEEDS = {
     "pose": "keyframes: needs covariances (/slam/graph) and truth, also at the first keyframe, which fixes the map",
@@ -55,7 +55,8 @@ def evaluate_calibration(
     errors = {}
     graph, map_est, map_gt, truth = records.graph, records.object_map, records.true_objects, records.true_path
     if graph is not None:
-        known, T_world_body = truth.poses_at(graph.keyframe_stamps_ns)
+        T_world_body = truth.poses_at(graph.keyframe_stamps_ns)
+        known = are_known(T_world_body)
         if known[:1].any():
             T_map_world = invert(T_world_body[0] @ invert(graph.T_map_body[0]))
             known[0] = False
@@ -91,7 +92,7 @@ def _closure_errors(judged: pd.DataFrame, truth: PoseSeries) -> _Errors:
     chosen = judged[judged["accepted"] & judged["true"]]
     chosen = chosen[np.array([record.covariance is not None for record in chosen["record"]], dtype=np.bool_)]
     T_world_reference, T_world_query = (
-        truth.poses_at(chosen[name].to_numpy())[1] for name in ("reference_stamp_ns", "stamp_ns")
+        truth.poses_at(chosen[name].to_numpy()) for name in ("reference_stamp_ns", "stamp_ns")
     )
     T_reference_query = np.array([record.T_reference_query for record in chosen["record"]]).reshape(-1, 4, 4)
     covariances = np.array([record.covariance for record in chosen["record"]]).reshape(-1, 6, 6)

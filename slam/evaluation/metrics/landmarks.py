@@ -112,7 +112,7 @@ def evaluate_landmarks(
         seen_ns = map_est.first_seen_ns[rows_est]
         known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
         seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)
-        length_m = float(path_gt.travelled_m[-1])
+        length_m = path_gt.travelled_m[-1]
         windowed_m = compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, length_m, protocol.window_m)
     if T_world_map is not None:
         global_m = _distances_m(T_world_map, positions_est, positions_gt)
@@ -127,7 +127,7 @@ def evaluate_landmarks(
         "confirmed_count": len(matches),
         "matched_count": len(rows_est),
         "landmarks_per_object": fraction(len(rows_est), len(found)),
-        "precision": fraction(int(matches["is_object"].sum()), len(matches)),
+        "precision": fraction(matches["is_object"].sum(), len(matches)),
         "recall": fraction(len(often & found), len(often)),
         "class_accuracy": fraction(class_right, len(rows_est)),
     }

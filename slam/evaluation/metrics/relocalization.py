@@ -41,14 +41,7 @@ def evaluate_relocalization(
         T_world_map: (4, 4); without it "map" and "trajectory" leave all fixes undecided.
         method: how the error is measured.
     """
-    spans = find_losses(records.statuses)
-    placed = [
-        _place_by_closure(records, span)
-        if method == "closure"
-        else _place_by_pose(records.online_path, span, T_world_map)
-        for span in spans
-    ]
-    losses = [_describe_loss(records, span, each, protocol) for span, each in zip(spans, placed, strict=True)]
+    losses = [_describe_loss(records, span, protocol, T_world_map, method) for span in find_losses(records.statuses)]
     fixes = [loss for loss in losses if loss["fix_ns"] is not None]
     right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
     undecided = len(fixes) - right - wrong
@@ -80,21 +73,26 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
 
 
 def _describe_loss(
-    records: EvaluationRecords, span: Span, placed: PlacedPose | None, protocol: Protocol
+    records: EvaluationRecords, span: Span, protocol: Protocol, T_world_map: FloatArray | None, method: Method
 ) -> dict[str, Any]:
     """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
     loss: dict[str, Any] = {"lost_ns": lost_ns, "fix_ns": fix_ns, **dict.fromkeys((*MEASURES, "is_right"))}
-    if fix_ns is not None:
-        loss |= {"seconds": (fix_ns - lost_ns) * 1e-9, "distance_m": _travel_m(records, lost_ns, fix_ns)}
-    if placed is not None:
-        stamp_ns, T_world_body = placed
-        known, T_world_body_gt = records.true_path.poses_at(np.array([stamp_ns]))
-        T_error = invert(T_world_body_gt[0]) @ T_world_body
-        error_m, turn_rad = np.asarray(np.linalg.norm(T_error[:3, 3])), rotation_angle_rad(T_error)
-        if known[0]:
-            is_right = bool(protocol.is_true(error_m, turn_rad))
-            loss |= {"error_m": float(error_m), "error_deg": float(np.rad2deg(turn_rad)), "is_right": is_right}
+    if fix_ns is None:
+        return loss
+    loss |= {"seconds": (fix_ns - lost_ns) * 1e-9, "distance_m": _travel_m(records, lost_ns, fix_ns)}
+    if method == "closure":
+        placed = _place_by_closure(records, lost_ns, fix_ns)
+    else:
+        placed = _place_by_pose(records.online_path, fix_ns, T_world_map)
+    if placed is None:
+        return loss
+    stamp_ns, T_world_body = placed
+    T_error = invert(records.true_path.poses_at(np.array([stamp_ns]))[0]) @ T_world_body
+    error_m, turn_rad = np.asarray(np.linalg.norm(T_error[:3, 3])), rotation_angle_rad(T_error)
+    if not np.isnan(error_m):
+        is_right = bool(protocol.is_true(error_m, turn_rad))
+        loss |= {"error_m": float(error_m), "error_deg": np.rad2deg(turn_rad), "is_right": is_right}
     return loss
 
 
@@ -102,28 +100,25 @@ def _travel_m(records: EvaluationRecords, from_ns: int, to_ns: int) -> float | N
     """Along the truth where it spans the time, else along the odometry, which may jump on the way."""
     for path in (records.true_path, records.odometry_path):
         if len(path.stamps_ns) and path.stamps_ns[0] <= from_ns and to_ns <= path.stamps_ns[-1]:
-            return float(np.diff(path.travelled_at_m(np.array([from_ns, to_ns], dtype=np.int64)))[0])
+            return float(np.ptp(path.travelled_at_m(np.array([from_ns, to_ns]))))
     return None
 
 
-def _place_by_closure(records: EvaluationRecords, span: Span) -> PlacedPose | None:
+def _place_by_closure(records: EvaluationRecords, lost_ns: int, fix_ns: int) -> PlacedPose | None:
     """Where the closure across the break that ended a loss puts its query keyframe in the world, at its stamp."""
-    lost_ns, fix_ns = span
     across = [
-        c
-        for c in records.closures
-        if fix_ns is not None and c.accepted and lost_ns <= c.stamp_ns <= fix_ns and c.reference_stamp_ns < lost_ns
+        c for c in records.closures if c.accepted and lost_ns <= c.stamp_ns <= fix_ns and c.reference_stamp_ns < lost_ns
     ]
     made = max(across, key=lambda c: c.stamp_ns, default=None)
     if made is None or made.T_reference_query is None:
         return None
-    known, T_world_reference = records.true_path.poses_at(np.array([made.reference_stamp_ns]))
-    return (made.stamp_ns, T_world_reference[0] @ made.T_reference_query) if known[0] else None
+    T_world_reference = records.true_path.poses_at(np.array([made.reference_stamp_ns]))[0]
+    return made.stamp_ns, T_world_reference @ made.T_reference_query
 
 
-def _place_by_pose(poses: PoseSeries, span: Span, T_world_map: FloatArray | None) -> PlacedPose | None:
+def _place_by_pose(poses: PoseSeries, fix_ns: int, T_world_map: FloatArray | None) -> PlacedPose | None:
     """The first pose at or after a fix, in the world, and its stamp."""
-    row = len(poses) if span[1] is None else int(np.searchsorted(poses.stamps_ns, span[1]))
+    row = np.searchsorted(poses.stamps_ns, fix_ns)
     if T_world_map is None or row == len(poses):
         return None
     return int(poses.stamps_ns[row]), T_world_map @ poses.T_world_body[row]

@@ -33,18 +33,15 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
 
     Returns:
         A row a candidate: the ``record``; of it ``query`` (id), ``stamp_ns``, ``reference_stamp_ns``,
-        ``accepted``, ``stage``; ``decided``, ``true`` (false where undecided); errors of where it puts the
-        query keyframe, 0 where undecided: ``error_m``, ``rotation_rad``; ``travelled_m``: true path up to the query
-        keyframe.
+        ``accepted``, ``stage``, ``seed`` (id) and ``log_odds``, NaN where it has none; ``decided``, ``true`` (false
+        where undecided); errors of where it puts the query keyframe, NaN where undecided: ``error_m``,
+        ``rotation_rad``; ``travelled_m``: true path up to the query keyframe.
     """
     query_ns = np.array([c.stamp_ns for c in candidates], dtype=np.int64)
     reference_ns = np.array([c.reference_stamp_ns for c in candidates], dtype=np.int64)
-    is_query, T_world_query = truth.poses_at(query_ns)
-    is_reference, T_world_reference = truth.poses_at(reference_ns)
-    registered = np.array([c.T_reference_query is not None for c in candidates], dtype=np.bool_)
-    T_reference_query = [np.eye(4) if c.T_reference_query is None else c.T_reference_query for c in candidates]
-    decided = is_query & is_reference & registered
-    T_world_claimed = T_world_reference @ np.array(T_reference_query).reshape(-1, 4, 4)
+    T_world_query, unknown = truth.poses_at(query_ns), np.full((4, 4), np.nan)
+    T_reference_query = [unknown if c.T_reference_query is None else c.T_reference_query for c in candidates]
+    T_world_claimed = truth.poses_at(reference_ns) @ np.array(T_reference_query).reshape(-1, 4, 4)
     error_m = np.linalg.norm(T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3], axis=1)
     rotation_rad = rotation_angle_rad(invert(T_world_query) @ T_world_claimed)
     return pd.DataFrame(
@@ -55,10 +52,12 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
             "reference_stamp_ns": reference_ns,
             "accepted": np.array([c.accepted for c in candidates], dtype=np.bool_),
             "stage": pd.Series([c.stage for c in candidates], dtype=object),
-            "decided": decided,
-            "true": decided & protocol.is_true(error_m, rotation_rad),
-            "error_m": np.where(decided, error_m, 0.0),
-            "rotation_rad": np.where(decided, rotation_rad, 0.0),
+            "seed": np.array([c.seed_query_keyframe_id for c in candidates], dtype=np.float64),
+            "log_odds": np.array([c.posterior_log_odds for c in candidates], dtype=np.float64),
+            "decided": ~np.isnan(error_m),
+            "true": protocol.is_true(error_m, rotation_rad),
+            "error_m": error_m,
+            "rotation_rad": rotation_rad,
             "travelled_m": truth.travelled_at_m(query_ns),
         }
     )
@@ -73,7 +72,7 @@ def describe_closures(judged: pd.DataFrame, protocol: Protocol) -> dict[str, Any
     """
     accepted = judged[judged["accepted"]]
     true = accepted[accepted["true"]]
-    decided_count, rotations_deg = int(accepted["decided"].sum()), np.rad2deg(true["rotation_rad"])
+    decided_count, rotations_deg = accepted["decided"].sum(), np.rad2deg(true["rotation_rad"])
     return {
         "candidate_count": len(judged),
         "accepted_count": len(accepted),
@@ -104,18 +103,15 @@ def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol) -> dict[str
         accepted: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
         protocol: the thresholds.
     """
-    seeds = np.array([np.nan if r.seed_query_keyframe_id is None else r.seed_query_keyframe_id
-                      for r in accepted["record"]], dtype=np.float64)  # fmt: skip
-    is_found, is_followed = np.isnan(seeds), seeds < accepted["query"]
+    is_found = accepted["seed"].isna()
     found = accepted[is_found & accepted["decided"]].sort_values("travelled_m", kind="stable")
     runs = (np.diff(found["travelled_m"], prepend=-np.inf) >= protocol.window_m).cumsum()
     independent, independent_false = len(np.unique(runs)), len(np.unique(runs[~found["true"]]))
-    found_count = int(is_found.sum())
     proposers = Counter(record.proposer for record in accepted["record"] if record.proposer)
     return {
-        "found_count": found_count,
-        "followed_count": int(is_followed.sum()),
-        "led_back_count": len(accepted) - found_count - int(is_followed.sum()),
+        "found_count": is_found.sum(),
+        "followed_count": (accepted["seed"] < accepted["query"]).sum(),
+        "led_back_count": (accepted["seed"] >= accepted["query"]).sum(),
         "independent_count": independent,
         "independent_false_count": independent_false,
         "proposer_counts": {"descriptor": 0, **dict(sorted(proposers.items()))} if proposers else {},
@@ -146,19 +142,12 @@ def describe_reliability(judged: pd.DataFrame) -> dict[str, Any]:
     Args:
         judged: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`.
     """
-    rows = [
-        decided and record.posterior_log_odds is not None and record.seed_query_keyframe_id is None
-        for record, decided in zip(judged["record"], judged["decided"], strict=True)
-    ]
-    chosen = judged[np.array(rows, dtype=np.bool_)]
-    probabilities = expit(np.array([record.posterior_log_odds for record in chosen["record"]], dtype=np.float64))
-    is_right = chosen["true"].to_numpy()
-    bin_of = np.searchsorted(EDGES[1:-1], probabilities, side="right")
+    chosen = judged[judged["decided"] & judged["log_odds"].notna() & judged["seed"].isna()]
+    probabilities, is_right = expit(chosen["log_odds"]), chosen["true"]
     bins = []
-    for number, (low, high) in enumerate(pairwise(EDGES)):
-        inside = bin_of == number
-        count, right = int(inside.sum()), int(is_right[inside].sum())
-        expected = float(probabilities[inside].mean()) if count else None
-        bins.append({"from": low, "to": high, "count": count, "expected": expected, "right": right})
+    for low, high in pairwise(EDGES):
+        inside = (probabilities >= low) & ((probabilities < high) | (high == EDGES[-1]))
+        expected, right = probabilities[inside].mean(), is_right[inside].sum()
+        bins.append({"from": low, "to": high, "count": inside.sum(), "expected": expected, "right": right})
     sure = probabilities >= 0.99
-    return {"bins": bins, "sure_count": int(sure.sum()), "sure_right": int(is_right[sure].sum())}
+    return {"bins": bins, "sure_count": sure.sum(), "sure_right": is_right[sure].sum()}

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from logs.closures import Stage
 from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.synchronization import PoseSeries, are_known
 from slam.evaluation.metrics.statistics import fraction
 
 DIRECTIONS = ("same", "opposite", "crossing")
@@ -37,8 +37,8 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
         A row a query, in the order of time: ``keyframe`` (id), ``stamp_ns``, and ``direction``, one of
         :data:`DIRECTIONS`, "" where it is no revisit.
     """
-    known, T_world_body = truth.poses_at(stamps_ns)
-    rows = np.flatnonzero(known)
+    T_world_body = truth.poses_at(stamps_ns)
+    rows = np.flatnonzero(are_known(T_world_body))
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
     T_world_body = T_world_body[rows]
     travelled_m = truth.travelled_at_m(stamps_ns[rows])
@@ -69,15 +69,12 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     is_recalled = revisits["keyframe"].isin(true["query"][true["accepted"]])
     recalled, missed = revisits[is_recalled], revisits["keyframe"][~is_recalled]
     farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: _rank_stage(pair[1])))
-    ways = {
-        name: (int((recalled["direction"] == name).sum()), int((revisits["direction"] == name).sum()))
-        for name in DIRECTIONS
-    }
+    found, there = Counter(recalled["direction"]), Counter(revisits["direction"])
     return {
         "revisit_count": len(revisits),
         "recall": fraction(len(recalled), len(revisits)),
-        **{f"recall_{name}": fraction(*counts) for name, counts in ways.items()},
-        **{f"revisit_count_{name}": count for name, (_, count) in ways.items()},
+        **{f"recall_{name}": fraction(found[name], there[name]) for name in DIRECTIONS},
+        **{f"revisit_count_{name}": there[name] for name in DIRECTIONS},
         "missed_by_stage": count_stages(farthest.get(name, NO_TRUE_CANDIDATE) for name in missed),
     }
 

@@ -7,7 +7,7 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import apply, invert, step_lengths
 from slam.display.map_picture import MapPicture, count_classes
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.synchronization import PoseSeries, are_known
 from slam.evaluation.result import Evaluation
 
 ODOMETRY = "#d97706"
@@ -83,10 +83,8 @@ def _losses(
     noticed_ns = [loss["lost_ns"] for loss in losses if loss["lost_ns"] > records.statuses[0].stamp_ns]
     lost_ns = [max((first for first in spans_ns[:, 0].tolist() if first < at), default=at) for at in noticed_ns]
     found_ns = [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None]
-    (is_lost, T_lost), (is_found, T_found) = (
-        estimate.poses_at(np.array(at_ns, np.int64)) for at_ns in (lost_ns, found_ns)
-    )
-    return T_lost[is_lost, :3, 3], T_found[is_found, :3, 3]
+    lost, found = (estimate.poses_at(np.array(at_ns, np.int64)) for at_ns in (lost_ns, found_ns))
+    return lost[are_known(lost), :3, 3], found[are_known(found), :3, 3]
 
 
 def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -95,9 +93,9 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray,
     if closures is None:
         return (np.zeros((0, 2, 3)),) * 3
     closures = closures[closures["accepted"]]
-    is_query, T_query = estimate.poses_at(closures["stamp_ns"].to_numpy())
-    is_reference, T_reference = estimate.poses_at(closures["reference_stamp_ns"].to_numpy())
-    ends, is_known = np.stack([T_query[:, :3, 3], T_reference[:, :3, 3]], axis=1), is_query & is_reference
+    stamps_ns = [closures[name].to_numpy() for name in ("stamp_ns", "reference_stamp_ns")]
+    ends = np.stack([estimate.poses_at(at_ns)[:, :3, 3] for at_ns in stamps_ns], axis=1)
+    is_known = np.isfinite(ends).all(axis=(1, 2))
     true, decided = closures["true"].to_numpy(), closures["decided"].to_numpy()
     return ends[is_known & true], ends[is_known & decided & ~true], ends[is_known & ~decided]
 

@@ -121,10 +121,10 @@ class _AskingSlam(Slam):
         """Poses (R, 4, 4) of the query in the local frame, by the earlier keyframes that it truly comes back to."""
         keyframes = self._mapper.keyframes
         stamps_ns = np.array([each.odometry.stamp_ns for each in keyframes], dtype=np.int64)
-        known, T_world_body = self._truth.poses_at(stamps_ns)
+        T_world_body = self._truth.poses_at(stamps_ns)
         travelled_m = self._truth.travelled_at_m(stamps_ns)
         apart_m = np.linalg.norm(T_world_body[:, :3, 3] - T_world_body[-1, :3, 3], axis=1)
-        near = known & known[-1] & (apart_m <= self._protocol.revisit_distance_m)
+        near = apart_m <= self._protocol.revisit_distance_m
         near &= travelled_m <= travelled_m[-1] - self._protocol.revisit_m
         T_local_body = np.array([keyframes[row].T_local_body for row in np.flatnonzero(near)]).reshape(-1, 4, 4)
         return gravity_frame(T_local_body @ invert(T_world_body[near]) @ T_world_body[-1])
