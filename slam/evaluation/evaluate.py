@@ -94,8 +94,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     relocalization = measure("relocalization", partial(_relocalization, records, protocol, map_alignment, T_world_map))
     if relocalization and relocalization["undecided_count"]:
         reason = "no truth at their stamps" if len(records.true_path) else NO_TRUTH
-        undecided, fixes = relocalization["undecided_count"], relocalization["fix_count"]
-        unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
+        unavailable["relocalization"] = "{undecided_count} of {fix_count} fixes: ".format_map(relocalization) + reason
     results = {
         "trajectory": describe_trajectories(trajectories)
         | {"true_axes": _describe_turn(axes), "true_point_ahead_m": point_m[0], "true_point_left_m": point_m[1]},
@@ -160,7 +159,7 @@ def _describe_turn(R: FloatArray | None) -> str | None:
 
 def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:
     truth = records.true_path
-    _require({NO_ESTIMATE[name]: len(path) > 0, NO_TRUTH: len(truth) > 0})
+    _require({NO_ESTIMATE[name]: path, NO_TRUTH: truth})
     return evaluate_trajectory(path, truth, kidnapping_m=protocol.revisit_m)
 
 
@@ -168,11 +167,11 @@ def _label_detections(records: EvaluationRecords) -> pd.DataFrame:
     path = records.odometry_path or records.true_path
     _require(
         {
-            "no associations in the log (/slam/associations)": bool(records.associations),
-            "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections": bool(
+            "no associations in the log (/slam/associations)": records.associations,
+            "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections": (
                 records.detection_truths
             ),
-            "neither odometry nor ground truth, so travel between measurements is unknown": len(path) > 0,
+            "neither odometry nor ground truth, so travel between measurements is unknown": path,
         }
     )
     aliases = find_aliases(records.object_map)
@@ -225,7 +224,7 @@ def _judge_closures(records: EvaluationRecords, protocol: Protocol) -> pd.DataFr
 
 def _find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, protocol: Protocol) -> pd.DataFrame:
     graph, truth = records.graph, records.true_path
-    _require({"no loop-closure candidate in the log": judged is not None, NO_TRUTH: len(truth) > 0})
+    _require({"no loop-closure candidate in the log": judged is not None, NO_TRUTH: truth})
     if graph is None:
         raise EvaluationError("no keyframes in the log (/slam/graph), so revisits are unknown")
     if records.has_prior_map:
@@ -236,7 +235,7 @@ def _find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, prot
 def _relocalization(
     records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None, T_world_map: FloatArray | None
 ) -> dict[str, Any]:
-    _require({"no status in the log (/slam/status)": bool(records.statuses)})
+    _require({"no status in the log (/slam/status)": records.statuses})
     is_located = records.has_prior_map and map_alignment is not None
     return evaluate_relocalization(
         records,
@@ -246,12 +245,12 @@ def _relocalization(
     )
 
 
-def _require(is_there: Mapping[str, bool]) -> None:
-    """Raise the first reason that applies.
+def _require(needed: Mapping[str, object]) -> None:
+    """Raise the first reason, of those by which things are missing, that applies.
 
     Raises:
-        EvaluationError: something is not there.
+        EvaluationError: something is empty or false.
     """
-    for reason, there in is_there.items():
-        if not there:
+    for reason, thing in needed.items():
+        if not thing:
             raise EvaluationError(reason)

@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import pandas as pd
+
 from slam.common.errors import EvaluationError
-from slam.evaluation.report.figures import leaves, value_at
+from slam.evaluation.report.figures import value_at
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
@@ -36,7 +38,8 @@ class Requirement:
             is_met = _COMPARISONS[self.sign](value, self.bar)
             required = f"{self.sign} {self.bar:g}" if is_met else f"where {self.sign} {self.bar:g} was required"
             return is_met, f"{self.key} is {value:g}{' ' if is_met else ', '}{required}"
-        known = dict(leaves(results))
+        flat = pd.json_normalize(results).iloc[0]
+        known = [key for key, each in flat.items() if not isinstance(each, list)]  # lists are curves, or tables
         near = difflib.get_close_matches(self.key, known, n=1)
         reason = value_at(results, f"unavailable.{self.key.partition('.')[0]}")
         why = f" ({reason})" if reason else f"; did you mean {near[0]}?" if near and self.key not in known else ""

@@ -27,8 +27,7 @@ class Evaluation:
     @property
     def unavailable(self) -> Mapping[str, str]:
         """Why a part could not be measured, by its name."""
-        reasons: Mapping[str, str] = self.results["unavailable"]
-        return reasons
+        return self.results["unavailable"]
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers; what is undefined, such as a precision of none, is None."""

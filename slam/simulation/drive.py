@@ -34,7 +34,7 @@ class DrivePlan:
     @property
     def length_m(self) -> float:
         """Length of the given tour, metres."""
-        return float(self.tour_m[-1])
+        return self.tour_m[-1]
 
     def sample(self, from_m: float, to_m: float, *, start_ns: int = START_NS) -> Drive:
         """Poses from ``from_m`` to at most ``to_m`` metres along the tour, the first one at ``start_ns``.
@@ -93,8 +93,7 @@ def _smooth(xy: FloatArray, sigma_samples: float) -> FloatArray:
     # Point reflection about both ends keeps them, and the directions there, where they are.
     pad = min(len(xy) - 1, int(np.ceil(4.0 * sigma_samples)))
     padded = np.pad(xy, ((pad, pad), (0, 0)), mode="reflect", reflect_type="odd")
-    smoothed: FloatArray = gaussian_filter1d(padded, sigma_samples, axis=0, mode="nearest")[pad : pad + len(xy)]
-    return smoothed
+    return gaussian_filter1d(padded, sigma_samples, axis=0, mode="nearest")[pad : pad + len(xy)]
 
 
 def _speeds(ds_m: FloatArray, turn_rad: FloatArray, config: DriveConfig) -> FloatArray:

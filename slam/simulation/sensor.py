@@ -103,7 +103,7 @@ def scan_objects(
 
 
 def _false_positives(class_count: int, config: SensorConfig, rng: np.random.Generator) -> Scan:
-    count = int(rng.poisson(config.false_positives_per_scan))
+    count = rng.poisson(config.false_positives_per_scan)
     range_m = config.max_range_m * np.sqrt(rng.random(count))
     bearing = (rng.random(count) - 0.5) * np.deg2rad(config.field_of_view_deg)
     sigmas_m = noise_sigma_m(range_m, config)

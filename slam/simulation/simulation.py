@@ -1,7 +1,7 @@
 """A drive through a world as the records of a log."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from slam.common.errors import SimulationError
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.simulation.config import OdometryConfig, SimulationConfig
 from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
-from slam.simulation.sensor import Scan, scan_objects
+from slam.simulation.sensor import scan_objects
 from slam.simulation.world import World
 
 CAUSES = ("odometry", "position", "dropout", "label", "score", "false_positive")
@@ -96,17 +96,13 @@ def _records(
             scan = scan_objects(
                 offsets[rows] @ T_world_body[:3, :3], class_indices[rows], len(vocabulary), config.sensor, rngs
             )
+            labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
+            covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if config.sensor.covariances else None
             true_ids = tuple("" if source < 0 else world.object_ids[rows[source]] for source in scan.sources.tolist())
             yield Odometry(stamp_ns, T_odom_body[i])
-            yield _detections(stamp_ns, scan, vocabulary, config)
+            yield ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
             yield GroundTruthPose(stamp_ns, T_world_body)
             yield DetectionTruth(stamp_ns, true_ids)
-
-
-def _detections(stamp_ns: int, scan: Scan, vocabulary: Sequence[str], config: SimulationConfig) -> ObjectDetections:
-    labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
-    covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if config.sensor.covariances else None
-    return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
 
 
 def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: np.random.Generator) -> FloatArray:

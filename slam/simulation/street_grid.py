@@ -4,30 +4,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-from slam.simulation.street_furniture import Furniture, furnish_crossing, furnish_park, furnish_street
+from slam.simulation.street_furniture import Furniture
 from slam.simulation.world import World
 
 COLUMNS, ROWS = 5, 4
 """Crossings east-west and north-south, before the town is turned."""
 
 Crossing = tuple[int, int]
-
-
-@frozen
-class _Streets:
-    """Crossings with their places (2,) m, and those next to each in a fixed order."""
-
-    places: dict[Crossing, FloatArray]
-    neighbours: dict[Crossing, tuple[Crossing, ...]]
-
-    def edges(self) -> list[tuple[Crossing, Crossing]]:
-        return [(a, b) for a in self.places for b in self.neighbours[a] if a < b]
-
-    def length_m(self, a: Crossing, b: Crossing) -> float:
-        return float(np.linalg.norm(self.places[b] - self.places[a]))
+Places = dict[Crossing, FloatArray]
+"""(2,) m, of all crossings."""
+Neighbours = dict[Crossing, tuple[Crossing, ...]]
+"""The crossings next to each, in a fixed order."""
 
 
 def generate_street_grid(*, rng: np.random.Generator) -> World:
@@ -42,22 +31,23 @@ def generate_street_grid(*, rng: np.random.Generator) -> World:
     Raises:
         SimulationError: no such tour was found; another seed gives another town.
     """
-    streets = _lay_streets(rng)
-    tour = _draw_tour(streets, rng)
-    furniture = Furniture()
-    for a, b in streets.edges():
-        furnish_street(furniture, streets.places[a], streets.places[b], rng=rng)
-    for crossing, place in streets.places.items():
-        arms = [streets.places[other] - place for other in streets.neighbours[crossing]]
-        furnish_crossing(furniture, place, arms, rng=rng)
+    places, neighbours = _lay_streets(rng)
+    tour = _draw_tour(places, neighbours, rng)
+    furniture = Furniture(rng)
+    for a in places:
+        for b in neighbours[a]:
+            if a < b:
+                furniture.furnish_street(places[a], places[b])
+    for crossing, place in places.items():
+        furniture.furnish_crossing(place, [places[other] - place for other in neighbours[crossing]])
     parks = {(int(rng.integers(COLUMNS - 1)), int(rng.integers(ROWS - 1))) for _ in range(2)}
     for column, row in sorted(parks):
         corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
-        furnish_park(furniture, np.stack([streets.places[corner] for corner in corners]), rng=rng)
-    return furniture.world("street-grid", _points_along([streets.places[crossing] for crossing in tour]))
+        furniture.furnish_park(np.stack([places[corner] for corner in corners]))
+    return furniture.world(_points_along([places[crossing] for crossing in tour]))
 
 
-def _lay_streets(rng: np.random.Generator) -> _Streets:
+def _lay_streets(rng: np.random.Generator) -> tuple[Places, Neighbours]:
     x, y = (np.append(0.0, np.cumsum(rng.uniform(65.0, 130.0, count - 1))) for count in (COLUMNS, ROWS))
     angle = rng.uniform(-np.pi, np.pi)
     R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -79,20 +69,20 @@ def _lay_streets(rng: np.random.Generator) -> _Streets:
         )
         for c, r in crossings
     }
-    return _Streets(places, neighbours)
+    return places, neighbours
 
 
-def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
+def _draw_tour(places: Places, neighbours: Neighbours, rng: np.random.Generator) -> list[Crossing]:
     """Walk at random, never straight back, until a walk revisits as many streets as it should."""
-    crossings = list(streets.places)
+    crossings = list(places)
     for _ in range(20_000):
-        tour = [crossings[int(rng.integers(len(crossings)))]]
+        tour = [crossings[rng.integers(len(crossings))]]
         min_m, driven_m = 1500.0, 0.0
         target_m = rng.uniform(min_m, 2000.0)
         while True:
-            onward = [other for other in streets.neighbours[tour[-1]] if len(tour) < 2 or other != tour[-2]]
-            following = onward[int(rng.integers(len(onward)))]
-            street_m = streets.length_m(tour[-1], following)
+            onward = [other for other in neighbours[tour[-1]] if len(tour) < 2 or other != tour[-2]]
+            following = onward[rng.integers(len(onward))]
+            street_m = float(np.linalg.norm(places[following] - places[tour[-1]]))
             if driven_m + street_m > target_m:
                 break
             driven_m += street_m
@@ -117,6 +107,6 @@ def _revisits(tour: list[Crossing]) -> tuple[int, int]:
 def _points_along(corners: list[FloatArray]) -> FloatArray:
     pieces = []
     for start, end in pairwise(corners):
-        count = max(1, round(float(np.linalg.norm(end - start))))
+        count = max(1, round(np.linalg.norm(end - start)))
         pieces.append(start + (end - start) * (np.arange(count) / count)[:, None])
     return np.concatenate([*pieces, corners[-1][None]])

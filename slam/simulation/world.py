@@ -43,7 +43,7 @@ class World:
     @property
     def tour_length_m(self) -> float:
         """Length of the poly-line, metres."""
-        return float(travelled_m(self.tour)[-1])
+        return travelled_m(self.tour)[-1]
 
     def shortened(self, length_m: float) -> "World":
         """The same world with the first ``length_m`` metres of the tour; the whole tour if it is no longer than that.

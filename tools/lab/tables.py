@@ -48,10 +48,14 @@ def compared_descriptors(named: Sequence[str] | None) -> list[str]:
 
 
 def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, str]:
-    """The cells of ``figures``; ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}"."""
+    """The cells of ``figures``; ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}".
+
+    Of a template with parts between "|" those are left out that name an undefined figure.
+    """
     from slam.evaluation.report.figures import fill
 
-    return {heading: fill(figures, template).replace(" %", "") or UNDEFINED for heading, template in columns.items()}
+    cells = {heading: fill(figures, *template.split("|")) for heading, template in columns.items()}
+    return {heading: cell.replace(" %", "") or UNDEFINED for heading, cell in cells.items()}
 
 
 def rows_of(spreads: "pd.DataFrame") -> list[dict[str, str]]:
@@ -77,16 +81,20 @@ def _text(spread: "pd.Series", digits: int) -> str:
 
 
 def report(
-    rows: Sequence[Mapping[Any, str]],
+    figures: Sequence[Mapping[Any, Any]],
     *notes: str,
+    columns: Mapping[str, str] | None = None,
     title: str | None = None,
     texts: Collection[str] = (),
     markdown: bool = False,
     json: Mapping[str, Any] | None = None,
 ) -> None:
-    """Print rows with the same headings, the first column and ``texts`` to the left; or ``json`` instead."""
+    """Print a row of each of the ``figures`` by the templates of the ``columns`` (:func:`row_of`), without which they
+    are rows themselves; the first column and ``texts`` are to the left. Or print ``json`` instead.
+    """
     from tools import console
 
+    rows = figures if columns is None else [row_of(columns, each) for each in figures]
     if json is not None:
         console.show_json(json)
     elif markdown:

@@ -172,15 +172,11 @@ def read_records(
     output = _read(path, None)
     if is_log(Path(reference)):
         return output.with_truth_of(_read(reference, topics))
-    true_path = _read_poses(Path(reference), calib, output.odometry_path or output.final_path)
-    return output.with_truth_of(EvaluationRecords(true_path=true_path))
-
-
-def _read_poses(reference: Path, calib: Path | None, path: PoseSeries) -> PoseSeries:
-    """The poses in a file; those in KITTI's format, which has no stamps, are at the stamps of the ``path``."""
+    # Poses in KITTI's format, which has no stamps, are at those of the odometry.
+    times_ns = (output.odometry_path or output.final_path).stamps_ns
     calibration = None if calib is None else read_source_text(calib)
-    trajectory = read_trajectory(read_source_text(reference), times_ns=path.stamps_ns, calib=calibration)
-    return PoseSeries(trajectory.stamps_ns, trajectory.T_world_body)
+    truth = read_trajectory(read_source_text(Path(reference)), times_ns=times_ns, calib=calibration)
+    return output.with_truth_of(EvaluationRecords(true_path=PoseSeries(truth.stamps_ns, truth.T_world_body)))
 
 
 def _read(path: AnyPath, topics: Mapping[str, str] | None) -> EvaluationRecords:

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import fit_yaw_translation, make_transform
+from slam.common.geometry import apply, fit_yaw_translation, make_transform
 
 
 def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
@@ -48,6 +48,11 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
     return make_transform(R, mean_gt - R @ mean_est)
+
+
+def aligned_errors_m(T_world_map: FloatArray, points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
+    """Distances (N,) m of estimated points (N, 3) m, brought into the world, from the true ones."""
+    return np.linalg.norm(apply(T_world_map, points_est) - points_gt, axis=1)
 
 
 def find_axes(R_est: FloatArray, R_gt: FloatArray) -> FloatArray:

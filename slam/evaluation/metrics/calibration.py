@@ -5,11 +5,12 @@ the errors are normal, it has the chi-squared distribution of the dimension of e
 Estimation with Applications to Tracking and Navigation, 2001, section 5.4).
 """
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import RigidTransform
 
-from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, least_eigenvalues
 from slam.common.geometry import apply, invert, squared_mahalanobis
 from slam.evaluation.inputs.records import EvaluationRecords
@@ -23,11 +24,8 @@ NEEDS = {
 }
 """Requirements of each kind of error."""
 
-_Errors = tuple[FloatArray, FloatArray]
-"""Errors (N, D) and their covariances (N, D, D)."""
 
-
-def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str, float | None]:
+def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str, Any]:
     """Set errors (N, D) against covariances (N, D, D), leaving out those that are not positive definite; N may be 0.
 
     ``nees``: mean of a degree of freedom, 1 is right, more is overconfident; ``count``: errors used.
@@ -36,12 +34,12 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> dict[str
     if not usable.any():
         return {"nees": None, "count": 0}
     squares = squared_mahalanobis(errors[usable], covariances[usable])
-    return {"nees": float(np.mean(squares)) / errors.shape[1], "count": len(squares)}
+    return {"nees": np.mean(squares) / errors.shape[1], "count": len(squares)}
 
 
 def evaluate_calibration(
     records: EvaluationRecords, matches: pd.DataFrame | None, judged: pd.DataFrame | None
-) -> tuple[dict[str, float | None], str]:
+) -> tuple[dict[str, Any], str]:
     """NEES and number of errors of keyframes, landmarks and closures, and why some of them are missing.
 
     The covariances are those in the map frame, which its first keyframe fixes. So the truth is tied there: no other
@@ -64,7 +62,9 @@ def evaluate_calibration(
                 of_keyframes = pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known])
                 errors["pose"] = of_keyframes, graph.pose_covariances[known]
             if map_est is not None and map_gt is not None and matches is not None:
-                errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
+                rows, objects = matches.loc[matches["object"] >= 0, ["landmark", "object"]].to_numpy().T
+                of_landmarks = map_est.positions[rows] - apply(T_map_world, map_gt.positions[objects])
+                errors["landmark"] = of_landmarks, map_est.covariances[rows]
     if judged is not None:
         errors["closure"] = _closure_errors(judged, truth)
     nothing = (np.zeros((0, 1)), np.zeros((0, 1, 1)))
@@ -81,14 +81,8 @@ def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
     return RigidTransform.from_matrix(invert(T_est) @ T_gt).as_exp_coords()
 
 
-def _landmark_errors(
-    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, matches: pd.DataFrame, T_map_world: FloatArray
-) -> _Errors:
-    rows, objects = matches.loc[matches["object"] >= 0, ["landmark", "object"]].to_numpy().T
-    return map_est.positions[rows] - apply(T_map_world, map_gt.positions[objects]), map_est.covariances[rows]
-
-
-def _closure_errors(judged: pd.DataFrame, truth: PoseSeries) -> _Errors:
+def _closure_errors(judged: pd.DataFrame, truth: PoseSeries) -> tuple[FloatArray, FloatArray]:
+    """Errors (N, 6) of the accepted true closures, and their covariances (N, 6, 6)."""
     chosen = judged[judged["accepted"] & judged["true"]]
     chosen = chosen[np.array([record.covariance is not None for record in chosen["record"]], dtype=np.bool_)]
     T_world_reference, T_world_query = (

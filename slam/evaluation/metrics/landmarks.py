@@ -10,10 +10,9 @@ import pandas as pd
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import apply
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.alignment import align_yaw_translation
+from slam.evaluation.metrics.alignment import align_yaw_translation, aligned_errors_m
 from slam.evaluation.metrics.association import FALSE_POSITIVE
 from slam.evaluation.metrics.statistics import fraction, percentile
 
@@ -72,7 +71,7 @@ def compute_windowed_errors_m(
             continue
         with suppress(EvaluationError):
             T_world_map = align_yaw_translation(positions_est[inside], positions_gt[inside])
-            errors_m.append(_distances_m(T_world_map, positions_est[inside], positions_gt[inside]))
+            errors_m.append(aligned_errors_m(T_world_map, positions_est[inside], positions_gt[inside]))
     return np.concatenate(errors_m)
 
 
@@ -115,7 +114,7 @@ def evaluate_landmarks(
         length_m = path_gt.travelled_m[-1]
         windowed_m = compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, length_m, protocol.window_m)
     if T_world_map is not None:
-        global_m = _distances_m(T_world_map, positions_est, positions_gt)
+        global_m = aligned_errors_m(T_world_map, positions_est, positions_gt)
     often = {name for name in map_gt.ids if object_detection_counts.get(name, 0) >= protocol.least_detections}
     found = {map_gt.ids[row] for row in rows_gt}
     class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
@@ -131,7 +130,3 @@ def evaluate_landmarks(
         "recall": fraction(len(often & found), len(often)),
         "class_accuracy": fraction(class_right, len(rows_est)),
     }
-
-
-def _distances_m(T_world_map: FloatArray, positions_est: FloatArray, positions_gt: FloatArray) -> FloatArray:
-    return np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1)

@@ -4,10 +4,10 @@ import numpy as np
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, rotation_angle_rad, step_lengths, travelled_m
+from slam.common.geometry import invert, rotation_angle_rad, step_lengths, travelled_m
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
-from slam.evaluation.metrics.alignment import align_path
+from slam.evaluation.metrics.alignment import align_path, aligned_errors_m
 
 
 @frozen
@@ -42,8 +42,7 @@ def evaluate_trajectory(estimate: PoseSeries, truth: PoseSeries, *, kidnapping_m
     """
     est, gt = synchronize(estimate, truth)
     T_world_map = align_path(est.positions, gt.positions)
-    aligned = apply(T_world_map, est.positions)
-    errors_m = np.linalg.norm(aligned - gt.positions, axis=1)
+    errors_m = aligned_errors_m(T_world_map, est.positions, gt.positions)
     steps_m = step_lengths(gt.positions)
     is_driven = (np.diff(gt.stamps_ns) <= Protocol().max_truth_gap_s * 1e9) & (steps_m < kidnapping_m)
     translation_percent, rotation_deg_per_100m = compute_relative_error(est.T_world_body, gt.T_world_body)
@@ -56,7 +55,7 @@ def evaluate_trajectory(estimate: PoseSeries, truth: PoseSeries, *, kidnapping_m
         rpe_rotation_deg_per_100m=rotation_deg_per_100m,
         T_world_map=T_world_map,
         length_m=float(steps_m[is_driven].sum()),
-        duration_s=int(gt.stamps_ns[-1] - gt.stamps_ns[0]) * 1e-9,
+        duration_s=np.ptp(gt.stamps_ns) * 1e-9,
         pose_count=len(gt),
     )
 

@@ -4,7 +4,7 @@ A clause like ``"recall {closures[recall]:.2%}"`` names its figures; where one o
 out.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -59,15 +59,6 @@ def value_at(results: Mapping[str, Any], key: str) -> Any:
     for part in key.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None
     return value
-
-
-def leaves(results: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Values by their dotted keys; lists, which are curves or tables of their own, are left out."""
-    for name, value in results.items():
-        if isinstance(value, Mapping):
-            yield from leaves(value, f"{prefix}{name}.")
-        elif not isinstance(value, list):
-            yield prefix + name, value
 
 
 def fill(results: Mapping[str, Any], *clauses: str) -> str:

@@ -96,7 +96,7 @@ def false_positives(log: Recording, mean: _PerScan = 10.0, *, rng: np.random.Gen
     reach_m, bearings = np.percentile(np.hypot(x, y), 95.0), np.arctan2(y, x)
     frames = log.body_frames()
     for scan in log.scans:
-        number = int(rng.poisson(mean))
+        number = rng.poisson(mean)
         range_m, bearing = reach_m * np.sqrt(rng.random(number)), rng.uniform(bearings.min(), bearings.max(), number)
         rows = rng.integers(len(places), size=number)
         xyz = np.stack([range_m * np.cos(bearing), range_m * np.sin(bearing), z[rows]], axis=1)
@@ -146,7 +146,7 @@ def label_confusion(log: Recording, probability: Share = 0.5, *, rng: np.random.
     for scan in log.scans:
         rows = np.searchsorted(labels, np.array(scan.seen.labels, dtype=labels.dtype))
         is_confused = rng.random(len(rows)) < probability
-        others = (rows + rng.integers(1, max(len(labels), 2), size=len(rows))) % max(len(labels), 1)
+        others = (rows + rng.integers(1, max(len(labels), 2), size=len(rows))) % len(labels)
         scan.change(labels=tuple(labels[np.where(is_confused, others, rows)].tolist()))
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report, row_of
+from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report
 
 Objects = Annotated[Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")]
 Trajectory = Annotated[Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.")]
@@ -40,22 +40,21 @@ def descriptors(
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor gosmatch_vertex --queries 100
     """
-    from tools import console
     from tools.lab.retrieval.labelled_map import labelled_map
     from tools.lab.retrieval.paper import benchmark_descriptors
     from tools.simulate import load_or_generate
 
     world = load_or_generate(objects, trajectory, seed=0)
     objects_of_map = labelled_map(world)
-    with console.progress_bar("localizing") as move:
-        cells = benchmark_descriptors(
-            objects_of_map, world.tour, compared_descriptors(descriptor), queries=queries, seeds=seeds, on_progress=move
-        )
+    cells = benchmark_descriptors(
+        objects_of_map, world.tour, compared_descriptors(descriptor), queries=queries, seeds=seeds
+    )
     rows = cells.to_dict("records")
     numbers = {"objects": len(objects_of_map), "classes": len(objects_of_map.vocabulary)}
     about = {"map": world.name, **numbers, "queries": queries, "seeds": seeds}
     report(
-        [row_of(COLUMNS, cell) for cell in rows],
+        rows,
+        columns=COLUMNS,
         title="{map}: {objects} objects, {classes} classes; {queries} queries x {seeds} seeds".format_map(about),
         texts=["scenario"],
         markdown=markdown,

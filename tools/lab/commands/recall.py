@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report, row_of
+from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report
 
 COLUMNS = {
     "descriptor": "{proposer}",
@@ -58,25 +58,17 @@ def recall(
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
     from logs.importers.maps.object_table import read_object_table
-    from tools import console
     from tools.lab.retrieval.contest import run_contest
 
     world = read_object_table(objects).in_metres()
-    with console.progress_bar("measuring") as move:
-        cells = run_contest(
-            world,
-            compared_descriptors(descriptor),
-            sizes=size or [10_000],
-            classes=classes or [20],
-            scenarios=query or [""],
-            queries=queries,
-            seed=seed,
-            on_progress=move,
-        )
-    found = cells.to_dict("records")
-    report(
-        [row_of(COLUMNS, each) for each in found],
-        texts=("map", "query"),
-        markdown=markdown,
-        json={"figures": found} if json else None,
+    cells = run_contest(
+        world,
+        compared_descriptors(descriptor),
+        sizes=size or [10_000],
+        classes=classes or [20],
+        scenarios=query or [""],
+        queries=queries,
+        seed=seed,
     )
+    found = cells.to_dict("records")
+    report(found, columns=COLUMNS, texts=("map", "query"), markdown=markdown, json={"figures": found} if json else None)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import report, row_of
+from tools.lab.tables import report
 
 COLUMNS = {
     "where": "{where}",
@@ -61,7 +61,6 @@ def relocalization(
     from slam.common.config import load_config
     from slam.localization.prior_map import load_prior_map
     from slam.place_recognition.imported_map import ImportedMap
-    from tools import console
     from tools.lab.relocalization.kidnappings import benchmark_relocalization
 
     if (map_until is None) == (map_log is None):
@@ -70,15 +69,13 @@ def relocalization(
     given = map_until if map_log is None else load_prior_map(map_log)
     if not isinstance(given, ImportedMap | float):
         raise typer.BadParameter("this map was made by a drive; give that drive and --map-until.", param_hint="--map")
-    with console.progress_bar("relocalizing") as move:
-        result = benchmark_relocalization(
-            log, config, given=given, kidnaps=kidnaps, topics=parse_topics(topics), on_progress=move
-        )
+    result = benchmark_relocalization(log, config, given=given, kidnaps=kidnaps, topics=parse_topics(topics))
     elsewhere = [each["is_right"] is not None for each in result["elsewhere"]]
     report(
-        [row_of(COLUMNS, {"where": "everywhere", **result["everywhere"]})],
+        [{"where": "everywhere", **result["everywhere"]}],
         "found, late, wrong and lost: per cent of the drives",
         f"outside the map: {sum(elsewhere)} false fixes in {len(elsewhere)} drives",
+        columns=COLUMNS,
         title=f"{result['drive']}: {result['landmarks']} landmarks, map ATE {result['map_ate_m']:.2f} m",
         json=result if json else None,
     )

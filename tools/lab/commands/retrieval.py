@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report, row_of
+from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report
 
 COLUMNS = {
     "drive": "{drive}",
@@ -39,18 +39,11 @@ def retrieval(
     Example: dslam benchmark retrieval drive.mcap --descriptor gosmatch_vertex --descriptor descriptellation_lr
     """
     from slam.common.config import load_config
-    from tools import console
     from tools.lab.retrieval.revisits import measure_revisits
 
     config = load_config(config_file, settings)
     names = compared_descriptors(descriptor)
-    figures = []
-    for log in logs:
-        with console.progress_bar(f"mapping {log.name}") as move:
-            figures += measure_revisits(log, names, config, topics=parse_topics(topics), on_progress=move)
+    figures = [row for log in logs for row in measure_revisits(log, names, config, topics=parse_topics(topics))]
     report(
-        [row_of(COLUMNS, each) for each in figures],
-        texts=["descriptor"],
-        markdown=markdown,
-        json={"figures": figures} if json else None,
+        figures, columns=COLUMNS, texts=["descriptor"], markdown=markdown, json={"figures": figures} if json else None
     )

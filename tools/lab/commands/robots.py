@@ -2,12 +2,12 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import Markdown, report, row_of
+from tools.lab.tables import Markdown, report
 from tools.replay import noted_counters
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ COLUMNS = {
     "right %": "{associations[precision]:.1%}",
     "closures": "{closures[accepted_count]}",
     "precise %": "{closures[precision]:.1%}",
-    "indep.": "{closures[independent_count]}",
+    "indep.": "{closures[independent_count]}|: {closures[largest_false_share]:.0%}",
     "recall %": "{closures[recall]:.1%}",
     "x real": "{speed:.1f}",
     "GB": "{gigabytes:.2f}",
@@ -62,8 +62,9 @@ def robots(
         how = f"failed: {run.error}" if run.error else f"{run.replay_s:.0f} s"
         typer.echo(f"{len(runs)} of {len(drives)}: {name}, {how}", err=True)
     report(
-        [_row(name, run) for name, run in runs.items()],
+        [_figures(name, run) for name, run in runs.items()],
         *(f"{name}: {', '.join(notes)}" for name, run in runs.items() if (notes := notes_of(run))),
+        columns=COLUMNS,
         markdown=markdown,
         json={"drives": [{"name": name, **asdict(run), "notes": notes_of(run)} for name, run in runs.items()]}
         if json
@@ -99,9 +100,7 @@ def notes_of(run: "MappedDrive") -> list[str]:
     return [*noted_counters(run.evaluation["counters"]), *filter(None, [doubts])]
 
 
-def _row(name: str, run: "MappedDrive") -> dict[str, str]:
+def _figures(name: str, run: "MappedDrive") -> dict[str, Any]:
+    """What the columns show of a drive."""
     used = {} if run.error else {"speed": run.log_s / run.replay_s, "gigabytes": 1e-9 * run.peak_memory_bytes}
-    cells = row_of(COLUMNS, {"name": name, **used, **run.evaluation})
-    if (false_share := run.figure("closures.largest_false_share")) is not None:
-        cells["indep."] += f": {100.0 * false_share:.0f}"
-    return cells
+    return {"name": name, **used, **run.evaluation}

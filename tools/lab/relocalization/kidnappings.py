@@ -3,7 +3,7 @@
 ``benchmark_relocalization`` is where to begin reading.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from slam.localization.prior_map import PriorMap
 from slam.object_map.map_io import SavedMap, confirmed
 from slam.place_recognition.imported_map import ImportedMap
 from slam.system import Slam
+from tools.console import progress_bar
 from tools.lab.drives.true_drive import DriveRecord, read_true_drive, truth_of
 
 RECOVERED_WITHIN_M = 40.0
@@ -47,23 +48,9 @@ class KnownMap:
     T_world_map: FloatArray
     ate_m: float = 0.0
 
-    def to_world(self, T_map_body: FloatArray, T_world_near: FloatArray) -> FloatArray:
-        """A pose (4, 4) of the map in the world, by the position of the map that is nearest to ``T_world_near``.
-
-        The distortion of the map between distant places has no effect on it.
-        """
-        row = np.argmin(np.linalg.norm(self.positions[:, :2] - T_world_near[:2, 3], axis=1))
-        return self.T_world_map[row] @ T_map_body
-
 
 def benchmark_relocalization(
-    path: Path,
-    config: Config,
-    *,
-    given: ImportedMap | float,
-    kidnaps: int,
-    topics: Mapping[str, str] | None = None,
-    on_progress: Callable[[float], None] = lambda fraction: None,
+    path: Path, config: Config, *, given: ImportedMap | float, kidnaps: int, topics: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
     """Relocalize at places of a drive with truth, evenly spread over it.
 
@@ -74,7 +61,6 @@ def benchmark_relocalization(
             mapped, and from which on places are taken.
         kidnaps: most places in the map, and most places far from it.
         topics: kind -> topic, where the log leaves a choice.
-        on_progress: called with the fraction done, in [0, 1].
 
     Returns:
         ``drive``, ``landmarks`` and ``map_ate_m``; ``everywhere``: :func:`figures` of places in the map; ``outcomes``
@@ -86,26 +72,24 @@ def benchmark_relocalization(
     """
     records, truth, config = read_true_drive(path, config, topics)
     begin_ns = int(truth.stamps_ns[0])
-    with threadpool_limits(1):
+    with threadpool_limits(1), progress_bar("relocalizing") as show_done:
         if isinstance(given, ImportedMap):
             T_world_map = np.broadcast_to(np.eye(4), (len(given.positions), 4, 4))
             known, reach_m = KnownMap(given, given.positions.astype(np.float64), T_world_map), config.sensor_range_m
         else:
             begin_ns += round(1e9 * given)
             known, reach_m = map_drive(_between(records, 0, begin_ns), config), Protocol().revisit_distance_m
-        inside, outside = find_starts(known, truth, begin_ns, reach_m, 2.0 * config.sensor_range_m)
+        inside, outside = find_starts(known, truth, begin_ns, reach_m, 2.0 * config.sensor_range_m, kidnaps)
         if not len(inside):
             raise EvaluationError(
                 f"after {(begin_ns - truth.stamps_ns[0]) * 1e-9:g} s the drive never stays within {reach_m:g} m of the "
                 f"map for {RECOVERED_WITHIN_M:g} m; choose another time or map"
             )
-        inside, outside = _spread(inside, kidnaps), _spread(outside, kidnaps)
-        outcomes = []
-        for row in (*inside, *outside):
-            last = np.searchsorted(truth.travelled_m, truth.travelled_m[row] + MAX_TRAVEL_M)
-            first_ns, last_ns = truth.stamps_ns[[row, min(int(last), len(truth) - 1)]].tolist()
+        rows, travelled_m, outcomes = np.append(inside, outside), truth.travelled_m, list[dict[str, Any]]()
+        ends = np.searchsorted(travelled_m, travelled_m[rows] + MAX_TRAVEL_M).clip(max=len(truth) - 1)
+        for first_ns, last_ns in truth.stamps_ns[np.stack([rows, ends], axis=1)].tolist():
             outcomes.append(put_down(known, _between(records, first_ns, last_ns), config))
-            on_progress(len(outcomes) / (len(inside) + len(outside)))
+            show_done(len(outcomes) / len(rows))
     return {
         "drive": path.stem,
         "landmarks": len(known.saved.positions),
@@ -137,9 +121,11 @@ def map_drive(records: Sequence[Record], config: Config) -> KnownMap:
 
 
 def find_starts(
-    known: KnownMap, truth: PoseSeries, begin_ns: int, reach_m: float, far_m: float
+    known: KnownMap, truth: PoseSeries, begin_ns: int, reach_m: float, far_m: float, count: int
 ) -> tuple[IntArray, IntArray]:
-    """Rows of the truth at which drives can begin: where the map is in reach up to a fix, and where it never is."""
+    """Rows of the truth at which drives can begin: where the map is in reach up to a fix, and where it never is; at
+    most ``count`` of either, evenly spread.
+    """
     travelled_m = truth.travelled_m
     apart_m = np.asarray(cKDTree(known.positions[:, :2]).query(truth.positions[:, :2])[0])
     begins = np.unique(np.searchsorted(travelled_m, np.arange(0.0, travelled_m[-1], Protocol().query_spacing_m)))
@@ -150,7 +136,8 @@ def find_starts(
         rows = begins[travelled_m[begins] + length_m <= travelled_m[-1]]
         ends = np.searchsorted(travelled_m, travelled_m[rows] + length_m) + 1
         wrong_before = np.append(0, np.cumsum(is_wrong))
-        return rows[wrong_before[ends] == wrong_before[rows]]
+        rows = rows[wrong_before[ends] == wrong_before[rows]]
+        return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64))]
 
     return starts(RECOVERED_WITHIN_M, apart_m > reach_m), starts(MAX_TRAVEL_M, apart_m <= far_m)
 
@@ -174,9 +161,11 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
     if fix is not None:
         at_ns = np.clip([fix.stamp_ns], truth.stamps_ns[0], truth.stamps_ns[-1])
         T_world_body = interpolate(truth.stamps_ns, truth.T_world_body, at_ns)[0]
-        error_m, error_deg = deviation(known.to_world(fix.T_map_body, T_world_body), T_world_body)
+        # By the nearest position of the map: its distortion between distant places has no effect.
+        nearest = np.argmin(np.linalg.norm(known.positions[:, :2] - T_world_body[:2, 3], axis=1))
+        error_m, error_deg = deviation(known.T_world_map[nearest] @ fix.T_map_body, T_world_body)
         outcome |= {
-            "distance_m": float(truth.travelled_at_m(at_ns)[0]),
+            "distance_m": truth.travelled_at_m(at_ns)[0],
             "seconds": 1e-9 * (fix.stamp_ns - slam.first_stamp_ns),
             "error_m": error_m,
             "error_deg": error_deg,
@@ -188,8 +177,8 @@ def put_down(known: KnownMap, records: Sequence[Record], config: Config) -> dict
 def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tuple[float, float]:
     """Distance in the plane [m] and difference of heading [deg], both >= 0, of two poses (4, 4)."""
     offset = T_world_body_est[:2, 3] - T_world_body_gt[:2, 3]
-    turn_rad = float(yaw_rad(invert(T_world_body_gt) @ T_world_body_est))
-    return float(np.hypot(*offset)), abs(float(np.rad2deg(turn_rad)))
+    turn_rad = yaw_rad(invert(T_world_body_gt) @ T_world_body_est)
+    return float(np.hypot(*offset)), float(abs(np.rad2deg(turn_rad)))
 
 
 def figures(outcomes: pd.DataFrame) -> dict[str, Any]:
@@ -198,16 +187,16 @@ def figures(outcomes: pd.DataFrame) -> dict[str, Any]:
     Distance and time are those of the right fixes, late ones included; errors those of all fixes.
     """
     is_right, is_wrong = outcomes["is_right"].eq(True), outcomes["is_right"].eq(False)
-    is_late = is_right & outcomes["distance_m"].gt(RECOVERED_WITHIN_M)
+    is_late, right = is_right & outcomes["distance_m"].gt(RECOVERED_WITHIN_M), outcomes[is_right]
     return {
         "kidnaps": len(outcomes),
-        "success_rate": float((is_right & ~is_late).mean()),
-        "late_rate": float(is_late.mean()),
-        "false_relocalization_rate": float(is_wrong.mean()),
-        "not_found_rate": float(outcomes["is_right"].isna().mean()),
-        "median_distance_m": percentile(outcomes["distance_m"][is_right], 50.0),
-        "p95_distance_m": percentile(outcomes["distance_m"][is_right], 95.0),
-        "median_seconds": percentile(outcomes["seconds"][is_right], 50.0),
+        "success_rate": (is_right & ~is_late).mean(),
+        "late_rate": is_late.mean(),
+        "false_relocalization_rate": is_wrong.mean(),
+        "not_found_rate": outcomes["is_right"].isna().mean(),
+        "median_distance_m": percentile(right["distance_m"], 50.0),
+        "p95_distance_m": percentile(right["distance_m"], 95.0),
+        "median_seconds": percentile(right["seconds"], 50.0),
         "median_error_m": percentile(outcomes["error_m"], 50.0),
         "p95_error_m": percentile(outcomes["error_m"], 95.0),
         "median_error_deg": percentile(outcomes["error_deg"], 50.0),
@@ -218,9 +207,3 @@ def figures(outcomes: pd.DataFrame) -> dict[str, Any]:
 def _between(records: list[DriveRecord], first_ns: int, last_ns: int) -> list[DriveRecord]:
     """The records of a time, and all transforms."""
     return [each for each in records if isinstance(each, Transform) or first_ns <= each.stamp_ns <= last_ns]
-
-
-def _spread(rows: IntArray, count: int) -> IntArray:
-    """At most ``count`` of the rows (R,), evenly."""
-    chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)
-    return np.unique(rows[chosen])

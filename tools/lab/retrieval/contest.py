@@ -5,7 +5,7 @@ number of candidates, which are verified in the same way.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import product
 
@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from descriptors.baselines import RandomVector
 from logs.importers.maps.map_objects import MapObjects
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratios
 from slam.object_map.submap import Submap
@@ -26,6 +26,7 @@ from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.place_recognition.landmark_pairs import Batch, LandmarkPairs, make_landmark_pairs
 from slam.place_recognition.place_search import PlaceSearch
 from slam.registration.registration import register, registration_config
+from tools.console import progress_bar
 from tools.import_logs import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right, rank_of
 from tools.lab.retrieval.path_queries import PathQuery, draw_path_queries, parse_scenario
@@ -40,7 +41,6 @@ def run_contest(
     scenarios: Sequence[str] = ("",),
     queries: int,
     seed: int = 0,
-    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> pd.DataFrame:
     """Each proposer in maps of the objects nearest to a random one, with the queries of each scenario, random vectors
     with those of the first; one a row.
@@ -59,16 +59,17 @@ def run_contest(
         scenarios: texts for :func:`~tools.lab.retrieval.path_queries.parse_scenario`.
         queries: how many of a scenario; they are drawn in the smallest map, and asked in all.
         seed: of the place and of the queries.
-        on_progress: called with the fraction done, in [0, 1].
 
     Raises:
         SimulationError: objects so sparse that too few paths pass enough of them.
     """
-    order, labels = _by_distance(objects.positions, np.random.default_rng(seed)), np.array(objects.labels)
+    centre = objects.positions[np.random.default_rng(seed).integers(len(objects.positions))]
+    order = np.argsort(np.hypot(*(objects.positions[:, :2] - centre[:2]).T), kind="stable")
+    labels = np.array(objects.labels)
     there = sorted({min(size, len(order)) for size in sizes})
     runs = list(product(classes, there, proposers))
     rows = []
-    with threadpool_limits(limits=1):
+    with threadpool_limits(1), progress_bar("measuring") as show_done:
         for done, (count, size, name) in enumerate(runs, start=1):
             world = _with_classes(objects.positions[order], labels[order], count)
             map_ = world.first(size)
@@ -81,7 +82,7 @@ def run_contest(
                 asked = draw_path_queries(world.first(there[0]), queries, scenario, rng=rng)
                 figures = _measure(search, map_, asked, scenario.range_m)
                 rows.append({**about, "query": text, **asdict(scenario), **figures})
-            on_progress(done / len(runs))
+            show_done(done / len(runs))
     return pd.DataFrame(rows)
 
 
@@ -122,11 +123,11 @@ def _measure(
     tree = cKDTree(objects.positions[:, :2])
     answers = pd.DataFrame([_answer(search, objects, tree, query, range_m) for query in queries])
     return {
-        **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
+        **{f"at_{k}": (answers["rank"] < k).mean() for k in RECALL_AT},
         **answers[["right", "wrong"]].mean(),
-        "propose_ms": float(answers["propose_ms"].median()),
-        "propose_p95_ms": float(answers["propose_ms"].quantile(0.95)),
-        "verify_ms": float(answers["verify_ms"].median()),
+        "propose_ms": answers["propose_ms"].median(),
+        "propose_p95_ms": answers["propose_ms"].quantile(0.95),
+        "verify_ms": answers["verify_ms"].median(),
     }
 
 
@@ -150,12 +151,6 @@ def _answer(
         "propose_ms": 1e3 * (proposed - started),
         "verify_ms": 1e3 * (verified - proposed),
     }
-
-
-def _by_distance(positions: FloatArray, rng: np.random.Generator) -> IntArray:
-    """Rows of objects (N, 3) by their distance from one of them, which is drawn."""
-    centre = positions[int(rng.integers(len(positions)))]
-    return np.argsort(np.hypot(*(positions[:, :2] - centre[:2]).T), kind="stable")
 
 
 def _with_classes(positions: FloatArray, labels: NDArray[np.str_], count: int) -> LabelledMap:

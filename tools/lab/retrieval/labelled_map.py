@@ -52,4 +52,4 @@ def is_right(poses: FloatArray, truth: FloatArray) -> BoolArray:
 
 def rank_of(poses: FloatArray, truth: FloatArray) -> int:
     """How many poses (H, 4, 4) stand before the first right one; the last of :data:`RECALL_AT` if none is."""
-    return int(np.flatnonzero(is_right(poses, truth)).min(initial=RECALL_AT[-1]))
+    return np.flatnonzero(is_right(poses, truth)).min(initial=RECALL_AT[-1])

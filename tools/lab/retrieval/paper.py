@@ -4,7 +4,7 @@ Verification and acceptance are those of :class:`slam.scan_localization.ScanLoca
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Candidate
 from slam.scan_localization import ScanLocalizer
+from tools.console import progress_bar
 from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
 
@@ -23,13 +24,7 @@ NOISE_PER_M = 0.08
 
 
 def benchmark_descriptors(
-    objects: LabelledMap,
-    tour: FloatArray,
-    methods: Sequence[str],
-    *,
-    queries: int,
-    seeds: int,
-    on_progress: Callable[[float], None],
+    objects: LabelledMap, tour: FloatArray, methods: Sequence[str], *, queries: int, seeds: int
 ) -> pd.DataFrame:
     """Every descriptor on the same queries, on one thread.
 
@@ -39,7 +34,6 @@ def benchmark_descriptors(
         methods: names of descriptors.
         queries: for each scenario and seed.
         seeds: 0 to ``seeds`` - 1.
-        on_progress: called with the fraction done, in [0, 1].
 
     Returns:
         A row for each ``method`` and ``scenario``. ``success`` and ``deviation`` over the seeds: shares of the queries
@@ -60,12 +54,12 @@ def benchmark_descriptors(
         for number, scenario in enumerate(SCENARIOS)
     }
     cells = []
-    with threadpool_limits(limits=1):
+    with threadpool_limits(1), progress_bar("localizing") as show_done:
         for method in methods:
             for scenario, asked in drawn.items():
                 figures = _measure(method, objects, scenario, asked)
                 cells.append({"method": method, "scenario": scenario.name, **figures})
-                on_progress(len(cells) / (len(methods) * len(SCENARIOS)))
+                show_done(len(cells) / (len(methods) * len(SCENARIOS)))
     return pd.DataFrame(cells, dtype=object)
 
 
@@ -90,11 +84,11 @@ def _measure(
     accepted_m = answers["accepted_error_m"]
     success = (accepted_m < 1.0).groupby(answers["seed"]).mean()
     return {
-        "success": float(success.mean()),
-        "deviation": float(success.std(ddof=0)),
-        "misplaced": float((np.isfinite(accepted_m) & (accepted_m >= 10.0)).mean()),
-        "likeliest": float((answers["likeliest_error_m"] < 1.0).mean()),
-        "query_ms": 1e3 * float(answers["seconds"].median()),
+        "success": success.mean(),
+        "deviation": success.std(ddof=0),
+        "misplaced": (np.isfinite(accepted_m) & (accepted_m >= 10.0)).mean(),
+        "likeliest": (answers["likeliest_error_m"] < 1.0).mean(),
+        "query_ms": 1e3 * answers["seconds"].median(),
         "build_s": build_s,
     }
 
@@ -110,14 +104,14 @@ def _localize(localizer: ScanLocalizer, objects: LabelledMap, query: LocalQuery)
     seconds = time.process_time() - started
     likeliest = max(candidates, key=lambda each: each.score, default=None)
     return {
-        "accepted_error_m": _error_m(None if accepted is None else accepted.T_local_query, query),
-        "likeliest_error_m": _error_m(None if likeliest is None else likeliest.T_local_query, query),
+        "accepted_error_m": _error_m(accepted, query),
+        "likeliest_error_m": _error_m(likeliest, query),
         "seconds": seconds,
     }
 
 
-def _error_m(T_map_query: FloatArray | None, query: LocalQuery) -> float:
-    """Distance in the plane from where the query is; infinite without a pose."""
-    if T_map_query is None:
+def _error_m(found: Candidate | None, query: LocalQuery) -> float:
+    """Distance in the plane from where the query is; infinite without a candidate."""
+    if found is None:
         return np.inf
-    return float(np.linalg.norm((T_map_query - query.T_map_query_gt)[:2, 3]))
+    return float(np.linalg.norm((found.T_local_query - query.T_map_query_gt)[:2, 3]))

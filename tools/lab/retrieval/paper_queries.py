@@ -86,15 +86,13 @@ def visible(offsets: FloatArray) -> BoolArray:
     were mirrored at a circle far out.
     """
     distances = np.hypot(offsets[:, 0], offsets[:, 1])
-    shown = np.ones(len(offsets), dtype=bool)
+    everything = np.ones(len(offsets), dtype=np.bool_)
     if len(offsets) < 3 or not np.all(distances > 0.0):
-        return shown
+        return everything
     radius = 100.0 * distances.max()
     flipped = offsets + 2.0 * (radius - distances)[:, None] * offsets / distances[:, None]
     try:
         hull = ConvexHull(np.vstack([flipped, np.zeros((1, 2))])).vertices
     except QhullError:
-        return shown
-    shown[:] = False
-    shown[hull[hull < len(offsets)]] = True
-    return shown
+        return everything
+    return np.isin(np.arange(len(offsets)), hull)

@@ -74,11 +74,11 @@ def draw_path_queries(
     for _ in range(100 * count):
         if len(drawn) == count:
             return drawn
-        begin, yaw = objects.positions[int(rng.integers(len(objects)))], rng.uniform(-np.pi, np.pi)
+        begin, yaw = objects.positions[rng.integers(len(objects))], rng.uniform(-np.pi, np.pi)
         seen, end = _drive(tree, begin[:2], yaw, scenario, rng)
         if len(seen) < fewest:
             continue
-        place = np.array([*end, float(np.median(objects.positions[seen, 2]))])
+        place = np.array([*end, np.median(objects.positions[seen, 2])])
         T_map_query = transform_from_xyz_yaw(place, yaw)
         local = apply(invert(T_map_query), objects.positions[seen])
         drawn.append(PathQuery(_observe(local, objects.labels[seen], scenario, rng), T_map_query))
@@ -101,7 +101,7 @@ def _drive(
     rows, first_step = rows[is_observed], first_step[is_observed]
     if not scenario.objects or len(rows) < scenario.objects:
         return rows, path[-1]
-    last = int(np.partition(first_step, scenario.objects - 1)[scenario.objects - 1])
+    last = np.partition(first_step, scenario.objects - 1)[scenario.objects - 1]
     rows = rows[first_step <= last]
     offsets = tree.data[rows] - path[last]
     nearest = np.argsort(np.hypot(offsets[:, 0], offsets[:, 1]), kind="stable")[: scenario.objects]
@@ -110,7 +110,7 @@ def _drive(
 
 def _observe(local: FloatArray, labels: IntArray, scenario: Scenario, rng: np.random.Generator) -> Submap:
     """The objects at ``local`` (N, 3) m, some of which are clutter elsewhere instead, with noise."""
-    clutter = rng.choice(len(local), int(rng.binomial(len(local), scenario.clutter)), replace=False)
+    clutter = rng.choice(len(local), rng.binomial(len(local), scenario.clutter), replace=False)
     local[clutter, :2] = rng.uniform(local[:, :2].min(axis=0), local[:, :2].max(axis=0), (len(clutter), 2))
     local[:, :2] += rng.normal(0.0, scenario.noise_m, (len(local), 2))
     return Submap(local, np.full(len(local), scenario.noise_m), labels, np.arange(len(local)))

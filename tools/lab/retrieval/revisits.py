@@ -6,7 +6,7 @@ gets the same submaps.
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,17 +25,13 @@ from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.system import Slam
+from tools.console import progress_bar
 from tools.lab.drives.true_drive import read_true_drive
 from tools.lab.retrieval.labelled_map import RECALL_AT, rank_of
 
 
 def measure_revisits(
-    path: Path,
-    descriptors: Sequence[str],
-    config: Config,
-    *,
-    topics: Mapping[str, str] | None = None,
-    on_progress: Callable[[float], None],
+    path: Path, descriptors: Sequence[str], config: Config, *, topics: Mapping[str, str] | None = None
 ) -> list[dict[str, Any]]:
     """Map a drive with truth, and ask each descriptor at its revisits.
 
@@ -44,7 +40,6 @@ def measure_revisits(
         descriptors: names, as the registry has them.
         config: of the estimator; what it leaves open is estimated from the log.
         topics: kind -> topic, where the log leaves a choice.
-        on_progress: called with the fraction done, in [0, 1].
 
     Returns:
         For each descriptor ``places_at_k``, the share of the ``queries`` with a right pose among the first k proposals,
@@ -56,11 +51,11 @@ def measure_revisits(
         SlamError: it cannot be mapped, holds no truth, or never comes back.
     """
     records, truth, config = read_true_drive(path, config, topics)
-    with threadpool_limits(1):
+    with threadpool_limits(1), progress_bar(f"mapping {path.name}") as show_done:
         asking = _AskingSlam(config, truth, descriptors)
         for done, record in enumerate(records, start=1):
             asking.process(record)
-            on_progress(done / len(records))
+            show_done(done / len(records))
     if not asking.answers:
         raise EvaluationError(f"{path}: the drive never revisits a place, so there is nothing to recognise")
     return [
@@ -68,8 +63,8 @@ def measure_revisits(
             "drive": path.stem,
             "descriptor": name,
             "queries": len(answers),
-            **{f"places_at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
-            "query_ms": 1e3 * float(answers["seconds"].median()),
+            **{f"places_at_{k}": (answers["rank"] < k).mean() for k in RECALL_AT},
+            "query_ms": 1e3 * answers["seconds"].median(),
             "index_s": asking.index_s[name],
         }
         for name, answers in pd.DataFrame(asking.answers).groupby("descriptor", sort=False)
@@ -95,7 +90,7 @@ class _AskingSlam(Slam):
             started = time.perf_counter()
             retriever.index_inactive_landmarks(keyframe.odometry)
             self.index_s[name] += time.perf_counter() - started
-        travelled_m = float(self._truth.travelled_at_m(np.array([keyframe.odometry.stamp_ns]))[0])
+        travelled_m = self._truth.travelled_at_m(np.array([keyframe.odometry.stamp_ns]))[0]
         if travelled_m - self._asked_m >= self._protocol.query_spacing_m:
             self._ask(keyframe, travelled_m)
         return Outcome([])
