@@ -51,15 +51,15 @@ class MapPicture:
             fontsize=13,
             color=_MUTED,
         )
-        self._drawn = list[FloatArray]()
 
     def add_line(
         self, name: str, positions: FloatArray, color: str, width: float, *, style: Any = "-", count: int | None = None
     ) -> None:
         """Join positions (N, 3) m by a line that is broken at NaN; ``style``: of matplotlib."""
         if len(positions):
-            xy = self._next(positions)
-            self._axes.plot(*xy, color=color, linewidth=width, linestyle=style, **self._entry(name, count))
+            self._axes.plot(
+                *positions[:, :2].T, color=color, linewidth=width, linestyle=style, **self._entry(name, count)
+            )
 
     def add_strokes(self, name: str, ends: FloatArray, color: str, width: float) -> None:
         """Join each pair of ends (C, 2, 3) m."""
@@ -71,7 +71,7 @@ class MapPicture:
     ) -> None:
         """Mark positions (N, 3) m; ``marker``: as matplotlib names it; ``size``: diameter."""
         if len(positions):
-            x, y = self._next(positions)
+            x, y = positions[:, :2].T
             self._axes.scatter(
                 x,
                 y,
@@ -99,9 +99,9 @@ class MapPicture:
             EvaluationError: there is nothing to draw.
             UnwritableLogError: the file cannot be written.
         """
-        if not self._drawn:
+        if not self._axes.has_data():
             raise EvaluationError("no position to draw")
-        low, high = _limits(np.concatenate(self._drawn))
+        low, high = _limits(*self._axes.dataLim.get_points())
         self._axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         self.figure.set_size_inches(16.0, min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
         key = self.figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
@@ -114,16 +114,12 @@ class MapPicture:
         with replacing(path_png) as part:
             part.write_bytes(png.getvalue())
 
-    def _next(self, positions: FloatArray) -> FloatArray:
-        """x and y (2, N) of what is drawn next."""
-        self._drawn.append(positions[:, :2])
-        return positions[:, :2].T
-
     def _entry(self, name: str, count: int | None) -> dict[str, Any]:
         """Its entry in the key, and its place above the grid and what was drawn before."""
         label = _cut(name, 40) + ("" if count is None else f" ({count})")
         # The key leaves out what begins with an underscore.
-        return {"label": f" {label}" if label.startswith("_") else label, "zorder": len(self._drawn) + 1}
+        zorder = 1 + len(self._axes.lines) + len(self._axes.collections)
+        return {"label": f" {label}" if label.startswith("_") else label, "zorder": zorder}
 
 
 def count_classes(labels: Sequence[str]) -> str:
@@ -131,8 +127,8 @@ def count_classes(labels: Sequence[str]) -> str:
     return f"landmarks {len(labels)}, classes {len(set(labels))}"
 
 
-def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+def _limits(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The corners of the picture from those of what is drawn."""
     margin = max(0.03 * np.max(high - low), 1.0)
     low, high = low - margin, high + margin
     # A straight street must not become a strip: the short side is widened to half of the long one.

@@ -70,5 +70,4 @@ def format_numbers(values: FloatArray) -> str:
 
 def position_and_quaternion(poses: FloatArray) -> FloatArray:
     """(N, 7) x y z and quaternion x y z w of poses (N, 4, 4)."""
-    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.zeros((0, 4))
-    return np.hstack([poses[:, :3, 3], xyzw])
+    return np.hstack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat()])

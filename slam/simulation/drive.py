@@ -105,7 +105,7 @@ def _speeds(ds_m: FloatArray, turn_rad: FloatArray, config: DriveConfig) -> Floa
     speed = np.minimum(np.append(limit, limit[-1]), np.insert(limit, 0, limit[0]))  # (S,)
     # v^2 = v0^2 + 2 a s, backwards for braking and forwards for speeding up.
     gain = 2.0 * config.max_acceleration_mps2 * ds_m
-    for i in range(len(ds_m) - 1, -1, -1):
+    for i in reversed(range(len(ds_m))):
         speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + gain[i]))
     for i in range(len(ds_m)):
         speed[i + 1] = min(speed[i + 1], np.sqrt(speed[i] ** 2 + gain[i]))

@@ -90,19 +90,18 @@ def scan_objects(
         classes = np.where(wrong, (classes + shift) % class_count, classes)
     scores = 0.9 - 0.25 * range_m / config.max_range_m - 0.2 * wrong + 0.05 * score_normals
 
-    false = _false_positives(class_count, config, rngs["false_positive"])
-    all_measured = np.concatenate([measured[kept], false.positions])
-    order = np.argsort(np.arctan2(all_measured[:, 1], all_measured[:, 0]), kind="stable")
-    return Scan(
-        all_measured[order],
-        np.concatenate([classes[kept], false.class_indices])[order],
-        np.concatenate([scores[kept], false.scores])[order].clip(0.05, 1.0),
-        np.concatenate([sigmas_m[kept], false.sigmas_m])[order],
-        np.concatenate([rows[kept], false.sources])[order],
-    )
+    detected = (measured, classes, scores, sigmas_m, rows)
+    invented = _false_positives(class_count, config, rngs["false_positive"])
+    columns = [np.concatenate([each[kept], false]) for each, false in zip(detected, invented, strict=True)]
+    order = np.argsort(np.arctan2(columns[0][:, 1], columns[0][:, 0]), kind="stable")
+    positions, classes, scores, sigmas_m, sources = (column[order] for column in columns)
+    return Scan(positions, classes, scores.clip(0.05, 1.0), sigmas_m, sources)
 
 
-def _false_positives(class_count: int, config: SensorConfig, rng: np.random.Generator) -> Scan:
+def _false_positives(
+    class_count: int, config: SensorConfig, rng: np.random.Generator
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, IntArray]:
+    """The fields of a :class:`Scan` of nothing."""
     count = rng.poisson(config.false_positives_per_scan)
     range_m = config.max_range_m * np.sqrt(rng.random(count))
     bearing = (rng.random(count) - 0.5) * np.deg2rad(config.field_of_view_deg)
@@ -112,4 +111,4 @@ def _false_positives(class_count: int, config: SensorConfig, rng: np.random.Gene
     )
     classes = rng.integers(class_count, size=count)
     scores = rng.normal(0.45, 0.15, count)
-    return Scan(positions, classes, scores, sigmas_m, np.full(count, -1, dtype=np.int64))
+    return positions, classes, scores, sigmas_m, np.full(count, -1, dtype=np.int64)

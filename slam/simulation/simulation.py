@@ -32,8 +32,7 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[D
     Raises:
         SimulationError: a kidnapping outside the tour, or a tour too short; raised at the call.
     """
-    children = np.random.SeedSequence(seed).spawn(len(CAUSES))
-    rngs = dict(zip(CAUSES, map(np.random.default_rng, children), strict=True))
+    rngs = dict(zip(CAUSES, np.random.default_rng(seed).spawn(len(CAUSES)), strict=True))
     return _records(world, config, _drives(plan_drive(world.tour, config.drive), config), rngs)
 
 
@@ -60,8 +59,8 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
     if kidnap is None:
         drives = [plan.sample(0.0, plan.length_m, start_ns=start_ns)]
     else:
-        first_m = 0.0 if kidnap.before_m is None else max(kidnap.from_m - kidnap.before_m, 0.0)
-        last_m = plan.length_m if kidnap.after_m is None else min(kidnap.to_m + kidnap.after_m, plan.length_m)
+        first_m = max(kidnap.from_m - (kidnap.before_m or np.inf), 0.0)
+        last_m = min(kidnap.to_m + (kidnap.after_m or np.inf), plan.length_m)
         before = plan.sample(first_m, kidnap.from_m, start_ns=start_ns)
         gap_s = 1.0 / config.drive.rate_hz if kidnap.silent else kidnap.gap_s
         resume_ns = int(before.stamps_ns[-1]) + round(gap_s * 1e9)

@@ -56,7 +56,7 @@ class World:
         along_m = travelled_m(self.tour)
         if length_m >= along_m[-1]:
             return self
-        end = [np.interp(length_m, along_m, self.tour[:, axis]) for axis in (0, 1)]
+        end = [np.interp(length_m, along_m, axis) for axis in self.tour.T]
         return replace(self, tour=np.vstack([self.tour[along_m < length_m], end]))
 
     def sha256(self) -> str:

@@ -11,27 +11,25 @@ from tools.evaluation.requirements import Require, finish
 if TYPE_CHECKING:
     from slam.common.arrays import FloatArray
 
-Reference = Annotated[
-    Path | None,
-    typer.Option(metavar="LOG|POSES", help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz)."),
-]
-Calib = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="KITTI's calib.txt, if references in its format are of the left camera."),
-]
-MapRun = Annotated[
-    Path | None, typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.")
-]
-
 
 def evaluate(
     log: SlamLog,
-    reference: Reference = None,
-    calib: Calib = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG|POSES", help="Ground truth: a log, or poses of the body (TUM, KITTI or CSV, also .gz)."
+        ),
+    ] = None,
+    calib: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="KITTI's calib.txt, if references in its format are of the left camera."),
+    ] = None,
     topics: Topics = None,
     as_json: Json = False,
     picture: Picture = None,
-    map_run: MapRun = None,
+    map_run: Annotated[
+        Path | None, typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.")
+    ] = None,
     require: Require = None,
 ) -> None:
     """Compare a map with the truth: trajectory, associations, landmarks, loop closures.

@@ -1,10 +1,10 @@
 """The records of an output log, and of a reference log, that an evaluation looks at."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic_core import from_json
@@ -50,9 +50,6 @@ _ESTIMATED_KINDS = frozenset(
 _INPUT_KINDS = frozenset(
     {RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH}
 )
-
-
-_Record = TypeVar("_Record", bound=Record)
 
 
 @frozen
@@ -115,17 +112,18 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
     An object map on a topic under ``/slam/`` is the estimate, on any other it is the truth.
     """
     of_kind: defaultdict[type[Record], list[Any]] = defaultdict(list)
-    true_maps, calibrations = list[ObjectMapRecord](), 0
+    true_objects, calibrations = None, 0
     for topic, record in records:
         if isinstance(record, ObjectMapRecord) and not topic.startswith(OUTPUT_PREFIX):
-            true_maps.append(record)
+            true_objects = record
             continue
         if isinstance(record, StatusRecord) and record.counters.get(CALIBRATIONS, 0) > calibrations:
             calibrations = record.counters[CALIBRATIONS]
             for kind in OF_ONE_MAP:
                 of_kind[kind].clear()
         of_kind[type(record)].append(record)
-    final = _last(of_kind[TrajectoryRecord])
+    last = {kind: every[-1] for kind, every in of_kind.items() if every}
+    final = last.get(TrajectoryRecord)
     return EvaluationRecords(
         final_path=NO_POSES if final is None else clean_poses(final.stamps_ns, final.T_map_body),
         online_path=series_of((pose.stamp_ns, pose.T_map_body) for pose in of_kind[SlamPose]),
@@ -133,16 +131,12 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
         true_path=series_of((pose.stamp_ns, pose.T_world_body) for pose in of_kind[GroundTruthPose]),
         associations=tuple(of_kind[DetectionAssociations]),
         detection_truths=tuple(of_kind[DetectionTruth]),
-        object_map=_last(of_kind[ObjectMapRecord]),
-        true_objects=_last(true_maps),
+        object_map=last.get(ObjectMapRecord),
+        true_objects=true_objects,
         closures=tuple(of_kind[LoopClosureRecord]),
-        graph=_last(of_kind[FactorGraphRecord]),
+        graph=last.get(FactorGraphRecord),
         statuses=tuple(of_kind[StatusRecord]),
     )
-
-
-def _last(records: Sequence[_Record]) -> _Record | None:
-    return records[-1] if records else None
 
 
 def read_records(

@@ -42,9 +42,7 @@ class PoseSeries:
         if not len(self):
             return np.zeros(len(at_ns))
         origin_ns = self.stamps_ns[0]  # Offsets are exact in float64, epoch nanoseconds are not.
-        offsets = np.asarray(at_ns, dtype=np.int64) - origin_ns
-        known = (self.stamps_ns - origin_ns).astype(np.float64)
-        return np.interp(offsets.astype(np.float64), known, self.travelled_m)
+        return np.interp(at_ns - origin_ns, self.stamps_ns - origin_ns, self.travelled_m)
 
     def poses_at(self, at_ns: IntArray) -> FloatArray:
         """T_world_body (M, 4, 4) at any times, in any order, interpolated within the span of the series.

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from logs.messages import DetectionAssociations, DetectionTruth, ObjectMapRecord
-from slam.common.arrays import BoolArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.statistics import fraction
@@ -83,14 +82,6 @@ def identify_landmarks(table: pd.DataFrame) -> dict[str, str]:
     return dict(best.tolist())
 
 
-def find_possible_associations(table: pd.DataFrame, *, revisit_m: float) -> BoolArray:
-    """Which detections (N,) show an object that an earlier frame showed at most ``revisit_m`` of travel before."""
-    sightings = table[table["object"] != FALSE_POSITIVE].drop_duplicates(["object", "frame"])
-    is_recent = sightings.groupby("object")["travelled_m"].diff() <= revisit_m
-    recent = pd.MultiIndex.from_frame(sightings.loc[is_recent, ["object", "frame"]])
-    return pd.MultiIndex.from_frame(table[["object", "frame"]]).isin(recent)
-
-
 def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> dict[str, float | None]:
     """Precision and recall of the assignments, by the keys of the JSON.
 
@@ -105,10 +96,13 @@ def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> d
         table: from :func:`label_detections`; may be empty.
         revisit_m: travel beyond which an object is recognised by a loop closure only.
     """
-    assigned = (table["landmark"] != UNASSIGNED) & ~table["created"]
-    shows_it = table["landmark"].map(identify_landmarks(table)) == table["object"]
-    right = assigned & (table["object"] != FALSE_POSITIVE) & shows_it
-    possible = find_possible_associations(table, revisit_m=revisit_m)
+    assigned, is_object = (table["landmark"] != UNASSIGNED) & ~table["created"], table["object"] != FALSE_POSITIVE
+    right = assigned & is_object & (table["landmark"].map(identify_landmarks(table)) == table["object"])
+    sightings = table[is_object].drop_duplicates(["object", "frame"])
+    recent = sightings[sightings.groupby("object")["travelled_m"].diff() <= revisit_m]
+    possible = pd.MultiIndex.from_frame(table[["object", "frame"]]).isin(
+        pd.MultiIndex.from_frame(recent[["object", "frame"]])
+    )
     counts = {
         "detection_count": len(table),
         "assigned_count": assigned.sum(),

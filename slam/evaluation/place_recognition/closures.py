@@ -18,6 +18,17 @@ from slam.evaluation.place_recognition.revisits import count_stages
 
 EDGES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
 """Probabilities between the bins, and both ends."""
+_COLUMNS = {
+    "record": object,
+    "query": np.int64,
+    "stamp_ns": np.int64,
+    "reference_stamp_ns": np.int64,
+    "accepted": np.bool_,
+    "stage": object,
+    "seed": np.float64,
+    "log_odds": np.float64,
+}
+"""Of the table of candidates, what is copied from their records."""
 
 
 def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
@@ -37,29 +48,24 @@ def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, p
         where undecided); errors of where it puts the query keyframe, NaN where undecided: ``error_m``,
         ``rotation_rad``; ``travelled_m``: true path up to the query keyframe.
     """
-    query_ns = np.array([c.stamp_ns for c in candidates], dtype=np.int64)
-    reference_ns = np.array([c.reference_stamp_ns for c in candidates], dtype=np.int64)
+    rows = [
+        (c, c.query_keyframe_id, c.stamp_ns, c.reference_stamp_ns, c.accepted, c.stage, c.seed_query_keyframe_id,
+         c.posterior_log_odds)
+        for c in candidates
+    ]  # fmt: skip
+    table = pd.DataFrame(rows, columns=list(_COLUMNS)).astype(_COLUMNS)
+    query_ns, reference_ns = table["stamp_ns"].to_numpy(), table["reference_stamp_ns"].to_numpy()
     T_world_query, unknown = truth.poses_at(query_ns), np.full((4, 4), np.nan)
     T_reference_query = [unknown if c.T_reference_query is None else c.T_reference_query for c in candidates]
     T_world_claimed = truth.poses_at(reference_ns) @ np.array(T_reference_query).reshape(-1, 4, 4)
     error_m = np.linalg.norm(T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3], axis=1)
     rotation_rad = rotation_angle_rad(invert(T_world_query) @ T_world_claimed)
-    return pd.DataFrame(
-        {
-            "record": pd.Series(candidates, dtype=object),
-            "query": np.array([c.query_keyframe_id for c in candidates], dtype=np.int64),
-            "stamp_ns": query_ns,
-            "reference_stamp_ns": reference_ns,
-            "accepted": np.array([c.accepted for c in candidates], dtype=np.bool_),
-            "stage": pd.Series([c.stage for c in candidates], dtype=object),
-            "seed": np.array([c.seed_query_keyframe_id for c in candidates], dtype=np.float64),
-            "log_odds": np.array([c.posterior_log_odds for c in candidates], dtype=np.float64),
-            "decided": ~np.isnan(error_m),
-            "true": protocol.is_true(error_m, rotation_rad),
-            "error_m": error_m,
-            "rotation_rad": rotation_rad,
-            "travelled_m": truth.travelled_at_m(query_ns),
-        }
+    return table.assign(
+        decided=~np.isnan(error_m),
+        true=protocol.is_true(error_m, rotation_rad),
+        error_m=error_m,
+        rotation_rad=rotation_rad,
+        travelled_m=truth.travelled_at_m(query_ns),
     )
 
 

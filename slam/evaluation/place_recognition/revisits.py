@@ -16,6 +16,8 @@ from slam.evaluation.metrics.statistics import fraction
 
 DIRECTIONS = ("same", "opposite", "crossing")
 NO_TRUE_CANDIDATE = "no true candidate"
+_RANKS: dict[str, int] = {stage: rank for rank, stage in enumerate(Stage)}
+"""A stage that is not among them comes before all."""
 
 
 def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
@@ -68,7 +70,7 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
     revisits = queries[queries["direction"] != ""]
     is_recalled = revisits["keyframe"].isin(true["query"][true["accepted"]])
     recalled, missed = revisits[is_recalled], revisits["keyframe"][~is_recalled]
-    farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: _rank_stage(pair[1])))
+    farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: _RANKS.get(pair[1], -1)))
     found, there = Counter(recalled["direction"]), Counter(revisits["direction"])
     return {
         "revisit_count": len(revisits),
@@ -82,7 +84,7 @@ def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, 
 def count_stages(stages: Iterable[str]) -> dict[str, int]:
     """How often each stage occurs, in the order of the stages."""
     counts = Counter(stages)
-    return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (_rank_stage(stage), stage))}
+    return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (_RANKS.get(stage, -1), stage))}
 
 
 def _thin(travelled_m: FloatArray, least_m: float) -> IntArray:
@@ -109,9 +111,3 @@ def _find_nearest_earlier(
     hits, first = np.unique(query[order], return_index=True)
     nearest[hits] = reference[order[first]]
     return nearest
-
-
-def _rank_stage(stage: str) -> int:
-    """Place of a stage in :class:`logs.closures.Stage`; one that is not known comes before all."""
-    stages: list[str] = list(Stage)
-    return stages.index(stage) if stage in stages else -1

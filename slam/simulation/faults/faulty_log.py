@@ -109,7 +109,7 @@ def write_faulty(
 def _read(reader: LogReader, selection: Selection) -> Iterator[Message[Record]]:
     """The messages of the kinds that faults can read, numbered among all of the log."""
     kept = {topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_READ)}
-    others = {info.topic for info in reader.topics()} - set(kept)
+    others = {info.topic for info in reader.topics()} - kept.keys()
     for number, item in enumerate(reader.items(Selection(kept, selection.mappings), copy=others)):
         yield from (Message(item.raw.topic, item.raw.log_time_ns, record, number) for record in item.records)
 

@@ -64,16 +64,15 @@ class Scan:
         """The true id of each detection; () where they are not known."""
         return () if self.truth is None else self.truth.record.object_ids
 
-    def put(self, seen: ObjectDetections, ids: tuple[str, ...] | None = None) -> None:
-        """Put other detections in the place of these, with true ids where their number changes."""
+    def put(self, seen: ObjectDetections, ids: tuple[str, ...]) -> None:
+        """Put other detections in the place of these, with their true ids."""
         self.message = replace(self.message, record=seen)
         if self.truth is not None:
-            object_ids = self.ids if ids is None else ids
-            self.truth = self.truth.having(stamp_ns=seen.stamp_ns, object_ids=object_ids)
+            self.truth = self.truth.having(stamp_ns=seen.stamp_ns, object_ids=ids)
 
     def change(self, **fields: Any) -> None:
         """Give the detections other fields."""
-        self.put(replace(self.seen, **fields))
+        self.put(replace(self.seen, **fields), self.ids)
 
     def move(self, T: FloatArray) -> None:
         """Move positions and covariances by a transform (4, 4)."""

@@ -8,8 +8,6 @@ import typer
 from tools.arguments import Json
 from tools.lab.tables import Descriptors, Markdown, compared_descriptors, report
 
-Objects = Annotated[Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")]
-Trajectory = Annotated[Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.")]
 COLUMNS = {
     "descriptor": "{method}",
     "scenario": "{scenario}",
@@ -22,8 +20,10 @@ COLUMNS = {
 
 
 def descriptors(
-    objects: Objects = None,
-    trajectory: Trajectory = None,
+    objects: Annotated[Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")] = None,
+    trajectory: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.")
+    ] = None,
     descriptor: Descriptors = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries for each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with different queries.")] = 5,
