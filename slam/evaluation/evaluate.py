@@ -153,8 +153,7 @@ def _describe_turn(R: FloatArray | None) -> str | None:
     """None for no rotation, or an unknown one."""
     if R is None or np.array_equal(R, np.eye(3)):
         return None
-    roll, pitch, yaw = roll_pitch_yaw_deg(R)
-    return f"roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg"
+    return "roll {:.0f}, pitch {:.0f}, yaw {:.0f} deg".format(*roll_pitch_yaw_deg(R))
 
 
 def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:

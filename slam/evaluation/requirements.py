@@ -34,16 +34,17 @@ class Requirement:
     def check(self, results: Mapping[str, Any]) -> tuple[bool, str]:
         """Whether the value meets the bar, and a description; an unknown or undefined value does not."""
         value = value_at(results, self.key)
+        required = f"where {self.sign} {self.bar:g} was required"
         if isinstance(value, int | float):
-            is_met = _COMPARISONS[self.sign](value, self.bar)
-            required = f"{self.sign} {self.bar:g}" if is_met else f"where {self.sign} {self.bar:g} was required"
-            return is_met, f"{self.key} is {value:g}{' ' if is_met else ', '}{required}"
+            if _COMPARISONS[self.sign](value, self.bar):
+                return True, f"{self.key} is {value:g} {self.sign} {self.bar:g}"
+            return False, f"{self.key} is {value:g}, {required}"
         flat = pd.json_normalize(results).iloc[0]
         known = [key for key, each in flat.items() if not isinstance(each, list)]  # lists are curves, or tables
         near = difflib.get_close_matches(self.key, known, n=1)
         reason = value_at(results, f"unavailable.{self.key.partition('.')[0]}")
         why = f" ({reason})" if reason else f"; did you mean {near[0]}?" if near and self.key not in known else ""
-        return False, f"{self.key} is undefined{why}, where {self.sign} {self.bar:g} was required"
+        return False, f"{self.key} is undefined{why}, {required}"
 
 
 def parse_requirement(text: str) -> Requirement:

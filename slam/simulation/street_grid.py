@@ -59,13 +59,12 @@ def _lay_streets(rng: np.random.Generator) -> tuple[Places, Neighbours]:
     # Only streets between two inner crossings are closed, so that every crossing keeps two arms or more.
     inner = [(c, r) for c, r in crossings if 0 < c < COLUMNS - 1 and 0 < r < ROWS - 1]
     closable = [((c, r), (c + 1, r)) for c, r in inner if (c + 1, r) in inner]
-    chosen = rng.choice(len(closable), 2, replace=False).tolist()
-    closed = [closable[i] for i in chosen]
+    closed = [set(closable[i]) for i in rng.choice(len(closable), 2, replace=False)]
     neighbours = {
         (c, r): tuple(
             other
             for other in ((c - 1, r), (c, r - 1), (c, r + 1), (c + 1, r))
-            if other in places and ((c, r), other) not in closed and (other, (c, r)) not in closed
+            if other in places and {(c, r), other} not in closed
         )
         for c, r in crossings
     }
