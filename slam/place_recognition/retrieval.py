@@ -37,6 +37,7 @@ class PlaceRetriever:
         self._extent_m = config.traversal_extent_m
         self._map = object_map
         self._pairs = make_landmark_pairs(config)
+        self._likelihood = shipped_likelihood()
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._search: PlaceSearch | None = None
         self._segments, self._shifts_m, self._pitch_m = np.zeros(0, dtype=np.int64), np.zeros(0), 1.0  # side by side
@@ -147,7 +148,7 @@ class PlaceRetriever:
         """Poses (H, 4, 4) of a query in itself at which its objects repeat: the identity, and as many as a query in the
         map has candidates.
         """
-        pairs = PairIndex(shipped_likelihood())
+        pairs = PairIndex(self._likelihood)
         pairs.add(query.positions, query.labels)
         search = PlaceSearch(pairs, query.positions, query.labels, len(self._map.labels.vocabulary))
         sigma_m = self._calibration.objects.landmark_sigma_m
