@@ -80,7 +80,10 @@ class Slam:
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
         self._track = OdometryTrack(
-            self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m
+            self.counters,
+            first_segment=self._first_segment,
+            sensor_range_m=config.sensor_range_m,
+            T_level_odom=config.calibration.odometry.T_level_odom,
         )
         self._frontend = Frontend(config.calibration.detection, self._frames, self._track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)

@@ -9,6 +9,7 @@ from operator import attrgetter
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.config_tree import Branch
@@ -42,12 +43,23 @@ class OdometryCalibration(Branch):
     """factor on the lengths of the odometry's steps"""
     turn_scale: float = Field(default=1.0, gt=0)
     """factor on the rotations of the odometry about the vertical axis"""
+    roll_deg: float = Field(default=0.0, ge=-180, le=180)
+    """rotation of the odometry frame about its x axis, applied first, by which it becomes level [deg]"""
+    pitch_deg: float = Field(default=0.0, ge=-90, le=90)
+    """rotation about its y axis, applied second [deg]"""
     climb: float = Field(default=0.0, ge=-1, le=1)
     """height that the odometry lacks per metre of travel [m / m]"""
     drift_deg_per_s: float = 0.0
     """turn that the odometry lacks per second, as by the bias of a gyroscope [deg / s]"""
     curvature_deg_per_m: float = 0.0
     """turn that the odometry lacks per metre of travel, as by wheels of unequal diameter [deg / m]"""
+
+    @property
+    def T_level_odom(self) -> FloatArray:
+        """The rotation (4, 4) by which the frame of the messages becomes level."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xy", (self.roll_deg, self.pitch_deg), degrees=True).as_matrix()
+        return T
 
 
 class DetectionCalibration(Branch):

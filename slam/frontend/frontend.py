@@ -13,6 +13,7 @@ from dataclasses import replace
 from logs.messages import DetectionAssociations, ObjectDetections, Odometry
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
+from slam.common.geometry import invert
 from slam.frontend.input.scan import Scan, in_metres, make_scan
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.frontend.mapper import Mapper
@@ -188,13 +189,13 @@ class Frontend:
             self._counters["detections_out_of_order" if is_late else "detections_duplicated"] += 1
             return None
         assert self._odometry is not None  # as there is a pose
-        T_odom_body = pose.T_odom_body
-        T_body_sensor = find_sensor(self._frames, detections, self._odometry, T_odom_body, self._config)
+        T_reported_body = invert(pose.T_odom_reported) @ pose.T_odom_body
+        T_body_sensor = find_sensor(self._frames, detections, self._odometry, T_reported_body, self._config)
         if T_body_sensor is None:
             self._counters["detections_without_transform"] += 1
             self._missing.add(frame.lstrip("/"))
             return None
-        scan = make_scan(in_metres(detections, self._config), T_body_sensor, self._config, T_odom_body[2, :3])
+        scan = make_scan(in_metres(detections, self._config), T_body_sensor, self._config, pose.T_odom_body[2, :3])
         self._used_frames = {frame} | (self._used_frames if stamp_ns == self._used_ns else set())
         self._used_ns = stamp_ns
         self._counters["detections_used"] += 1

@@ -43,7 +43,8 @@ class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
     A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
-    ``counters``: of unusable messages; ``sensor_range_m`` is that of the detections.
+    ``counters``: of unusable messages; ``sensor_range_m`` is that of the detections; ``T_level_odom`` (4, 4) turns the
+    frame of the messages, which that of the track is level with.
     """
 
     def __init__(
@@ -52,13 +53,14 @@ class OdometryTrack:
         *,
         first_segment: int = 0,
         sensor_range_m: float = DetectionCalibration().sensor_range_m,
+        T_level_odom: FloatArray | None = None,
     ) -> None:
         self._max_speed_mps = MAX_SPEED_RANGES * sensor_range_m
         self._jitter_m = 0.05 / 30.0 * sensor_range_m  # travel is counted in steps of at least that length
         self._sensor_range_m = sensor_range_m
         self._first_segment = first_segment
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
-        self._T_odom_reported = np.eye(4)
+        self._T_odom_reported = np.eye(4) if T_level_odom is None else T_level_odom
         self._corrected = np.zeros(3)
         self._waiting: Odometry | None = None
         self._arrived_ns, self._descends = np.iinfo(np.int64).min, False
@@ -193,7 +195,14 @@ class OdometryTrack:
         xyz_m = T_odom_body[:3, 3]
         if last is None:
             self._counted_xyz_m = xyz_m
-            pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
+            pose = OdometryPose(
+                odometry.stamp_ns,
+                T_odom_body,
+                0.0,
+                self._first_segment,
+                self._max_speed_mps,
+                T_odom_reported=self._T_odom_reported,
+            )
         else:
             breaks = self._is_beyond(self._poses, odometry)
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9

@@ -68,6 +68,8 @@ _MEANINGS = {
     "odometry.length_scale": "the lengths of the odometry need a factor of {:.3f}, if the ranges of detections are "
     "right (else give calibration.detection.range_scale)",
     "odometry.turn_scale": "the rotations of the odometry need a factor of {:.3f}",
+    "odometry.roll_deg": "the frame of the odometry is not level: turned by a roll of {:z.1f} deg",
+    "odometry.pitch_deg": "the frame of the odometry is not level: turned by a pitch of {:z.1f} deg",
     "odometry.climb": "the odometry lacks a climb of {:+.3f} of its path",
     "odometry.drift_deg_per_s": "the odometry lacks a turn of {:+.3f} deg/s, as by the bias of a gyroscope",
     "odometry.curvature_deg_per_m": "the odometry lacks a turn of {:+.3f} deg/m, as by wheels of unequal diameter",

@@ -54,6 +54,23 @@ def better_frame(as_they_are: Sequence[SurveyScan], others: Mapping[str, Sequenc
     return best if is_sure and is_better(by_name[best], distances(as_they_are), FACTOR) else None
 
 
+def find_level(rotations: FloatArray) -> FloatArray:
+    """The rotation (3, 3) by which the frame of the odometry becomes level, from those of the body (K, 3, 3) in it.
+
+    The vertical is the direction that is most constant in the axes of the body, which leans about it: the first
+    singular vector of the mean rotation. As the mean of few leans it may err by as much as they spread, and by more
+    where the body keeps its heading, so that other directions are as constant. A frame that is level within that error
+    is left as it is. Up is where the z axis points, or, of a frame in optical axes, away from the y axis.
+    """
+    directions, constancy, _ = np.linalg.svd(rotations.sum(axis=0) / max(len(rotations), 1))
+    x, y, z = directions[:, 0] if directions[2, 0] >= directions[1, 0] else -directions[:, 0]
+    # Poses have seven digits.
+    spread_rad = np.sqrt(max(2.0 * (1.0 - constancy[0]), np.finfo(np.float32).eps))
+    if np.arccos(np.clip(z, -1.0, 1.0)) * (constancy[0] - constancy[1]) <= spread_rad:
+        return np.eye(3)
+    return Rotation.from_euler("xy", (np.arctan2(y, z), -np.arctan2(x, np.hypot(y, z)))).as_matrix()
+
+
 def find_orientation(scans: Sequence[SurveyScan]) -> FloatArray:
     """The quarter turn (3, 3) of detections, in the axes of the body, for which there is more evidence than for the
     axes as they are; the identity where there is none. ``scans``: (K), two at least, in the order of their stamps.

@@ -20,7 +20,7 @@ from slam.self_calibration.corrections import (
     is_chance,
     without_bias,
 )
-from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
+from slam.self_calibration.frames import better_frame, find_level, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.object_tracks import (
     ROUNDING,
     Detectability,
@@ -131,9 +131,10 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     """
     given = given or Calibration()
     detour = max(log.detour() for log in logs)
+    level = _level(logs, given)
     is_given = given.is_given("detection.resolution_m")
-    resolution_m = 0.0 if is_given else find_resolution(scans_of(logs, given)[0])
-    corrected = {"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {}
+    resolution_m = 0.0 if is_given else find_resolution(scans_of(logs, given.with_values(level))[0])
+    corrected = level | ({"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {})
     corrected |= _frame(logs, given.with_values(corrected), given)
     known = given.with_values(corrected)
     labels = estimate_label_noise(scans_of(logs, known)[0])
@@ -287,6 +288,15 @@ def _is_turned_by_hand(given: Calibration) -> bool:
 
 def _angles(R: FloatArray) -> dict[str, float]:
     return {f"detection.{name}": angle for name, angle in zip(ANGLES_DEG, roll_pitch_yaw_deg(R).tolist(), strict=True)}
+
+
+def _level(logs: Sequence[SurveyedLog], given: Calibration) -> dict[str, float]:
+    """The rotation of the odometry frame, if it is not level; empty where it was given by hand."""
+    keys = "odometry.roll_deg", "odometry.pitch_deg"
+    if any(given.is_given(key) for key in keys):
+        return {}
+    R = find_level(np.concatenate([log.rotations() for log in logs]))
+    return {} if np.array_equal(R, np.eye(3)) else dict(zip(keys, roll_pitch_yaw_deg(R)[:2].tolist(), strict=True))
 
 
 def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) -> dict[str, float]:

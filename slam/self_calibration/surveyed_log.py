@@ -55,6 +55,10 @@ class SurveyedLog:
         full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
 
+    def rotations(self) -> FloatArray:
+        """Rotations (K, 3, 3) of the body in the frame of the odometry's messages."""
+        return self._track(Calibration())[1][:, :3, :3]
+
     def scans(self, calibration: Calibration, vocabulary: dict[str, int]) -> tuple[list[SurveyScan], BodyMotion]:
         """Corrected scans with odometry, in the order of their stamps, without empty ones, and the motion of the body
         at them.
@@ -73,9 +77,12 @@ class SurveyedLog:
         usable.sort(key=lambda detections: detections.stamp_ns)
         T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
         T_upright_body = invert(gravity_frame(T_odom_body)) @ T_odom_body
+        T_reported_body = invert(calibration.odometry.T_level_odom) @ T_odom_body
         placed = []
-        for detections, T, T_upright in zip(usable, T_odom_body, T_upright_body, strict=True):
-            T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T, calibration.detection)
+        for detections, T, T_reported, T_upright in zip(
+            usable, T_odom_body, T_reported_body, T_upright_body, strict=True
+        ):
+            T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T_reported, calibration.detection)
             if T_body_sensor is not None:
                 placed.append((in_metres(detections, calibration.detection), T, T_upright @ T_body_sensor))
         scans = _upright_scans(placed, vocabulary, calibration) if placed else []
@@ -102,6 +109,7 @@ class SurveyedLog:
             return stamps, np.zeros((0, 4, 4))
         used = np.diff(np.maximum.accumulate(stamps), prepend=stamps[0] - 1) > 0
         poses = np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])
+        poses = calibration.odometry.T_level_odom @ poses
         self._latest_track = calibration.odometry, stamps[used], poses
         return stamps[used], poses
 

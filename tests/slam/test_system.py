@@ -92,7 +92,7 @@ def test_without_truth_or_with_another_truth_the_result_is_the_same(noisy_drive)
 
 def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frames(noisy_drive):
     entries = keep_until(noisy_drive, 5.0)
-    slam, T = Slam(Config()), {"map": np.eye(4), "odom": np.eye(4)}
+    slam, T = Slam(Config().calibrated({"odometry.roll_deg": 5.0})), {"map": np.eye(4), "odom": np.eye(4)}
     stamps_ns: dict[str, list[int]] = {"pose": [], "map": [], "odom": []}
     for update in (update for _, _, record in entries for update in slam.process(record)):
         if isinstance(update, SlamPose):
@@ -103,6 +103,8 @@ def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frame
             stamps_ns[update.parent_frame_id].append(update.stamp_ns)
     assert stamps_ns["pose"] == stamps_ns["odom"] == [o.stamp_ns for o in odometry_of(entries)]
     assert len(stamps_ns["map"]) == slam.counters["keyframes"]
+    np.testing.assert_allclose(T["odom"], odometry_of(entries)[-1].T_odom_body, atol=1e-9)
+    assert T["map"][2, 2] == pytest.approx(np.cos(np.deg2rad(5.0)), abs=1e-3)
 
 
 def test_nothing_at_all_cannot_be_mapped():

@@ -105,7 +105,8 @@ def find_sensor(
     T_odom_body: FloatArray,
     config: DetectionCalibration,
 ) -> FloatArray | None:
-    """``T_body_sensor`` (4, 4) for detections at the pose ``T_odom_body`` (4, 4), corrected as the settings say.
+    """``T_body_sensor`` (4, 4) for detections at the pose ``T_odom_body`` (4, 4) in the frame of the odometry's
+    messages, corrected as the settings say.
 
     Detections in the frame of the odometry need no transform, as the odometry itself connects it with the body. None
     where nothing connects their frame with either; ``odometry`` names both frames.

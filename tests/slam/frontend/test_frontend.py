@@ -19,7 +19,7 @@ from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import MAX_GAP_S, OdometryTrack
 from tests.helpers.landmarks import detections_of, spheres
-from tests.helpers.poses import pose_at
+from tests.helpers.poses import motion_by, pose_at
 from tests.slam.frontend.test_tracker import STEP_NS, T_true, forest
 
 START_NS = 10**9
@@ -28,12 +28,14 @@ START_NS = 10**9
 class Drive:
     """A front end and what it hands out; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
 
-    def __init__(self, *, frame_id: str = "base_link", time_offset_s: float = 0.0) -> None:
+    def __init__(
+        self, *, frame_id: str = "base_link", time_offset_s: float = 0.0, T_level_odom: FloatArray | None = None
+    ) -> None:
         config = Config().calibrated({"detection.time_offset_s": time_offset_s})
         self.counters = Counter[str]()
         object_map = ObjectMap(config.calibration.objects)
         self.mapper = Mapper(config, object_map, FactorGraph())
-        track = OdometryTrack(self.counters)
+        track = OdometryTrack(self.counters, T_level_odom=T_level_odom)
         self.frontend = Frontend(config.calibration.detection, SensorFrames(), track, self.mapper, self.counters)
         self.rng, self.objects, self.frame_id = np.random.default_rng(0), forest(), frame_id
         self.T_fault, self.step = np.eye(4), 0
@@ -92,6 +94,16 @@ def test_each_pose_is_handed_out_once_as_reported() -> None:
     assert drive.errors_m().max() == 0.0
     assert len(drive.associations) == 30
     assert drive.counters["detections_used"] == 30
+
+
+def test_detections_in_the_odometry_frame_are_in_that_of_the_messages() -> None:
+    drive, T_odom_body = Drive(T_level_odom=motion_by([0.3, 0.0, 0.0])), pose_at(2.0, yaw=0.5)
+    drive.frontend.add_detections(detections_of([[4.0, 1.0, 0.0]], stamp_ns=START_NS, frame_id="odom"))
+    drive.frontend.add_odometry(Odometry(START_NS, T_odom_body, "odom", "base_link"))
+    drive.take(drive.frontend.finish())
+    assert drive.frontend.placed is not None
+    tracked, _ = drive.frontend.placed
+    np.testing.assert_allclose(apply(T_odom_body, tracked.scan.positions), [[4.0, 1.0, 0.0]], atol=1e-9)
 
 
 def test_last_pose_is_handed_out_although_no_other_tells_whether_it_is_wild() -> None:

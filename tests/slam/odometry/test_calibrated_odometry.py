@@ -54,6 +54,12 @@ def test_each_step_turns_by_its_time_and_length(calibration):
     np.testing.assert_allclose(found, chained(0.5, turns()), atol=1e-6)
 
 
+def test_turns_are_about_the_vertical_of_the_level_frame():
+    T_odom_level = invert(OdometryCalibration(roll_deg=-90.0, pitch_deg=10.0).T_level_odom)
+    found = corrected(T_odom_level @ chained(0.5, turns() / 1.3), roll_deg=-90.0, pitch_deg=10.0, turn_scale=1.3)
+    np.testing.assert_allclose(found, T_odom_level @ chained(0.5, turns()), atol=1e-6)
+
+
 def test_roll_and_pitch_stay():
     poses = chained(0.5, turns()) @ motion_by([0.2, -0.1, 0.0])
     found = corrected(poses, turn_scale=1.3)

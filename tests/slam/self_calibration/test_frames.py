@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, invert, make_transform, roll_pitch_yaw_deg
-from slam.self_calibration.frames import better_frame, find_orientation, find_unit, is_unit_right
+from slam.self_calibration.frames import better_frame, find_level, find_orientation, find_unit, is_unit_right
 from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.scan_pairs import spacing_of
 from slam.self_calibration.survey import Survey, survey
@@ -27,6 +27,27 @@ def rotation(angles_deg: ArrayLike) -> FloatArray:
 def turned(scans: list[SurveyScan], R: FloatArray) -> list[SurveyScan]:
     """The scans of a sensor whose detections ``R`` would put right."""
     return [replace(scan, positions=scan.positions @ R) for scan in scans]
+
+
+def rotations_of(frame_deg: ArrayLike, *, turn_deg: float = 300.0, lean_deg: float = 0.0) -> FloatArray:
+    """A body that turns about the vertical and leans at random, in a frame that ``frame_deg`` would make level."""
+    leans = np.random.default_rng(0).normal(0.0, lean_deg, (2, 200)) if lean_deg else np.zeros((2, 200))
+    bodies = rotation(np.column_stack([*leans, np.linspace(0.0, turn_deg, 200)]))
+    return rotation(frame_deg).T @ bodies @ rotation((5.0, 20.0, 0.0))
+
+
+@pytest.mark.parametrize("frame_deg", [RIGHT, (10.0, -30.0, 0.0), (-90.0, 0.0, 0.0), (3.0, 80.0, 0.0)])
+def test_find_level(frame_deg):
+    np.testing.assert_allclose(find_level(rotations_of(frame_deg)), rotation(frame_deg), atol=1e-6)
+    vertical = find_level(rotations_of(frame_deg, lean_deg=1.0))[2]
+    assert vertical @ rotation(frame_deg)[2] > np.cos(np.deg2rad(0.2))
+
+
+@pytest.mark.parametrize(
+    "unknown", [{"turn_deg": 0.0}, {"turn_deg": 3.0, "lean_deg": 1.0}, {"lean_deg": 12.0}, {"lean_deg": 120.0}]
+)
+def test_find_level_without_evidence(unknown):
+    np.testing.assert_array_equal(find_level(rotations_of((10.0, 0.0, 0.0), **unknown)), np.eye(3))
 
 
 @pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL])

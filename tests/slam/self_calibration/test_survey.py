@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
+from slam.common.geometry import apply, invert
 from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import ANGLES_DEG, Survey, _of_sensor, _unknown
 from slam.self_calibration.survey import survey as survey_logs
@@ -367,6 +368,20 @@ def test_corrections_are_those_that_a_calibration_can_make(monkeypatch, correcti
     monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: tuple(islice(found, 1)))
     surveyed = survey(short_records(), ON_BODY)
     assert {key: value for key, value in surveyed.corrected.items() if value} == pytest.approx(corrected, abs=0.001)
+
+
+@pytest.mark.parametrize("frame", ["base_link", "odom"])
+def test_odometry_frame_that_is_not_level_is_turned_unless_it_was_given(frame):
+    level = OdometryCalibration(roll_deg=20.0, pitch_deg=-30.0)
+    records: list[Record] = []
+    for k in range(8):
+        T = invert(level.T_level_odom) @ pose_at(0.1 * k, yaw=0.5 * k)
+        at = apply(T, ROW) if frame == "odom" else ROW
+        records += [Odometry(k * 10**8, T, "odom", "base_link"), detections(0.1 * k, at, frame=frame)]
+    found = survey(records)
+    assert found.corrected == pytest.approx({"odometry.roll_deg": 20.0, "odometry.pitch_deg": -30.0})
+    assert found.max_range_m == pytest.approx(20.0)
+    assert survey(records, odometry=OdometryCalibration(roll_deg=0.0)).corrected == {}
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():
