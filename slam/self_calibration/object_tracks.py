@@ -161,18 +161,14 @@ class Detectability:
 
 def objects_among(tracks: ObjectTracks) -> ObjectTracks:
     """The tracks of objects, without those of false detections that are near each other by chance."""
-    return tracks.of(_existence(tracks) > 0.5)
-
-
-def _existence(tracks: ObjectTracks) -> FloatArray:
-    """Probability (S,), for each detection, that its track is of an object."""
     _, first, row = np.unique(tracks.track, return_index=True, return_inverse=True)
     shares = np.maximum(tracks.steps**2, ROUNDING * tracks.rooms**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         closeness = np.nan_to_num(np.log(tracks.rooms**2 / shares))
     closeness[first] = 0.0  # a track begins there
     links = (np.bincount(row) - 1).astype(np.float64)
-    return existence_probabilities(links, np.bincount(row, closeness).astype(np.float64))[row]
+    existence = existence_probabilities(links, np.bincount(row, closeness).astype(np.float64))
+    return tracks.of(existence[row] > 0.5)
 
 
 def existence_probabilities(links: FloatArray, closeness: FloatArray) -> FloatArray:
@@ -259,34 +255,47 @@ def _missed_scans(found: Detectability) -> int:
 def _follow(scans: Sequence[SurveyScan], missed_scans: int, ratio: float, *, by_class: bool) -> ObjectTracks:
     c, s = (turn(headings_of(scans)) for turn in (np.cos, np.sin))
     turns = np.column_stack([c, s, -s, c]).reshape(-1, 2, 2)
-    counts = [len(scan.labels) for scan in scans]
-    scan_of = np.repeat(np.arange(len(scans)), counts)
+    scan_of = np.repeat(np.arange(len(scans)), [len(scan.labels) for scan in scans])
     offsets = np.concatenate([scan.positions[:, :2] @ turn for scan, turn in zip(scans, turns, strict=True)])
-    points = offsets + poses_of(scans)[scan_of, :2, 3]
-    labels = np.concatenate([scan.labels for scan in scans])
+    bodies = poses_of(scans)[scan_of, :3, 3]
     rays = unit_vectors(offsets)
     # Distances in the direction of the larger noise are divided by the ratio.
     axes = np.stack([rays / max(ratio, 1.0), rays[:, ::-1] * [-1.0, 1.0] / max(1.0 / ratio, 1.0)], axis=1)
-    reaches = RANGE_SHARE * np.hypot(offsets[:, 0], offsets[:, 1])
-    found, ends, begin = [], _OpenTracks(missed_scans), 0
-    for number, count in enumerate(counts):
-        rows = slice(begin, begin := begin + count)
-        found.append(ends.extend(number, points[rows], labels[rows] * by_class, axes[rows], reaches[rows]))
-    track, rooms, steps = (np.concatenate(each) for each in zip(*found, strict=True))
     detected = ObjectTracks(
-        track=track,
+        track=np.arange(len(scan_of)),
         scan=scan_of,
         offsets=offsets,
-        points=points,
-        labels=labels,
+        points=offsets + bodies[:, :2],
+        labels=np.concatenate([scan.labels for scan in scans]),
         claimed=np.concatenate([scan.variances for scan in scans]),
-        heights=np.concatenate([scan.positions[:, 2] + scan.T_odom_body[2, 3] for scan in scans]),
-        rooms=rooms,
-        steps=steps,
+        heights=np.concatenate([scan.positions[:, 2] for scan in scans]) + bodies[:, 2],
+        rooms=RANGE_SHARE * np.hypot(offsets[:, 0], offsets[:, 1]),
+        steps=np.zeros(len(scan_of)),
     )
-    tracks = detected.of(np.argsort(track, kind="stable"))
-    bodies = poses_of(scans)[tracks.scan, :2, 3]
-    return replace(tracks, offsets=_smoothed(tracks.points, tracks.track) - bodies)
+    _continue_tracks(detected, detected.labels * by_class, axes, missed_scans)
+    order = np.argsort(detected.track, kind="stable")
+    tracks = detected.of(order)
+    return replace(tracks, offsets=_smoothed(tracks.points, tracks.track) - bodies[order, :2])
+
+
+def _continue_tracks(detected: ObjectTracks, classes: IntArray, axes: FloatArray, missed_scans: int) -> None:
+    """Give detections (S,), scan by scan, each a track of its own, the tracks of their ``classes`` (S,) that they
+    continue, and their steps, along their ``axes`` (S, 2, 2); ``rooms``, which are the most there may be, become
+    smaller where other objects are near.
+    """
+    track, points, rooms = detected.track, detected.points, detected.rooms
+    ends = np.zeros(0, dtype=np.int64)  # the last detection of each track that may go on
+    counts = np.bincount(detected.scan)
+    for number, rows in enumerate(np.split(np.arange(len(track)), np.cumsum(counts)[:-1])):
+        ends = ends[number - detected.scan[ends] <= missed_scans + 1]
+        nearest, distances, next_m, back = _nearest(points[rows], classes[rows], points[ends], classes[ends], axes[rows])
+        rooms[rows] = np.minimum(AMBIGUITY * next_m, rooms[rows])
+        if len(ends):
+            goes_on = (back[nearest] == np.arange(len(rows))) & (distances < rooms[rows])
+            found, before = rows[goes_on], nearest[goes_on]
+            track[found], detected.steps[found] = track[ends[before]], distances[goes_on]
+            ends = np.delete(ends, before)
+        ends = np.concatenate([ends, rows])
 
 
 def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
@@ -296,43 +305,6 @@ def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
     end = np.minimum(row + SMOOTHED + 1, np.searchsorted(track, track, side="right"))
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)])
     return (sums[end] - sums[first]) / (end - first)[:, None]
-
-
-class _OpenTracks:
-    """The last detection of each track that may go on."""
-
-    def __init__(self, missed_scans: int) -> None:
-        self._missed_scans = missed_scans
-        self._count = 0
-        self._points = np.zeros((0, 2))
-        self._labels = np.zeros(0, dtype=np.int64)
-        self._tracks = np.zeros(0, dtype=np.int64)
-        self._scans = np.zeros(0, dtype=np.int64)
-
-    def extend(
-        self, scan: int, points: FloatArray, labels: IntArray, axes: FloatArray, reaches: FloatArray
-    ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Tracks (N,) of the detections of a scan, at ``points`` (N, 2) m, those that continue none begin one; the room
-        (N,) of each, at most its reach (N,), and its step (N,), both along the ``axes`` (N, 2, 2).
-        """
-        tracks = np.full(len(points), -1, dtype=np.int64)
-        goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
-        nearest, distances, next_m, back = _nearest(points, labels, self._points, self._labels, axes)
-        rooms = np.minimum(AMBIGUITY * next_m, reaches)
-        if len(self._points):
-            found = (back[nearest] == np.arange(len(points))) & (distances < rooms)
-            tracks[found] = self._tracks[nearest[found]]
-            goes_on[nearest[found]] = True
-        fresh = tracks < 0
-        count = int(fresh.sum())
-        tracks[fresh] = np.arange(self._count, self._count + count)
-        self._count += count
-        kept = (scan - self._scans <= self._missed_scans) & ~goes_on
-        self._points = np.concatenate([self._points[kept], points])
-        self._labels = np.concatenate([self._labels[kept], labels])
-        self._tracks = np.concatenate([self._tracks[kept], tracks])
-        self._scans = np.concatenate([self._scans[kept], np.full(len(points), scan)])
-        return tracks, rooms, np.where(fresh, 0.0, distances)
 
 
 def _nearest(

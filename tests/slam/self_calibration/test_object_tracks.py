@@ -35,7 +35,7 @@ def scan_of(
 
 def lengths(tracks: ObjectTracks) -> list[int]:
     """Detections of each track, the longest first."""
-    return sorted(np.bincount(tracks.track).tolist(), reverse=True)
+    return sorted(np.unique(tracks.track, return_counts=True)[1].tolist(), reverse=True)
 
 
 def test_objects_are_followed_while_the_robot_drives_and_turns():
