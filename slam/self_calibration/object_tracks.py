@@ -288,7 +288,9 @@ def _continue_tracks(detected: ObjectTracks, classes: IntArray, axes: FloatArray
     counts = np.bincount(detected.scan)
     for number, rows in enumerate(np.split(np.arange(len(track)), np.cumsum(counts)[:-1])):
         ends = ends[number - detected.scan[ends] <= missed_scans + 1]
-        nearest, distances, next_m, back = _nearest(points[rows], classes[rows], points[ends], classes[ends], axes[rows])
+        nearest, distances, next_m, back = _nearest(
+            points[rows], classes[rows], points[ends], classes[ends], axes[rows]
+        )
         rooms[rows] = np.minimum(AMBIGUITY * next_m, rooms[rows])
         if len(ends):
             goes_on = (back[nearest] == np.arange(len(rows))) & (distances < rooms[rows])

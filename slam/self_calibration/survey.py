@@ -44,15 +44,18 @@ MIN_SHARE, MAX_SHARE, MIN_REST = 0.03, 0.5, 0.005
 """Lengths and turns of the odometry that are wrong by more than the first and less than the second share are corrected,
 and then what is left of them, as long as it is more than the third: less is no matter, more is none of calibration.
 """
-FRAMES = "assume_body_frame", "assume_odometry_frame"
+FRAMES = "detection.assume_body_frame", "detection.assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
-ANGLES_DEG = "roll_deg", "pitch_deg", "yaw_deg"
-SHIFTS = "x_m", "y_m"
+ANGLES_DEG = "detection.roll_deg", "detection.pitch_deg", "detection.yaw_deg"
+LEVEL_DEG = "odometry.roll_deg", "odometry.pitch_deg"
+SHIFTS = {"x_m": "detection.x_m", "y_m": "detection.y_m"}
 """Terms and settings of where the sensor sits on the body."""
 SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
 TURNS = {"drift_rad_per_s": "odometry.drift_deg_per_s", "curvature_rad_per_m": "odometry.curvature_deg_per_m"}
-SETTINGS = SCALES | TURNS | {name: f"detection.{name}" for name in SHIFTS}
-"""Settings of the terms that are found from tracks."""
+OF_ALIGNMENT = {"climb_share": "odometry.climb"} | TURNS
+"""Settings of terms of the odometry that are found from pairs of scans, ..."""
+SETTINGS = SCALES | TURNS | SHIFTS
+"""... and of those that are found from tracks."""
 ROUNDS = 10
 """Corrections are found one after another, the one that explains most first: a large one is seen in part at first."""
 SLIGHT = 0.2
@@ -124,17 +127,15 @@ class Survey:
     change_s: float = 0.0
 
 
-def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Survey | None:
+def survey(logs: Sequence[SurveyedLog], given: Calibration) -> Survey | None:
     """The survey of logs of one robot, one at least; None where no detection could be placed on the odometry.
 
     ``given``: what is known of the calibration; values that were given are neither estimated nor changed.
     """
-    given = given or Calibration()
-    detour = max(log.detour() for log in logs)
-    level = _level(logs, given)
-    is_given = given.is_given("detection.resolution_m")
-    resolution_m = 0.0 if is_given else find_resolution(scans_of(logs, given.with_values(level))[0])
-    corrected = level | ({"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {})
+    corrected = _level(logs, given)
+    if not given.is_given("detection.resolution_m"):
+        resolution_m = find_resolution(scans_of(logs, given.with_values(corrected))[0])
+        corrected |= {"detection.resolution_m": resolution_m} if resolution_m > 0.0 else {}
     corrected |= _frame(logs, given.with_values(corrected), given)
     known = given.with_values(corrected)
     labels = estimate_label_noise(scans_of(logs, known)[0])
@@ -165,14 +166,18 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
         return None
     now = known.with_values(corrected)
     later = find_change(tracks, motion)
-    suspected = {SETTINGS[each.term]: _value(each, now) for each in found if each.is_earned and each.term in SETTINGS}
+    suspected = {
+        SETTINGS[each.term]: _value(each.term, each.value, now)
+        for each in found
+        if each.is_earned and each.term in SETTINGS
+    }
     return replace(
         summarize(scans, tracks),
         labels=labels,
         corrected=corrected,
         suspected=suspected | {key: value for key, value in _of_sensor(unaligned, now).items() if value},
         delay_s=delay_s,
-        detour=detour,
+        detour=max(log.detour() for log in logs),
         change=later,
         change_s=(scans[later.scan].stamp_ns - scans[0].stamp_ns) * 1e-9 if later is not None else 0.0,
     )
@@ -218,9 +223,8 @@ def _log_likelihood_ratio(followed: IntArray, changes: IntArray) -> FloatArray:
 
 def _unknown(given: Calibration) -> list[str]:
     """Terms of the alignment that were not given by hand."""
-    angles = () if _is_turned_by_hand(given) else ANGLES
-    own = {"climb_share": "odometry.climb"} | TURNS
-    return ["delay_s", *angles, *(term for term, key in own.items() if not given.is_given(key))]
+    angles = () if any(map(given.is_given, ANGLES_DEG)) else ANGLES
+    return ["delay_s", *angles, *(term for term, key in OF_ALIGNMENT.items() if not given.is_given(key))]
 
 
 def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]:
@@ -228,11 +232,7 @@ def _of_sensor(found: Mapping[str, float], now: Calibration) -> dict[str, float]
     rotation = rotation_of(np.array([found.get(angle, 0.0) for angle in ANGLES]))
     mount = corrected_mount(np.eye(4), now.detection)[:3, :3]
     changed = _angles(rotation @ mount) if not found.keys().isdisjoint(ANGLES) else {}
-    if "climb_share" in found:
-        changed |= {"odometry.climb": now.odometry.climb + found["climb_share"]}
-    for term in TURNS.keys() & found.keys():
-        changed |= {TURNS[term]: float(now.value_of(TURNS[term]) + np.rad2deg(found[term]))}
-    return changed
+    return changed | {key: _value(term, found[term], now) for term, key in OF_ALIGNMENT.items() if term in found}
 
 
 def _first_change(
@@ -249,54 +249,50 @@ def _first_change(
     """
     now = known.with_values(corrected)
     for each in found:
-        key = SETTINGS.get(each.term, "")
         if each.is_earned and each.term == "delay_s":
             return {"delay_s": each.value}
-        if each.is_earned and each.term in SHIFTS and not given.is_given(key):
+        key = SETTINGS.get(each.term)
+        if key is None or given.is_given(key):
+            continue
+        value = _value(each.term, each.value, now)
+        if each.term in TURNS:
+            lacking = each.value_among_all if key in corrected else each.value * each.is_earned
+            if lacking:
+                return {key: _value(each.term, lacking, now)}
+        elif each.term in SHIFTS and each.is_earned:
             # Where a camera looks ahead only, a bias of its ranges looks like a shift.
             bias_m = sum(abs(other.value) for other in found if other.term == "near_m")
             if abs(each.value) > bias_m:
-                shift_m = _value(each, now)
                 # No body is so large by what its sensor sees.
-                is_possible = abs(shift_m) < MAX_SHARE * np.quantile(ranges_m(scans), RANGE_QUANTILE)
-                return {key: shift_m} if is_possible else {}
-        if each.term in TURNS and not given.is_given(key):
-            lacking = each.value_among_all if key in corrected else each.value * each.is_earned
-            if lacking:
-                return {key: _value(replace(each, value=lacking), now)}
-        # What is left of a correction is small, and needs to be sure only.
-        is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
-        is_wanted = is_rest or (each.is_earned and abs(each.value) > MIN_SHARE)
-        if each.term in SCALES and is_wanted and not given.is_given(key):
-            scale = _value(each, now)
-            # Objects that seem to move with the body are in another frame than is believed.
-            return {key: scale} if abs(scale / known.value_of(key) - 1.0) < MAX_SHARE else {}
+                is_possible = abs(value) < MAX_SHARE * np.quantile(ranges_m(scans), RANGE_QUANTILE)
+                return {key: value} if is_possible else {}
+        elif each.term in SCALES:
+            # What is left of a correction is small, and needs to be sure only.
+            is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
+            if is_rest or (each.is_earned and abs(each.value) > MIN_SHARE):
+                # Objects that seem to move with the body are in another frame than is believed.
+                return {key: value} if abs(value / known.value_of(key) - 1.0) < MAX_SHARE else {}
     return {}
 
 
-def _value(each: Correction, now: Calibration) -> float:
-    """What the correction changes its setting to."""
-    value = now.value_of(SETTINGS[each.term])
-    if each.term in SCALES:
-        return value * (1.0 + each.value)
-    return float(value + (np.rad2deg(each.value) if each.term in TURNS else each.value))
-
-
-def _is_turned_by_hand(given: Calibration) -> bool:
-    return any(given.is_given(f"detection.{name}") for name in ANGLES_DEG)
+def _value(term: str, change: float, now: Calibration) -> float:
+    """What a change by a term makes of its setting."""
+    value = now.value_of((SETTINGS | OF_ALIGNMENT)[term])
+    if term in SCALES:
+        return value * (1.0 + change)
+    return float(value + (np.rad2deg(change) if term in TURNS else change))
 
 
 def _angles(R: FloatArray) -> dict[str, float]:
-    return {f"detection.{name}": angle for name, angle in zip(ANGLES_DEG, roll_pitch_yaw_deg(R).tolist(), strict=True)}
+    return dict(zip(ANGLES_DEG, roll_pitch_yaw_deg(R).tolist(), strict=True))
 
 
 def _level(logs: Sequence[SurveyedLog], given: Calibration) -> dict[str, float]:
     """The rotation of the odometry frame, if it is not level; empty where it was given by hand."""
-    keys = "odometry.roll_deg", "odometry.pitch_deg"
-    if any(given.is_given(key) for key in keys):
+    if any(map(given.is_given, LEVEL_DEG)):
         return {}
     R = find_level(np.concatenate([log.rotations() for log in logs]))
-    return {} if np.array_equal(R, np.eye(3)) else dict(zip(keys, roll_pitch_yaw_deg(R)[:2].tolist(), strict=True))
+    return {} if np.array_equal(R, np.eye(3)) else dict(zip(LEVEL_DEG, roll_pitch_yaw_deg(R)[:2].tolist(), strict=True))
 
 
 def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) -> dict[str, float]:
@@ -312,20 +308,19 @@ def _frame(logs: Sequence[SurveyedLog], known: Calibration, given: Calibration) 
     if may_have_a_unit and not is_unit_right(as_they_are) and (factor := find_unit(scans)) != 1.0:
         unit = {"odometry.length_scale": factor}
         return unit | _frame(logs, known.with_values(unit), given)
-    if any(given.is_given(f"detection.{name}") for name in FRAMES):
+    if any(map(given.is_given, FRAMES)):
         return orientation
-    others = {name: scans_of(logs, known.with_values({f"detection.{name}": True}))[0] for name in FRAMES}
-    name = better_frame(as_they_are, others)
-    if name is None:
+    others = {key: scans_of(logs, known.with_values({key: True}))[0] for key in FRAMES}
+    key = better_frame(as_they_are, others)
+    if key is None:
         return orientation
-    frame: dict[str, float] = {f"detection.{name}": True}
     # Objects stand still in the odometry frame whatever the axes of the body are.
-    return frame if name == FRAMES[1] else frame | _orientation(others[name], known, given)
+    return {key: True} | ({} if key == FRAMES[1] else _orientation(others[key], known, given))
 
 
 def _orientation(scans: Sequence[SurveyScan], known: Calibration, given: Calibration) -> dict[str, float]:
     """Angles by which detections must be turned for objects to stand still; empty where angles were given by hand."""
-    if _is_turned_by_hand(given) or known.detection.assume_odometry_frame:
+    if any(map(given.is_given, ANGLES_DEG)) or known.detection.assume_odometry_frame:
         return {}
     R = find_orientation(scans)
     return {} if np.array_equal(R, np.eye(3)) else _angles(R)
@@ -398,11 +393,11 @@ def _spacing(scans: Sequence[SurveyScan]) -> float:
 
 def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:
     """Horizontal variance of detections as estimated, by that which their messages claim."""
-    claimed = tracks.claimed[np.isfinite(tracks.claimed)]
-    if estimate is None or len(claimed) == 0:
+    is_claimed = np.isfinite(tracks.claimed)
+    if estimate is None or not is_claimed.any():
         return float("nan")
-    square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
-    return estimate.white(float(np.mean(square))) / float(np.mean(claimed))
+    squares = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[is_claimed]
+    return estimate.white(float(np.mean(squares))) / float(np.mean(tracks.claimed[is_claimed]))
 
 
 def clutter_density(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -> float:

@@ -125,13 +125,13 @@ def test_it_reads_no_more_than_it_needs():
         yield from straight()
         raise AssertionError("read on")
 
-    found = survey_logs([SurveyedLog(endless(), max_detections=9)])
+    found = survey_logs([SurveyedLog(endless(), max_detections=9)], Calibration())
     assert found.detections <= 9
 
 
 def test_several_logs_are_surveyed_as_one_drive():
     first, second = straight(), straight(21, labels=["lamp", "lamp", "tree"])
-    both = survey_logs([SurveyedLog(first), SurveyedLog(second)])
+    both = survey_logs([SurveyedLog(first), SurveyedLog(second)], Calibration())
     assert (both.scans, both.detections) == (32, 96)
     assert both.travel_m == pytest.approx(2.0 + 4.0)
     assert both.duration_s == pytest.approx(1.0 + 1.0 + 2.0)  # the second one begins a second later
@@ -335,7 +335,7 @@ def test_angles_of_an_alignment_turn_a_sensor_as_it_is_mounted():
     """It hangs upside down, and pitches."""
     mounted = Calibration(detection=DetectionCalibration(roll_deg=180.0))
     angles_deg = _of_sensor({"pitch_rad": 0.3}, mounted)
-    found = Rotation.from_euler("xyz", [angles_deg[f"detection.{name}"] for name in ANGLES_DEG], degrees=True)
+    found = Rotation.from_euler("xyz", [angles_deg[key] for key in ANGLES_DEG], degrees=True)
     right = Rotation.from_euler("y", 0.3) * Rotation.from_euler("x", np.pi)
     np.testing.assert_allclose(found.as_matrix(), right.as_matrix(), atol=1e-9)
 
