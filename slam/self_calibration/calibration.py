@@ -5,7 +5,7 @@ units of the sensor range, not that of a good sensor.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import astuple, field
+from dataclasses import asdict, astuple, field
 
 import numpy as np
 
@@ -270,24 +270,20 @@ def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, 
 
 def _components(survey: Survey) -> NoiseComponents:
     estimate = survey.components
-    if estimate is not None:
-        found, errors = estimate.variances, estimate.standard_errors
-        # An odometry tells nothing that errs by the range after as much travel, or by half a turn after that, after
-        # turning by 1 rad, or within 1 s. Where the body stands, travel explains anything.
-        half_turn = np.pi**2
-        most = {
-            "translation_by_travel": survey.range_m,
-            "heading_by_travel": half_turn / survey.range_m,
-            "heading_by_turn": half_turn,
-            "heading_by_time": half_turn,
-        }
-        return NoiseComponents(
-            **{
-                name: min(getattr(found, name) + getattr(errors, name), most.get(name, np.inf))
-                for name in NoiseComponents.__dataclass_fields__
-            }
-        )
-    return NoiseComponents(*np.multiply(astuple(PRIOR_NOISE), survey.range_m**LENGTH_POWERS).tolist())
+    if estimate is None:
+        return NoiseComponents(*np.multiply(astuple(PRIOR_NOISE), survey.range_m**LENGTH_POWERS).tolist())
+    # An odometry tells nothing that errs by the range after as much travel, or by half a turn after that, after turning
+    # by 1 rad, or within 1 s. Where the body stands, travel explains anything.
+    half_turn = np.pi**2
+    most = {
+        "translation_by_travel": survey.range_m,
+        "heading_by_travel": half_turn / survey.range_m,
+        "heading_by_turn": half_turn,
+        "heading_by_time": half_turn,
+    }
+    errors = asdict(estimate.standard_errors)
+    found = {name: value + errors[name] for name, value in asdict(estimate.variances).items()}
+    return NoiseComponents(**{name: min(value, most.get(name, np.inf)) for name, value in found.items()})
 
 
 def _sigmas(survey: Survey, estimated: Mapping[str, float]) -> dict[str, float]:

@@ -116,11 +116,28 @@ class Change:
 
 @frozen
 class _Regression:
-    """Sums of the blocks by :func:`_block_sums`, units (T,) of the terms, and the first scan (B,) of each block."""
+    """Normal matrices (B, T, T), right sides (B, T) and squared sides (B,) of the blocks, units (T,) of the terms, and
+    the first scan (B,) of each block.
+    """
 
-    sums: tuple[FloatArray, FloatArray, FloatArray]
+    normal: FloatArray
+    right: FloatArray
+    squared: FloatArray
     scale: FloatArray
     scans: IntArray
+
+    def held_out(self, used: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """What the terms ``used`` (T,) are without each block, (B, T), and the squared residuals (B,) of it then."""
+        parts, total = np.zeros(self.right.shape), self.normal.sum(axis=0)
+        least = max(1e-9 * np.trace(total), 1e-300) * np.eye(used.sum())
+        others, sides = total - self.normal, self.right.sum(axis=0) - self.right
+        parts[:, used] = np.linalg.solve(others[:, used][:, :, used] + least, sides[:, used, None])[..., 0]
+        return parts, self.left_of(parts)
+
+    def left_of(self, parts: FloatArray) -> FloatArray:
+        """The squared residuals (B,) of each block, if the terms have the values ``parts`` (B, T)."""
+        fitted = np.einsum("bt,btu,bu->b", parts, self.normal, parts)
+        return self.squared - 2.0 * np.einsum("bt,bt->b", parts, self.right) + fitted
 
 
 def estimate_corrections(
@@ -133,22 +150,21 @@ def estimate_corrections(
     regression = _regression(tracks, motion)
     if regression is None:
         return ()
-    sums, everything = regression.sums, np.array([term not in absent for term in TERMS])
-    parts, with_all = _held_out(*sums, everything)
-    _, with_none = _held_out(*sums, np.zeros(len(TERMS), dtype=np.bool_))
+    everything = np.array([term not in absent for term in TERMS])
+    parts, with_all = regression.held_out(everything)
     error = np.sqrt(BLOCKS - 1) * np.std(parts, axis=0)
     may_be_0 = np.abs(parts.mean(axis=0)) <= stdtrit(BLOCKS - 1, 1.0 - 0.5 * CHANCE) * error
     among_all = np.where(may_be_0, 0.0, parts.mean(axis=0) / regression.scale)
     found = []
     for number in np.flatnonzero(everything).tolist():
         is_term = np.arange(len(TERMS)) == number
-        _, without = _held_out(*sums, everything & ~is_term)
-        alone, _ = _held_out(*sums, is_term)
-        gain, is_sure = _gain(without, with_all)
-        gain_of_part, is_sure_of_part = _gain(with_none, _left_of(*sums, parts * is_term))
+        _, without = regression.held_out(everything & ~is_term)
+        alone, _ = regression.held_out(is_term)
+        gains, are_sure = zip(
+            _gain(without, with_all), _gain(regression.squared, regression.left_of(parts * is_term)), strict=True
+        )
         values = alone[:, number] / regression.scale[number]
-        gain, is_sure = min(gain, gain_of_part), is_sure and is_sure_of_part
-        found.append(Correction(TERMS[number], values.mean(), gain, is_sure, among_all[number]))
+        found.append(Correction(TERMS[number], values.mean(), min(gains), all(are_sure), among_all[number]))
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
@@ -160,7 +176,7 @@ def is_chance(tracks: ObjectTracks, motion: BodyMotion, term: str, value: float)
     number = TERMS.index(term)
     parts = np.zeros((BLOCKS, len(TERMS)))
     parts[:, number] = value * regression.scale[number]
-    gain, is_sure = _gain(regression.sums[2], _left_of(*regression.sums, parts))
+    gain, is_sure = _gain(regression.squared, regression.left_of(parts))
     return gain != 0.0 and not is_sure
 
 
@@ -171,16 +187,16 @@ def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
     regression = _regression(tracks, motion)
     if regression is None:
         return None
-    normal, right, squared = regression.sums
     everything = np.ones(len(TERMS) + 1, dtype=np.bool_)
-    _, before = _held_out(normal, right, squared, everything[1:])
+    _, before = regression.held_out(everything[1:])
     best, most = None, MIN_GAIN
     for number, start in product(range(len(TERMS)), range(2, BLOCKS - 1)):
         columns = [*range(len(TERMS)), number]
         later = np.ones((BLOCKS, len(columns)))
         later[:start, -1] = 0.0
-        both = normal[:, columns][:, :, columns] * later[:, :, None] * later[:, None, :]
-        parts, after = _held_out(both, right[:, columns] * later, squared, everything)
+        both = regression.normal[:, columns][:, :, columns] * later[:, :, None] * later[:, None, :]
+        changing = replace(regression, normal=both, right=regression.right[:, columns] * later)
+        parts, after = changing.held_out(everything)
         gain, is_sure = _gain(before, after)
         if is_sure and gain >= most:
             value = parts[:, -1].mean() / regression.scale[number]
@@ -205,7 +221,7 @@ def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
     scans = np.sort(tracks.scan[second])[np.searchsorted(np.sort(block), np.arange(BLOCKS))]
-    return _Regression(_block_sums(X / scale, y, block), scale, scans)
+    return _Regression(*_block_sums(X / scale, y, block), scale, scans)
 
 
 def _views(tracks: ObjectTracks) -> float:
@@ -281,23 +297,6 @@ def _block_sums(X: FloatArray, y: FloatArray, block: IntArray) -> tuple[FloatArr
     return normals, right, np.asarray(np.bincount(of_row, sides**2, BLOCKS), dtype=np.float64)
 
 
-def _held_out(
-    normal: FloatArray, right: FloatArray, squared: FloatArray, used: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """What the terms ``used`` (T,) are without each block, (B, T), and the squared residuals (B,) of it then."""
-    parts = np.zeros(right.shape)
-    least = max(1e-9 * np.trace(normal.sum(axis=0)), 1e-300) * np.eye(used.sum())
-    others, sides = normal.sum(axis=0) - normal, right.sum(axis=0) - right
-    parts[:, used] = np.linalg.solve(others[:, used][:, :, used] + least, sides[:, used, None])[..., 0]
-    return parts, _left_of(normal, right, squared, parts)
-
-
-def _left_of(normal: FloatArray, right: FloatArray, squared: FloatArray, parts: FloatArray) -> FloatArray:
-    """The squared residuals (B,) of each block, if the terms have the values ``parts`` (B, T)."""
-    fitted = np.einsum("bt,btu,bu->b", parts, normal, parts)
-    return squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted
-
-
 def centroid_biases(tracks: ObjectTracks) -> FloatArray:
     """Bias (C,) m of observed centroids towards the sensor, of each class; 0 where there is none that is significant.
 
@@ -306,27 +305,21 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
     -b (u2 - u1), which regression finds (robustly, by Cauchy's weights). All objects of a class share b, and so its
     error: it does not average out over the objects in view.
     """
-    count = int(tracks.labels.max()) + 1 if len(tracks.labels) else 0
-    biases = np.zeros(count)
+    biases = np.zeros(tracks.labels.max(initial=-1) + 1)
     first, second = tracks.pairs(4, 8, 16)
     is_turned = np.linalg.norm(tracks.rays[second] - tracks.rays[first], axis=1) > LEAST_VIEW_CHANGE
     first, second = first[is_turned], second[is_turned]
     turned = tracks.rays[first] - tracks.rays[second]
     moved = tracks.points[second] - tracks.points[first]
-    block = tracks.scan[second] * STRETCHES // (int(tracks.scan.max()) + 1) if len(second) else second
-    for label in range(count):
+    block = tracks.scan[second] * STRETCHES // (tracks.scan.max(initial=0) + 1)
+    for label in range(len(biases)):
         chosen = tracks.labels[first] == label
-        if int(chosen.sum()) < MIN_PAIRS:
+        blocks = np.unique(block[chosen])
+        if np.count_nonzero(chosen) < MIN_PAIRS or len(blocks) < STRETCHES // 2:
             continue
         found = _regress(turned[chosen], moved[chosen])
-        parts = [
-            _regress(turned[chosen & (block != each)], moved[chosen & (block != each)])
-            for each in np.unique(block[chosen]).tolist()
-            if np.any(chosen & (block != each))
-        ]
-        if len(parts) < STRETCHES // 2:
-            continue
-        error = np.sqrt(len(parts) - 1) * np.std(parts)
+        others = (chosen & (block != each) for each in blocks)
+        error = np.sqrt(len(blocks) - 1) * np.std([_regress(turned[each], moved[each]) for each in others])
         biases[label] = found if found > 4.0 * error else 0.0
     return biases
 

@@ -103,7 +103,7 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
     return factors[best] if is_sure and _is_nearer(scans, spacing_m, factors[best]) else 1.0
 
 
-def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float = 1.0) -> FloatArray:
+def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> FloatArray:
     """Evidence (P,) of pairs of scans, where the lengths of the odometry are multiplied by a factor."""
     pairs = _pairs_of_unit(scans, spacing_m, factor)
     return evidence(pairs.log_distances(pairs.motions))
@@ -124,9 +124,5 @@ def _is_nearer(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> 
 def _pairs_of_unit(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> ScanPairs:
     poses = poses_of(scans)
     poses[:, :3, 3] *= factor
-    return ScanPairs.by_travel(_with_poses(scans, poses), spacing_m)
-
-
-def _with_poses(scans: Sequence[SurveyScan], T_odom_body: FloatArray) -> list[SurveyScan]:
-    """The scans (K) of a body at other poses (K, 4, 4)."""
-    return [replace(scan, T_odom_body=T) for scan, T in zip(scans, T_odom_body, strict=True)]
+    moved = [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
+    return ScanPairs.by_travel(moved, spacing_m)
