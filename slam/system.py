@@ -34,7 +34,6 @@ from slam.common.geometry import invert
 from slam.display.map_topics import MAP_FRAME, Message
 from slam.display.snapshot import SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, known_covariances, place_landmarks
-from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -138,12 +137,13 @@ class Slam:
         return self._snapshot() if self._schedule.is_due(len(self._mapper.keyframes)) else None
 
     def _snapshot(self) -> list[Message]:
+        closures = self._closer.closures
         return take_snapshot(
             self._mapper.keyframes,
             self._object_map,
             self._graph,
-            np.array(list(self._closer.closures.closed.items()), dtype=np.int64).reshape(-1, 2),
-            self._closer.closures.is_localized,
+            np.array(list(closures.closed.items()), dtype=np.int64).reshape(-1, 2),
+            closures.is_localized,
             self._config.calibration,
         )
 
@@ -233,35 +233,57 @@ class Slam:
         if self._frontend.placed is not None:
             tracked, pose = self._frontend.placed
             self._check.add(tracked, pose, self._output.in_map(pose))
-        return [placed, _localization(placed.stamp_ns, self.state, self._mapper.tracker.active, self._closer)]
+        return [placed, self._localized(placed.stamp_ns)]
+
+    def _localized(self, stamp_ns: int) -> LocalizationRecord:
+        """Certainty of the robot's pose at a scan."""
+        active = self._mapper.tracker.active
+        return LocalizationRecord(
+            stamp_ns,
+            self.state.value,
+            1.0 if self.state == State.LOST else self._closer.continuity.kidnapping_probability,
+            tuple(active.innovation_ratios),
+            np.array(list(active.innovation_ratios.values())),
+            active.pose_covariance,
+        )
 
     def _step(self, pose: OdometryPose) -> list[Record]:
-        breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
+        latest = self._path.latest
+        breaks = latest is not None and latest.segment != pose.segment
         self.counters["odometry_used"] += 1
         self._path.add(pose)
-        return [] if self._mapper.add_odometry(pose) is None else self._keyframe_updates(pose, breaks=breaks)
+        keyframe = self._mapper.add_odometry(pose)
+        return [] if keyframe is None else self._keyframe_updates(keyframe, began=DISCONTINUITY if breaks else "")
 
-    def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
-        keyframe = self._mapper.keyframes[-1]
-        outcome, began = self._close_loops(keyframe), DISCONTINUITY if breaks else ""
+    def _keyframe_updates(self, keyframe: Keyframe, *, began: str) -> list[Record]:
+        outcome = self._close_loops(keyframe)
         closures = outcome.records
         if outcome.lost_after_m is not None:
             revoked, is_kidnapped = self._declare_lost(keyframe, outcome.lost_after_m)
             closures += revoked
             began = KIDNAPPED if is_kidnapped else began
             keyframe = self._mapper.keyframes[-1]
-        self._output.place(pose, self._graph.pose(keyframe.id))
-        changes = self._change_state(keyframe, began)
-        updates: list[Record] = [*closures, *changes]
+        self._output.place(keyframe.odometry, self._graph.pose(keyframe.id))
+        updates = [*closures, *self._change_state(keyframe, began)]
         if self.state != State.LOST:
-            updates.append(self._output.map_to_odom(pose))
+            updates.append(self._output.map_to_odom(keyframe.odometry))
         if self._extends:
             self._condenser.update()
         self.counters["keyframes"] += 1
-        self.counters.update(_counted(closures, self._first_keyframe))
-        if len(self._mapper.keyframes) == self._first_keyframe + 1:
+        self._count(closures)
+        if keyframe.id == self._first_keyframe:
             updates.append(self._status(self.state, "first odometry", level="info"))
         return updates
+
+    def _count(self, closures: Sequence[LoopClosureRecord]) -> None:
+        """Count the closures at a keyframe."""
+        accepted = [closure for closure in closures if closure.accepted]
+        # Keyframes before the first one of this drive are of the prior map.
+        recognised = [closure for closure in accepted if closure.reference_keyframe_id < self._first_keyframe]
+        self.counters["keyframes_recognised"] += len(recognised)
+        self.counters["closures_accepted"] += len(accepted)
+        self.counters["closures_retrieved"] += sum(closure.seed_query_keyframe_id is None for closure in accepted)
+        self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
 
     def _declare_lost(self, keyframe: Keyframe, after_m: float) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke a false relocalization, or let a new segment begin after a kidnapping, at a travel ``after_m``.
@@ -340,17 +362,6 @@ class PoseOutput:
         return Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom @ pose.T_odom_reported)
 
 
-def _counted(closures: Sequence[LoopClosureRecord], first_keyframe: int) -> dict[str, int]:
-    """Numbers of closures at a keyframe; those before the first one of this drive are of the prior map."""
-    accepted = [closure for closure in closures if closure.accepted]
-    return {
-        "keyframes_recognised": sum(closure.reference_keyframe_id < first_keyframe for closure in accepted),
-        "closures_accepted": len(accepted),
-        "closures_retrieved": sum(closure.seed_query_keyframe_id is None for closure in accepted),
-        "closures_inserted": sum(closure.inserted for closure in closures),
-    }
-
-
 @contextmanager
 def _refused_noises() -> Iterator[None]:
     """An error for people where covariances cannot be inverted, since float64 has too few digits for them."""
@@ -361,16 +372,3 @@ def _refused_noises() -> Iterator[None]:
             "the noise of odometry and that of detections differ by too many orders of magnitude; check "
             "calibration.odometry and calibration.detection, and the covariances of detections"
         ) from error
-
-
-def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: LoopCloser) -> LocalizationRecord:
-    """Certainty of the robot's pose at a scan."""
-    ratios = active.innovation_ratios
-    return LocalizationRecord(
-        stamp_ns,
-        state.value,
-        1.0 if state == State.LOST else closer.continuity.kidnapping_probability,
-        tuple(ratios),
-        np.array(list(ratios.values())),
-        active.pose_covariance,
-    )

@@ -18,7 +18,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place_search import Place
 from slam.place_recognition.retrieval import PlaceRetriever
-from slam.registration.registration import GATE_SIGMA, register, registration_config
+from slam.registration.registration import GATE_SIGMA, register, search_radius_m
 
 TILT_SIGMA_RAD = np.deg2rad(1.0)
 """Error of gravity between two traversals."""
@@ -45,7 +45,6 @@ class Verifier:
         maps without keyframes, among which the robot may be anywhere.
         """
         self._config, objects = config, config.calibration.objects
-        self._registration = registration_config(config)
         # Of the errors that all inliers of a registration share, rotation first.
         shift, height = objects.landmark_sigma_m, np.hypot(objects.landmark_sigma_m, objects.landmark_height_sigma_m)
         sigmas = np.array([TILT_SIGMA_RAD, TILT_SIGMA_RAD, CLOSURE_SIGMA_RAD, shift, shift, height])
@@ -62,7 +61,7 @@ class Verifier:
         self._mapped_cells = sum(
             len(np.unique(positions // config.sensor_range_m @ [1.0, 2.0**32])) for positions in mapped
         )
-        self.reach_m = 2.0 * self._registration.search_radius_m
+        self.reach_m = 2.0 * search_radius_m(config)
         """How far registration can move a pose: its search radius, which halves from step to step."""
 
     def predict(self, seed: Candidate, query: Query) -> Place | None:
@@ -79,7 +78,7 @@ class Verifier:
     def verify(self, query: Query, place: Place) -> Verified:
         """The candidate at a place, or the record with the reason for its rejection."""
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
-        registration = register(query.submap, submap, place.T_local_query, self._registration)
+        registration = register(query.submap, submap, place.T_local_query, self._config)
         T_local_query, covariance = registration.T_reference_query, registration.covariance
         if T_local_query is None or covariance is None:
             return query.refusal(Stage.REGISTRATION, registration.reason, self._nearest(place, query), place=place)
@@ -145,9 +144,10 @@ class Verifier:
         """
         first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
-        start, end = first.reference.id, second.reference.id
-        T_error = invert(self._pose(end)) @ self._pose(start) @ T_implied
-        drift_m, drift_rad = self.track.drift_sigmas(start, end)
+        ends = first.reference.id, second.reference.id
+        T_start, T_end = map(self._pose, ends)
+        T_error = invert(T_end) @ T_start @ T_implied
+        drift_m, drift_rad = self.track.drift_sigmas(*ends)
         sigma_m = SLIP_INFLATION * np.hypot(drift_m, self._config.calibration.objects.landmark_sigma_m)
         sigma_rad = SLIP_INFLATION * np.hypot(drift_rad, CLOSURE_SIGMA_RAD)
         squares = (np.hypot(*T_error[:2, 3]) / sigma_m) ** 2 + (yaw_rad(T_error) / sigma_rad) ** 2

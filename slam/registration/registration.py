@@ -24,22 +24,9 @@ TILT_SIGMA_RAD = 0.005
 """Uncertainty of roll and pitch between the two frames."""
 
 
-@frozen
-class RegistrationConfig:
-    """Registration of one constellation of objects with another.
-
-    ``height_sigma_m``: additional noise of heights, for example of partly visible objects; ``search_radius_m``: initial
-    matching distance.
-    """
-
-    height_sigma_m: float
-    search_radius_m: float
-
-
-def registration_config(config: Config) -> RegistrationConfig:
-    """The parameters by the calibration: lengths are fractions of the sensor range."""
-    range_m, height_m = config.sensor_range_m, config.calibration.objects.height_sigma_m
-    return RegistrationConfig(0.01 * range_m if height_m is None else height_m, 0.1 * range_m)
+def search_radius_m(config: Config) -> float:
+    """The initial matching distance [m]."""
+    return 0.1 * config.sensor_range_m
 
 
 @frozen
@@ -62,20 +49,21 @@ class Registration:
         return cls(None, None, np.zeros((0, 2), np.int64), reason)
 
 
-def register(query: Submap, reference: Submap, T_initial: FloatArray, config: RegistrationConfig) -> Registration:
+def register(query: Submap, reference: Submap, T_initial: FloatArray, config: Config) -> Registration:
     """The pose near an approximate one at which objects of equal label meet, and which do.
 
     Each object pairs with the nearest one of its label, if that is mutual and inside a gate, which shrinks from
-    ``config.search_radius_m`` to the noise; weighted least squares; and again, until nothing changes.
+    ``search_radius_m`` to the noise; weighted least squares; and again, until nothing changes.
 
     Args:
         query: objects, z up; if it has fewer than ``MIN_INLIERS``, all of them have to agree.
         reference: the same of another traversal.
         T_initial: (4, 4) of the query in the reference; of its rotation only the yaw is used.
-        config: gates and limits.
+        config: lengths are fractions of its sensor range; ``objects.height_sigma_m`` is additional noise of heights.
     """
+    nothing_near = Registration.not_found("no object of the query is near one of its label in the reference")
     if not len(query) or not len(reference):
-        return Registration.not_found("no object of the query is near one of its label in the reference")
+        return nothing_near
     query_middle, reference_middle = query.positions.mean(axis=0), reference.positions.mean(axis=0)
     query_xyz, reference_xyz = query.positions - query_middle, reference.positions - reference_middle
     place = apply(T_initial, query_middle[None])[0] - reference_middle
@@ -84,15 +72,18 @@ def register(query: Submap, reference: Submap, T_initial: FloatArray, config: Re
     pose = LevelPose(turn, complex(*place[:2]), place[2])
     sigma_m = np.hypot(query.sigmas.max(), reference.sigmas.max())
     # Objects farther apart are not matched while the pose is refined.
-    reach_m = 2.0 * max(config.search_radius_m, GATE_SIGMA * sigma_m)
+    radius_m = search_radius_m(config)
+    reach_m = 2.0 * max(radius_m, GATE_SIGMA * sigma_m)
     apart_m = np.abs((turn * plane + pose.shift)[:, None] - reference_plane)
     rows = np.argwhere((apart_m <= reach_m) & (query.labels[:, None] == reference.labels))
     if not len(rows):
-        return Registration.not_found("no object of the query is near one of its label in the reference")
+        return nothing_near
     q, r = rows.T
     variances = query.sigmas[q] ** 2 + reference.sigmas[r] ** 2
     # A tilt that neither frame knows of shows as a height that grows with the distance.
-    variances_z = variances + config.height_sigma_m**2 + (TILT_SIGMA_RAD * np.abs(plane[q])) ** 2
+    height_m = config.calibration.objects.height_sigma_m
+    height_m = 0.01 * config.sensor_range_m if height_m is None else height_m
+    variances_z = variances + height_m**2 + (TILT_SIGMA_RAD * np.abs(plane[q])) ** 2
     pairs = Pairs(
         rows,
         plane[q],
@@ -105,7 +96,7 @@ def register(query: Submap, reference: Submap, T_initial: FloatArray, config: Re
         reference_middle,
     )
     least = min(max(len(query), MIN_OBJECTS), MIN_INLIERS)
-    return estimate(_refine_pose(pose, pairs, config.search_radius_m), pairs, least)
+    return estimate(_refine_pose(pose, pairs, radius_m), pairs, least)
 
 
 @frozen
@@ -162,21 +153,21 @@ class Pairs:
         return LevelPose(turn, mean_reference - turn * mean_query, rise)
 
 
-def _refine_pose(pose: LevelPose, pairs: Pairs, search_radius_m: float) -> LevelPose:
+def _refine_pose(pose: LevelPose, pairs: Pairs, radius_m: float) -> LevelPose:
     """Iterate association and least squares; each pair enters if its two objects prefer it.
 
-    The gate is halved from one iteration to the next, from ``search_radius_m`` to the noise. A pose that moves
+    The gate is halved from one iteration to the next, from ``radius_m`` to the noise. A pose that moves
     no object by more than a three-thousandth of that radius stands still.
     """
     noise_gate_m = GATE_SIGMA * pairs.sigmas.min()
     extent_m = np.abs(pairs.query).max()
-    radius_m = search_radius_m
+    still_m = radius_m / 3000.0
     for _ in range(8):
         ratio = pairs.squared_residuals(pose) * np.minimum((pairs.sigmas / radius_m) ** 2, GATE_SIGMA**-2)
         moved = pairs.least_squares(pose, _weights(ratio, pairs.rows))
         changes_m = extent_m * abs(moved.turn - pose.turn), abs(moved.shift - pose.shift), abs(moved.rise - pose.rise)
         pose = moved
-        if max(changes_m) < search_radius_m / 3000.0 and radius_m <= noise_gate_m:
+        if max(changes_m) < still_m and radius_m <= noise_gate_m:
             break
         radius_m *= 0.5
     return pose
@@ -199,29 +190,24 @@ def estimate(pose: LevelPose, pairs: Pairs, least: int) -> Registration:
     """The answer at a refined pose: optimal one-to-one inliers, ``least`` at least, a last fit, and its covariance."""
     ratio = pairs.squared_residuals(pose) / GATE_SIGMA**2
     chosen = _assign(ratio, pairs.rows)
+    if len(chosen) >= least:
+        weights = np.zeros(len(ratio))
+        weights[chosen] = 1.0 - ratio[chosen] ** 2
+        pose = pairs.least_squares(pose, weights)
+        ratio = pairs.squared_residuals(pose) / GATE_SIGMA**2
+        chosen = chosen[ratio[chosen] < 1.0]
     if len(chosen) < least:
-        return _too_few(chosen, least)
-    weights = np.zeros(len(ratio))
-    weights[chosen] = 1.0 - ratio[chosen] ** 2
-    fitted = pairs.least_squares(pose, weights)
-    ratio = pairs.squared_residuals(fitted) / GATE_SIGMA**2
-    chosen = chosen[ratio[chosen] < 1.0]
-    if len(chosen) < least:
-        return _too_few(chosen, least)
+        return Registration.not_found(f"{len(chosen)} pairs of objects agree on a pose, fewer than {least}")
     information = _information(pairs, chosen, 1.0 - ratio[chosen] ** 2)
     # That of the heading alone, the translation marginalised. The linearisation holds up to a deviation of 0.2 rad.
     cross = information[2, 3:]
     if information[2, 2] - cross @ np.linalg.solve(information[3:, 3:], cross) < 0.2**-2:
         return Registration.not_found(f"the {len(chosen)} objects that agree are too near one another for a heading")
-    turn, place = fitted.turn, [fitted.shift.real, fitted.shift.imag, fitted.rise]
+    turn, place = pose.turn, [pose.shift.real, pose.shift.imag, pose.rise]
     R = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
     T = make_transform(R, pairs.reference_middle + place - R @ pairs.query_middle)
     covariance = _covariance(information, pairs.query_middle)
     return Registration(T, covariance, pairs.rows[chosen], "")
-
-
-def _too_few(chosen: IntArray, least: int) -> Registration:
-    return Registration.not_found(f"{len(chosen)} pairs of objects agree on a pose, fewer than {least}")
 
 
 def _assign(ratio: FloatArray, rows: IntArray) -> IntArray:

@@ -6,11 +6,10 @@ from pathlib import Path
 import slam
 from slam.common.calibration import ObjectCalibration
 from slam.common.config import LocalizationConfig, LoopClosureConfig
-from slam.registration.registration import RegistrationConfig
 
 MODULES = ("loop_closure/acceptance.py", "loop_closure/likelihood_ratio.py", "loop_closure/verification.py")
 """All that computes the posterior probability of a candidate."""
-BRANCHES = (LocalizationConfig, LoopClosureConfig, ObjectCalibration, RegistrationConfig)
+BRANCHES = (LocalizationConfig, LoopClosureConfig, ObjectCalibration)
 MOST = 12
 
 

@@ -18,7 +18,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place_search import Place
-from slam.registration.registration import GATE_SIGMA, registration_config
+from slam.registration.registration import GATE_SIGMA, search_radius_m
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import keyframe_at, motion_by, pose_at
 from tests.slam.loop_closure.doubles import make_keyframe, make_query, make_submap, part_of
@@ -137,7 +137,7 @@ def test_landmarks_that_the_graph_has_not_seen_are_where_the_local_map_has_them(
 
 def test_reach_is_the_sum_of_search_radii_that_halve():
     scene = Scene(scattered())
-    radii_m = registration_config(scene.config).search_radius_m * 0.5 ** np.arange(60)
+    radii_m = search_radius_m(scene.config) * 0.5 ** np.arange(60)
     assert scene.verifier.reach_m == pytest.approx(radii_m.sum())
 
 

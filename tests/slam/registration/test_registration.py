@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
@@ -15,15 +13,14 @@ from slam.registration.registration import (
     LevelPose,
     Pairs,
     Registration,
-    RegistrationConfig,
     estimate,
     register,
-    registration_config,
+    search_radius_m,
 )
 from tests.helpers.poses import motion_by, pose_at
 
 SIGMA_M = 0.2
-CONFIG = RegistrationConfig(height_sigma_m=0.05, search_radius_m=3.0)
+CONFIG = Config().calibrated({"objects.height_sigma_m": 0.05})
 
 
 def street_objects(count: int, *, rng: np.random.Generator) -> FloatArray:
@@ -39,7 +36,7 @@ def from_near(
     reference: FloatArray,
     labels: IntArray,
     T_initial: FloatArray,
-    config: RegistrationConfig = CONFIG,
+    config: Config = CONFIG,
     *,
     sigma_m: float | FloatArray = SIGMA_M,
     reference_sigma_m: float | FloatArray = 0.05,
@@ -82,8 +79,11 @@ def nudged(T: FloatArray, query: FloatArray, offset: FloatArray, yaw_rad: float)
 @pytest.mark.parametrize(("objects", "height_sigma_m"), [({}, 0.6), ({"height_sigma_m": 0.2}, 0.2)])
 def test_lengths_are_shares_of_the_sensor_range_unless_given(objects: dict[str, float], height_sigma_m: float) -> None:
     calibration = {"detection": {"sensor_range_m": 60.0}, "objects": objects}
-    found = registration_config(Config.model_validate({"calibration": calibration}))
-    assert (found.height_sigma_m, found.search_radius_m) == pytest.approx((height_sigma_m, 6.0))
+    config = Config.model_validate({"calibration": calibration})
+    assert search_radius_m(config) == pytest.approx(6.0)
+    square = np.array([[5.0, 5.0, 0.0], [-5.0, 5.0, 0.0], [5.0, -5.0, 0.0], [-5.0, -5.0, 0.0]])
+    height_variance = 4.0 * one_to_one(square, square, config=config).covariance[5, 5]
+    assert height_variance == pytest.approx(SIGMA_M**2 + 0.05**2 + height_sigma_m**2, rel=0.02)
 
 
 def test_refinement_from_an_approximate_pose() -> None:
@@ -115,11 +115,13 @@ def test_constellations_of_any_size_are_registered_alike(scale: float) -> None:
     query, query_labels, reference, labels, T_gt = near_place(3)
     poses = []
     for factor in (1.0, scale):
-        config = replace(CONFIG, height_sigma_m=factor * 0.05, search_radius_m=factor * CONFIG.search_radius_m)
+        lengths = {"detection.sensor_range_m": factor * 30.0, "objects.height_sigma_m": factor * 0.05}
         T = nudged(T_gt, query, np.array([0.7, -0.7, 0.0]), 0.01)
         T[:3, 3] *= factor
         sigmas = {"sigma_m": factor * SIGMA_M, "reference_sigma_m": factor * 0.05}
-        found = from_near(factor * query, query_labels, factor * reference, labels, T, config, **sigmas)
+        found = from_near(
+            factor * query, query_labels, factor * reference, labels, T, CONFIG.calibrated(lengths), **sigmas
+        )
         poses.append(found.T_reference_query[:3, 3] / factor)
     np.testing.assert_allclose(poses[0], poses[1], rtol=0.0, atol=1e-6)
 
@@ -139,7 +141,7 @@ def test_every_other_pose_has_more_squared_residuals() -> None:
 
 
 def test_covariance_against_monte_carlo() -> None:
-    config, rng = replace(CONFIG, height_sigma_m=0.3), np.random.default_rng(0)
+    config, rng = CONFIG.calibrated({"objects.height_sigma_m": 0.3}), np.random.default_rng(0)
     query_gt = street_objects(25, rng=rng) + np.array([40.0, -30.0, 1.0])
     query_sigmas, reference_sigmas = rng.uniform(0.1, 0.5, 25), rng.uniform(0.05, 0.2, 25)
     errors, covariances = [], []
@@ -149,7 +151,7 @@ def test_covariance_against_monte_carlo() -> None:
         T_gt = T_level @ tilt
         reference = apply(T_gt, query_gt) + reference_sigmas[:, None] * rng.normal(size=(25, 3))
         query = query_gt + query_sigmas[:, None] * rng.normal(size=(25, 3))
-        reference[:, 2] += rng.normal(0.0, config.height_sigma_m, 25)
+        reference[:, 2] += rng.normal(0.0, 0.3, 25)
         sigmas = {"sigma_m": query_sigmas, "reference_sigma_m": reference_sigmas}
         registration = one_to_one(query, reference, T_level, config=config, **sigmas)
         errors.append(gtsam.Pose3.Logmap(gtsam.Pose3(invert(registration.T_reference_query) @ T_gt)))

@@ -25,7 +25,7 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.place_recognition.landmark_pairs import Batch, LandmarkPairs, make_landmark_pairs
 from slam.place_recognition.place_search import PlaceSearch
-from slam.registration.registration import register, registration_config
+from slam.registration.registration import register
 from tools.console import progress_bar
 from tools.import_logs import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right, rank_of
@@ -101,7 +101,7 @@ def verify(
     """
     config = Config()
     reach_m = np.hypot(*query.positions[:, :2].T).max() + COVERAGE_RANGES * range_m
-    registering = registration_config(config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
+    registering = config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M})
     best, best_llr = None, -np.inf
     for T_proposed in poses:
         near = np.sort(np.asarray(tree.query_ball_point(T_proposed[:2, 3], reach_m), dtype=np.int64))
