@@ -4,7 +4,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -46,11 +46,11 @@ class ReplaySummary:
     log_s: float
     wall_s: float
     final_status: str
-    notes: tuple[str, ...] = ()
-    relocalization_times_s: tuple[float, ...] = ()
-    relocalization_distances_m: tuple[float, ...] = ()
-    tracked_ratio: float = 0.0
-    trajectory_check: TrajectoryCheck = field(default_factory=TrajectoryCheck)
+    notes: tuple[str, ...]
+    relocalization_times_s: tuple[float, ...]
+    relocalization_distances_m: tuple[float, ...]
+    tracked_ratio: float
+    trajectory_check: TrajectoryCheck
 
 
 def replay(

@@ -65,7 +65,7 @@ def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibra
     pairs = _pairs_alike(positions, classes, reach_m)
     if not len(pairs):
         return []
-    d, pairs = positions[pairs[:, 0]] - positions[pairs[:, 1]], rows[pairs]
+    d, pairs = np.subtract(*positions[pairs.T]), rows[pairs]
     try:
         covariances = graph.relative_covariances(pairs)
     except FactorGraphError as error:

@@ -58,12 +58,16 @@ def compute_log_likelihood_ratios(
     placed = apply(T_reference_query, query.positions)
     offsets = reference.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
     distances = np.hypot(offsets[..., 0], offsets[..., 1])
-    coverage_m = COVERAGE_RANGES * sensor_range_m
-    expected = np.any(distances < coverage_m, axis=0)
-    densities = _clutter_densities(
-        query, reference, offsets, distances, float(yaw_rad(T_reference_query)), pairs, sensor_range_m, class_shares
+    expected = np.any(distances < COVERAGE_RANGES * sensor_range_m, axis=0)
+    matched_query, matched_reference = pairs.T
+    is_other = np.ones(distances.shape, dtype=np.bool_)
+    is_other[matched_reference, matched_query] = False
+    alike = is_other & (reference.labels[:, None] == query.labels)
+    shares = None if class_shares is None else class_shares[query.labels]
+    densities = np.maximum(
+        _row_densities(offsets, distances, alike, float(yaw_rad(T_reference_query)), sensor_range_m),
+        _disc_densities(distances, is_other, alike, sensor_range_m, shares),
     )
-    matched_query, matched_reference = pairs[:, 0], pairs[:, 1]
     variances = query.sigmas[matched_query] ** 2 + reference.sigmas[matched_reference] ** 2
     squares = distances[matched_reference, matched_query] ** 2
     likelihoods = np.zeros(len(query))
@@ -88,32 +92,23 @@ def changed_log_likelihood_ratio(per_object: FloatArray) -> float:
     return float(logsumexp(log_prior + log_likelihoods) - logsumexp(log_prior))
 
 
-def _clutter_densities(
-    query: Submap,
-    reference: Submap,
-    offsets: FloatArray,
-    distances: FloatArray,
-    heading_rad: float,
-    pairs: IntArray,
-    sensor_range_m: float,
-    class_shares: FloatArray | None,
+def _disc_densities(
+    distances: FloatArray, is_other: BoolArray, alike: BoolArray, sensor_range_m: float, shares: FloatArray | None
 ) -> FloatArray:
-    """Landmarks (N,) of the same class per m^2 around each placed object of the query, without the matched one."""
-    others = reference.labels[:, None] == query.labels[None, :]
-    others[pairs[:, 1], pairs[:, 0]] = False
+    """Landmarks (N,) of the same class per m^2 around each placed object, or those of the prior, if that is more.
+
+    ``distances`` (M, N) m are from the objects to the landmarks; ``is_other`` (M, N): but the matched one; ``alike``
+    (M, N): and of the same class; ``shares`` (N,) of the classes of the objects in the whole map.
+    """
     clutter_m, coverage_m = CLUTTER_RANGES * sensor_range_m, COVERAGE_RANGES * sensor_range_m
     disc_area = np.pi * clutter_m**2
-    in_disc = np.sum(others & (distances < clutter_m), axis=0) / disc_area
-    row = _row_densities(offsets, distances, others, heading_rad, sensor_range_m)
+    in_disc = np.sum(alike & (distances < clutter_m), axis=0) / disc_area
     # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
-    area = np.full(len(query), disc_area)
-    if class_shares is not None:
-        near = distances < coverage_m
-        near[pairs[:, 1], pairs[:, 0]] = False
-        density = np.sum(near, axis=0) / (np.pi * coverage_m**2)
-        least_density = LEAST_COUNT / coverage_m**2
-        area += 0.5 / np.maximum(density * class_shares[query.labels], least_density)
-    return np.asarray(np.maximum.reduce([in_disc, row, 0.5 / area]))
+    area = np.full(distances.shape[1], disc_area)
+    if shares is not None:
+        density = np.sum(is_other & (distances < coverage_m), axis=0) / (np.pi * coverage_m**2)
+        area += 0.5 / np.maximum(density * shares, LEAST_COUNT / coverage_m**2)
+    return np.maximum(in_disc, 0.5 / area)
 
 
 def _row_densities(

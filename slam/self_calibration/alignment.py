@@ -16,7 +16,7 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import Calibration
-from slam.common.geometry import rotation_of, transform_from_xyz_yaw, yaw_rad
+from slam.common.geometry import make_transform, rotation_of, transform_from_xyz_yaw, yaw_rad
 from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, spacing_of
 from slam.self_calibration.surveyed_log import SurveyedLog
 
@@ -48,7 +48,7 @@ def find_alignment(
     ``curvature_rad_per_m``: turn that the odometry lacks, by the time and by the way; the angles: a rotation vector of
     the detections in the axes of the body; ``climb_share``: height that the odometry lacks, by the way.
     """
-    distances, units = _compared(logs, calibration)
+    distances, steps = _compared(logs, calibration)
     values, suspected = dict.fromkeys([*MIN_VALUES, *RIVALS], 0.0), _Values()
 
     def better(candidates: Sequence[str]) -> dict[str, _Values]:
@@ -56,9 +56,8 @@ def find_alignment(
         found, now = {}, distances(values)
         for term in candidates:
             factor, each = FACTORS.get(term, 1.0), values
-            step = FIRST_STEP * units.get(term, 1.0)
             for first, last in ((0, COARSE), (COARSE + 1, FINE)):
-                each = _search(distances, each, term, step / 2**first, last - first)
+                each = _search(distances, each, term, steps[term] / 2**first, last - first)
                 if not is_better(distances(each), now, factor):
                     break
             else:
@@ -81,18 +80,18 @@ def find_alignment(
         if angle in terms and any(abs(values[term]) > least for term in growing):
             others = [each for each in values if each not in (angle, *growing)]
             without = values | dict.fromkeys(growing, 0.0)
-            with_terms = _best(distances, values, others, units)
-            steady = _best(distances, without, [angle, *others], units)
+            with_terms = _best(distances, values, others, steps)
+            steady = _best(distances, without, [angle, *others], steps)
             for_terms, for_angle = (np.sum(evidence(distances(each))) for each in (with_terms, steady))
             if for_terms <= for_angle:
                 values = without | {angle: steady[angle] if abs(steady[angle]) > MIN_VALUES[angle] else 0.0}
     return {term: value for term, value in values.items() if value}, suspected
 
 
-def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Sequence[str], units: _Values) -> _Values:
+def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Sequence[str], steps: _Values) -> _Values:
     """The values with those of the terms for which there is most evidence, one after the other, and again."""
     for term in (*terms, *terms):
-        values = _search(distances, values, term, FIRST_STEP * units.get(term, 1.0), COARSE)
+        values = _search(distances, values, term, steps[term], COARSE)
     return values
 
 
@@ -115,8 +114,8 @@ def _search(
 
 
 def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Callable[[_Values], FloatArray], _Values]:
-    """A function that gives the log distances (P, 2) of pairs of scans for values of the terms, and what a unit of each
-    term is, if not 1, by the median time and way between the scans of pairs.
+    """A function that gives the log distances (P, 2) of pairs of scans for values of the terms, and the first step of a
+    search for each term, by the median time and way between the scans of pairs.
     """
     surveyed = [(log, *found) for log in logs if len((found := log.scans(calibration, {}))[0]) > 1]
     pairs = [ScanPairs.of(scans, spacing_of(scans), fastest=False) for _, scans, _ in surveyed]
@@ -133,9 +132,8 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
         turns = shares[1] * yaw_rad(motions) + np.array([values[term] for term in GROWING["yaw_rad"]]) @ grown[number]
         motions = transform_from_xyz_yaw(shares[0] * motions[:, :3, 3], turns)
         motions[:, 2, 3] += values["climb_share"] * np.linalg.norm(motions[:, :2, 3], axis=1)
-        T_body_sensor = np.eye(4)
-        T_body_sensor[:3, :3] = rotation_of(np.array([values[angle] for angle in ANGLES]))
-        T_body_sensor[:2, 3] = pairs[number].spacing_m * np.array([values["x_spacings"], values["y_spacings"]])
+        shift_m = pairs[number].spacing_m * np.array([values["x_spacings"], values["y_spacings"], 0.0])
+        T_body_sensor = make_transform(rotation_of(np.array([values[angle] for angle in ANGLES])), shift_m)
         return pairs[number].log_distances(pairs[number].seen_by(T_body_sensor, motions))
 
     @lru_cache  # searches of all terms begin at the same values, and end at those that are judged
@@ -145,5 +143,7 @@ def _compared(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[Ca
 
     medians = np.median(np.concatenate([np.ones((2, 1)), *grown], axis=1), axis=1)
     second, metre = (1.0 / np.maximum(medians, 1e-9)).tolist()
-    units = {"delay_s": 1.0 / second, "drift_rad_per_s": second, "curvature_rad_per_m": metre}
-    return lambda values: of_logs(frozenset(values.items())), units
+    steps = dict.fromkeys([*MIN_VALUES, *RIVALS], FIRST_STEP)
+    steps |= {"delay_s": FIRST_STEP / second, "drift_rad_per_s": FIRST_STEP * second}
+    steps["curvature_rad_per_m"] = FIRST_STEP * metre
+    return lambda values: of_logs(frozenset(values.items())), steps

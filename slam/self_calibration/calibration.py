@@ -282,8 +282,8 @@ def _components(survey: Survey) -> NoiseComponents:
         "heading_by_time": half_turn,
     }
     errors = asdict(estimate.standard_errors)
-    found = {name: value + errors[name] for name, value in asdict(estimate.variances).items()}
-    return NoiseComponents(**{name: min(value, most.get(name, np.inf)) for name, value in found.items()})
+    found = asdict(estimate.variances).items()
+    return NoiseComponents(**{name: min(value + errors[name], most.get(name, np.inf)) for name, value in found})
 
 
 def _sigmas(survey: Survey, estimated: Mapping[str, float]) -> dict[str, float]:

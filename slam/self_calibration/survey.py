@@ -179,7 +179,7 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration) -> Survey | None:
         delay_s=delay_s,
         detour=max(log.detour() for log in logs),
         change=later,
-        change_s=(scans[later.scan].stamp_ns - scans[0].stamp_ns) * 1e-9 if later is not None else 0.0,
+        change_s=0.0 if later is None else seconds_of(scans)[later.scan],
     )
 
 

@@ -166,10 +166,9 @@ def _upright_scans(
     """
     messages, T_odom_body, T_upright_sensor = zip(*placed, strict=True)
     counts = [len(each.positions) for each in messages]
-    unknown = np.full((max(counts), 3, 3), np.nan)
     covariances = [
-        unknown[:count] if each.covariances is None else each.covariances
-        for each, count in zip(messages, counts, strict=True)
+        np.full((len(each.positions), 3, 3), np.nan) if each.covariances is None else each.covariances
+        for each in messages
     ]
     variances = np.trace(np.concatenate(covariances), axis1=1, axis2=2) / 3.0
     variances[variances == 0.0] = np.nan
