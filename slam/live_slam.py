@@ -79,11 +79,6 @@ class LiveSlam:
         """The relocalizations so far."""
         return self._slam.fixes
 
-    @property
-    def first_stamp_ns(self) -> int:
-        """When the drive began."""
-        return self._slam.first_stamp_ns
-
     def snapshot(self) -> list[Message] | None:
         """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
         return self._slam.snapshot()

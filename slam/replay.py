@@ -159,15 +159,15 @@ def _map(
 def _summarize(
     mapper: LogMapper, final: FinalMap, notes: tuple[str, ...], log_ns: int, started: float
 ) -> ReplaySummary:
-    slam = mapper.slam
+    fixes, start_ns = mapper.slam.fixes, int(final.trajectory.stamps_ns[0])
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=log_ns * 1e-9,
         wall_s=time.perf_counter() - started,
         final_status=final.status.message,
         notes=notes,
-        relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
-        relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
+        relocalization_times_s=tuple((fix.stamp_ns - start_ns) * 1e-9 for fix in fixes),
+        relocalization_distances_m=tuple(fix.travel_m for fix in fixes),
         tracked_ratio=mapper.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
         trajectory_check=final.trajectory_check,
     )

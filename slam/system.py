@@ -86,12 +86,14 @@ class Slam:
         )
         self._frontend = Frontend(config.calibration.detection, self._frames, self._track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
-        self._closer.initial_pose = None if prior_map is None else initial_pose
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
-        georeference = None if prior_map is None or initial_pose is not None else prior_map.georeference
-        self._gnss = None if georeference is None else GnssPrior(georeference)
+        self._gnss: GnssPrior | None = None
+        if prior_map is not None:
+            self._closer.initial_pose = initial_pose
+            if initial_pose is None and prior_map.georeference is not None:
+                self._gnss = GnssPrior(prior_map.georeference)
         self._geodetic_fixes: dict[int, GeodeticFix] = {}  # the latest at each keyframe
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self.fixes: Sequence[Fix] = self._localization.fixes
@@ -238,12 +240,13 @@ class Slam:
     def _localized(self, stamp_ns: int) -> LocalizationRecord:
         """Certainty of the robot's pose at a scan."""
         active = self._mapper.tracker.active
+        ratios = active.innovation_ratios
         return LocalizationRecord(
             stamp_ns,
             self.state.value,
             1.0 if self.state == State.LOST else self._closer.continuity.kidnapping_probability,
-            tuple(active.innovation_ratios),
-            np.array(list(active.innovation_ratios.values())),
+            tuple(ratios),
+            np.array(list(ratios.values())),
             active.pose_covariance,
         )
 

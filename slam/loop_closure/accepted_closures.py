@@ -19,13 +19,13 @@ from slam.odometry.keyframe import Keyframe
 
 @frozen
 class Accepted:
-    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor represents it in the
-    graph, itself or one nearby; ``factor``: the number of its factor in the graph, if it has one.
+    """An accepted closure; ``factor``: the number of the factor that represents it in the graph, which is its own if it
+    was ``inserted``, or that of a closure nearby.
     """
 
     candidate: Candidate
-    represented_by: int
-    factor: int | None = None
+    factor: int
+    inserted: bool
 
 
 class AcceptedClosures:
@@ -60,19 +60,17 @@ class AcceptedClosures:
     def add(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one nearby represents it."""
         travel_m = candidate.query.odometry.travel_m
-        apart_m = {
-            each.represented_by: abs(each.candidate.query.odometry.travel_m - travel_m) for each in self._factors
-        }
+        apart_m = {each.factor: abs(each.candidate.query.odometry.travel_m - travel_m) for each in self._inserted}
         nearest = min(apart_m, key=apart_m.__getitem__, default=None)
         if nearest is None or apart_m[nearest] >= self._insert_travel_m:
-            accepted = Accepted(candidate, candidate.query.id, self._insert(candidate))
+            accepted = Accepted(candidate, self._insert(candidate), inserted=True)
         else:
-            accepted = Accepted(candidate, nearest)
+            accepted = Accepted(candidate, nearest, inserted=False)
         self._accepted.append(accepted)
         self.closed[candidate.query.id] = candidate.reference.id
         seed = candidate.place.predicted_by
         reason = "" if seed is None else f"propagated from the closure of keyframe {seed}"
-        return candidate.record(Stage.ACCEPTED, reason, inserted=accepted.factor is not None)
+        return candidate.record(Stage.ACCEPTED, reason, inserted=accepted.inserted)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
@@ -88,7 +86,8 @@ class AcceptedClosures:
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
-        revoked = [each for each in self._accepted if max(each.candidate.query.id, each.represented_by) >= since]
+        gone = {each.factor for each in self._inserted if each.candidate.query.id >= since}
+        revoked = [each for each in self._accepted if each.candidate.query.id >= since or each.factor in gone]
         self._remove(revoked)
         reason = "revoked: expected landmarks not observed"
         return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
@@ -102,22 +101,21 @@ class AcceptedClosures:
         """Forget the closures whose factors were condensed, and those that they represent: they are part of the map.
         Those across breaks still tell which segments are connected.
         """
-        held = {each.represented_by for each in self._factors if each.factor in self._graph.factors}
         self._accepted = [
             each
             for each in self._accepted
-            if each.represented_by in held or (each.factor is not None and each.candidate.crosses_break)
+            if each.factor in self._graph.factors or (each.inserted and each.candidate.crosses_break)
         ]
 
     @property
-    def _factors(self) -> list[Accepted]:
+    def _inserted(self) -> list[Accepted]:
         """The closures that are factors."""
-        return [each for each in self._accepted if each.factor is not None]
+        return [each for each in self._accepted if each.inserted]
 
     @property
     def _across_breaks(self) -> list[Candidate]:
         """Those across breaks of the odometry."""
-        return [each.candidate for each in self._factors if each.candidate.crosses_break]
+        return [each.candidate for each in self._inserted if each.candidate.crosses_break]
 
     def _insert(self, candidate: Candidate) -> int:
         """Add the closure as a factor and merge the matched landmarks; returns the number of the factor.
@@ -145,7 +143,7 @@ class AcceptedClosures:
         for each in revoked:
             self.closed.pop(each.candidate.query.id, None)
         self._accepted = [each for each in self._accepted if each not in revoked]
-        gone = {each.factor for each in revoked if each.factor is not None}
+        gone = {each.factor for each in revoked if each.inserted}
         if not gone:
             return
         self._graph.remove_factors(gone)

@@ -99,26 +99,21 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
     spacing_m, factors = spacing_of(scans), 2.0 ** np.arange(-OCTAVES, OCTAVES + 1)
     found = [_evidence(scans, spacing_m, factor) for factor in factors.tolist()]
     best = np.argmax([np.sum(each) for each in found])
-    is_sure = is_positive(found[best]) and np.mean(found[best]) > np.log(FACTOR)
-    return factors[best] if is_sure and _is_nearer(scans, spacing_m, factors[best]) else 1.0
+    if not is_positive(found[best]) or np.mean(found[best]) <= np.log(FACTOR):
+        return 1.0
+    # A factor that is too large chooses scans of a short way, which share objects, and has evidence for it where scans
+    # of a longer way share none: it must bring its own scans nearer to one another than lengths as they are.
+    pairs = _pairs_of_unit(scans, spacing_m, factors[best])
+    as_they_are = pairs.motions.copy()
+    as_they_are[:, :3, 3] /= factors[best]
+    nearer = pairs.log_distances(as_they_are)[:, 0] - pairs.log_distances(pairs.motions)[:, 0]
+    return factors[best] if is_positive(nearer) else 1.0
 
 
 def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> FloatArray:
     """Evidence (P,) of pairs of scans, where the lengths of the odometry are multiplied by a factor."""
     pairs = _pairs_of_unit(scans, spacing_m, factor)
     return evidence(pairs.log_distances(pairs.motions))
-
-
-def _is_nearer(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> bool:
-    """Whether lengths that are multiplied by a factor bring scans nearer to one another than lengths as they are.
-
-    The pairs are those of the factor. A factor that is too large chooses scans of a short way, which share objects, and
-    has evidence for it where scans of a longer way share none.
-    """
-    pairs = _pairs_of_unit(scans, spacing_m, factor)
-    as_they_are = pairs.motions.copy()
-    as_they_are[:, :3, 3] /= factor
-    return is_positive(pairs.log_distances(as_they_are)[:, 0] - pairs.log_distances(pairs.motions)[:, 0])
 
 
 def _pairs_of_unit(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> ScanPairs:

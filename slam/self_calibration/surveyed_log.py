@@ -181,9 +181,9 @@ def _upright_scans(
     ranges = np.hypot(positions[:, 0], positions[:, 1])
     if used.any():
         used &= ranges <= FAR_OFF * np.median(ranges[used])
-    scans, ends = [], np.cumsum(counts).tolist()
-    for message, T, count, end in zip(messages, T_odom_body, counts, ends, strict=True):
-        kept = end - count + np.flatnonzero(used[end - count : end])
+    scans, rows_of = [], np.split(np.arange(len(used)), np.cumsum(counts)[:-1])
+    for message, T, rows in zip(messages, T_odom_body, rows_of, strict=True):
+        kept = rows[used[rows]]
         if len(kept):
             scans.append(SurveyScan(message.stamp_ns, T, positions[kept], labels[kept], variances[kept]))
     return scans

@@ -76,12 +76,11 @@ def nudged(T: FloatArray, query: FloatArray, offset: FloatArray, yaw_rad: float)
     return np.asarray(T @ turn)
 
 
-@pytest.mark.parametrize(("objects", "height_sigma_m"), [({}, 0.6), ({"height_sigma_m": 0.2}, 0.2)])
+@pytest.mark.parametrize(("objects", "height_sigma_m"), [({}, 0.6), ({"objects.height_sigma_m": 0.2}, 0.2)])
 def test_lengths_are_shares_of_the_sensor_range_unless_given(objects: dict[str, float], height_sigma_m: float) -> None:
-    calibration = {"detection": {"sensor_range_m": 60.0}, "objects": objects}
-    config = Config.model_validate({"calibration": calibration})
+    config = Config().calibrated({"detection.sensor_range_m": 60.0} | objects)
     assert search_radius_m(config) == pytest.approx(6.0)
-    square = np.array([[5.0, 5.0, 0.0], [-5.0, 5.0, 0.0], [5.0, -5.0, 0.0], [-5.0, -5.0, 0.0]])
+    square = np.array([[x, y, 0.0] for x in (-5.0, 5.0) for y in (-5.0, 5.0)])
     height_variance = 4.0 * one_to_one(square, square, config=config).covariance[5, 5]
     assert height_variance == pytest.approx(SIGMA_M**2 + 0.05**2 + height_sigma_m**2, rel=0.02)
 
