@@ -62,7 +62,9 @@ def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibra
     missed = -np.log(1.0 - min(config.detection_probability, DECIDED))
     # No covariance makes the likelihood of an offset that is longer large enough.
     reach_m = float(np.exp(0.5 * (missed - LEAST_LOG_ODDS - log_density - 1.0 - np.log(np.pi))))
-    pairs = _pairs_alike(positions, classes, reach_m)
+    # Those of one class, by distances along the ground.
+    apart = np.column_stack([positions[:, :2], 2.0 * reach_m * classes])
+    pairs = cKDTree(apart).query_pairs(reach_m, output_type="ndarray")
     if not len(pairs):
         return []
     d, pairs = np.subtract(*positions[pairs.T]), rows[pairs]
@@ -120,9 +122,3 @@ def _log_density(positions: FloatArray, classes: IntArray, observers: Sequence[s
         if (1.0 - share) ** len(pairs) > SIGNIFICANT:
             return float(np.log(len(classes) / np.prod(np.maximum(extent_m, 1e-9))))
     return float(np.log(np.log(2.0) / (np.pi * spacing_m**2)))
-
-
-def _pairs_alike(positions: FloatArray, classes: IntArray, reach_m: float) -> IntArray:
-    """Pairs (P, 2) of landmarks of one class that are within reach of one another along the ground, ascending."""
-    apart = np.column_stack([positions[:, :2], 2.0 * reach_m * classes])
-    return cKDTree(apart).query_pairs(reach_m, output_type="ndarray")

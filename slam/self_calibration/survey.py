@@ -334,6 +334,8 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     ranges = ranges_m(scans)
     biases = centroid_biases(tracks)
     median_range_m = np.median(ranges)
+    distances = nearest_of_class_m(scans, is_level=True)
+    distances = distances[np.isfinite(distances)]
     components = _components(without_bias(tracks, biases), motion, is_planar=_is_planar(scans))
     # A detection errs by its own noise and by what changes with the view.
     variance = components.white(median_range_m**2) + components.variances.view if components is not None else 0.0
@@ -343,7 +345,7 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
         range_m=np.quantile(ranges, RANGE_QUANTILE),
         median_range_m=median_range_m,
         max_range_m=ranges.max(),
-        spacing_m=_spacing(scans),
+        spacing_m=np.median(distances) if len(distances) else float("nan"),
         objects=len(ranges) / len(scans),
         interval_s=np.median(np.diff(stamps_s)) if len(scans) > 1 else 0.0,
         travel_m=motion.travel_m[-1],
@@ -383,12 +385,6 @@ def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> Com
     # The median of chi-squared with one degree of freedom is 0.455.
     rise = np.median((tracks.heights - means[row]) ** 2) / 0.455
     return replace(estimate, variances=replace(estimate.variances, rise=rise))
-
-
-def _spacing(scans: Sequence[SurveyScan]) -> float:
-    distances = nearest_of_class_m(scans, is_level=True)
-    distances = distances[np.isfinite(distances)]
-    return np.median(distances) if len(distances) else float("nan")
 
 
 def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:

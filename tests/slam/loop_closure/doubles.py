@@ -23,12 +23,6 @@ def make_submap(positions: FloatArray, *, first_row: int = 0) -> Submap:
     return Submap(np.asarray(positions, float).reshape(-1, 3), np.full(count, 0.3), np.zeros(count, int), rows)
 
 
-def part_of(submap: Submap, count: int) -> Submap:
-    """The first landmarks of a submap."""
-    arrays = {name: getattr(submap, name)[:count] for name in ("positions", "sigmas", "labels", "rows")}
-    return Submap(**arrays)
-
-
 def make_query(keyframe: Keyframe, count: int = 0, *, first_row: int = 0) -> Query:
     """A query with so many objects."""
     submap = make_submap(np.zeros((count, 3)))

@@ -113,7 +113,7 @@ def fixed(scans: list[SurveyScan]) -> list[SurveyScan]:
 
 
 def surveyed(scans: list[SurveyScan], frame: str, detection: DetectionCalibration | None = None) -> Survey:
-    given = Calibration() if detection is None else Calibration(detection=detection)
+    given = Calibration(detection=detection or DetectionCalibration())
     found = survey([SurveyedLog(records_of(scans, frame))], given)
     assert found is not None
     return found
