@@ -34,6 +34,7 @@ from slam.common.geometry import invert
 from slam.display.map_topics import MAP_FRAME, Message
 from slam.display.snapshot import SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, known_covariances, place_landmarks
+from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -86,14 +87,12 @@ class Slam:
         )
         self._frontend = Frontend(config.calibration.detection, self._frames, self._track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
+        self._closer.initial_pose = None if prior_map is None else initial_pose
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
-        self._gnss: GnssPrior | None = None
-        if prior_map is not None:
-            self._closer.initial_pose = initial_pose
-            if initial_pose is None and prior_map.georeference is not None:
-                self._gnss = GnssPrior(prior_map.georeference)
+        georeference = None if prior_map is None or initial_pose is not None else prior_map.georeference
+        self._gnss = None if georeference is None else GnssPrior(georeference)
         self._geodetic_fixes: dict[int, GeodeticFix] = {}  # the latest at each keyframe
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self.fixes: Sequence[Fix] = self._localization.fixes
@@ -139,13 +138,12 @@ class Slam:
         return self._snapshot() if self._schedule.is_due(len(self._mapper.keyframes)) else None
 
     def _snapshot(self) -> list[Message]:
-        closures = self._closer.closures
         return take_snapshot(
             self._mapper.keyframes,
             self._object_map,
             self._graph,
-            np.array(list(closures.closed.items()), dtype=np.int64).reshape(-1, 2),
-            closures.is_localized,
+            np.array(list(self._closer.closures.closed.items()), dtype=np.int64).reshape(-1, 2),
+            self._closer.closures.is_localized,
             self._config.calibration,
         )
 
@@ -182,8 +180,7 @@ class Slam:
     def _retire_gone(self) -> None:
         """Retire landmarks of the prior map that this drive passed, where it closed loops, and did not see."""
         closures = self._closer.closures
-        near = sorted(closures.localized_keyframes() & closures.closed.keys())
-        places = self._graph.poses(near)[:, :3, 3]
+        places = self._graph.poses(sorted(closures.localized_keyframes() & closures.closed.keys()))[:, :3, 3]
         self._mapper.retire_gone(find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m))
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
@@ -212,8 +209,7 @@ class Slam:
     def _trajectory(self) -> TrajectoryRecord:
         """All poses of the drive, by the graph as it is now."""
         own = slice(self._first_keyframe, None)
-        poses = self._graph.poses()[own]
-        return final_trajectory(self._path, self._mapper.keyframes[own], poses, self._frontend.latest_ns)
+        return final_trajectory(self._path, self._mapper.keyframes[own], self._graph.poses()[own], self.latest_ns)
 
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._output.follow(odometry)
@@ -235,24 +231,10 @@ class Slam:
         if self._frontend.placed is not None:
             tracked, pose = self._frontend.placed
             self._check.add(tracked, pose, self._output.in_map(pose))
-        return [placed, self._localized(placed.stamp_ns)]
-
-    def _localized(self, stamp_ns: int) -> LocalizationRecord:
-        """Certainty of the robot's pose at a scan."""
-        active = self._mapper.tracker.active
-        ratios = active.innovation_ratios
-        return LocalizationRecord(
-            stamp_ns,
-            self.state.value,
-            1.0 if self.state == State.LOST else self._closer.continuity.kidnapping_probability,
-            tuple(ratios),
-            np.array(list(ratios.values())),
-            active.pose_covariance,
-        )
+        return [placed, _localization(placed.stamp_ns, self.state, self._mapper.tracker.active, self._closer)]
 
     def _step(self, pose: OdometryPose) -> list[Record]:
-        latest = self._path.latest
-        breaks = latest is not None and latest.segment != pose.segment
+        breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
         self.counters["odometry_used"] += 1
         self._path.add(pose)
         keyframe = self._mapper.add_odometry(pose)
@@ -273,20 +255,10 @@ class Slam:
         if self._extends:
             self._condenser.update()
         self.counters["keyframes"] += 1
-        self._count(closures)
+        self.counters.update(_counted(closures, self._first_keyframe))
         if keyframe.id == self._first_keyframe:
             updates.append(self._status(self.state, "first odometry", level="info"))
         return updates
-
-    def _count(self, closures: Sequence[LoopClosureRecord]) -> None:
-        """Count the closures at a keyframe."""
-        accepted = [closure for closure in closures if closure.accepted]
-        # Keyframes before the first one of this drive are of the prior map.
-        recognised = [closure for closure in accepted if closure.reference_keyframe_id < self._first_keyframe]
-        self.counters["keyframes_recognised"] += len(recognised)
-        self.counters["closures_accepted"] += len(accepted)
-        self.counters["closures_retrieved"] += sum(closure.seed_query_keyframe_id is None for closure in accepted)
-        self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
 
     def _declare_lost(self, keyframe: Keyframe, after_m: float) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke a false relocalization, or let a new segment begin after a kidnapping, at a travel ``after_m``.
@@ -365,6 +337,17 @@ class PoseOutput:
         return Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom @ pose.T_odom_reported)
 
 
+def _counted(closures: Sequence[LoopClosureRecord], first_keyframe: int) -> dict[str, int]:
+    """Numbers of closures at a keyframe; those before the first one of this drive are of the prior map."""
+    accepted = [closure for closure in closures if closure.accepted]
+    return {
+        "keyframes_recognised": sum(closure.reference_keyframe_id < first_keyframe for closure in accepted),
+        "closures_accepted": len(accepted),
+        "closures_retrieved": sum(closure.seed_query_keyframe_id is None for closure in accepted),
+        "closures_inserted": sum(closure.inserted for closure in closures),
+    }
+
+
 @contextmanager
 def _refused_noises() -> Iterator[None]:
     """An error for people where covariances cannot be inverted, since float64 has too few digits for them."""
@@ -375,3 +358,16 @@ def _refused_noises() -> Iterator[None]:
             "the noise of odometry and that of detections differ by too many orders of magnitude; check "
             "calibration.odometry and calibration.detection, and the covariances of detections"
         ) from error
+
+
+def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: LoopCloser) -> LocalizationRecord:
+    """Certainty of the robot's pose at a scan."""
+    ratios = active.innovation_ratios
+    return LocalizationRecord(
+        stamp_ns,
+        state.value,
+        1.0 if state == State.LOST else closer.continuity.kidnapping_probability,
+        tuple(ratios),
+        np.array(list(ratios.values())),
+        active.pose_covariance,
+    )
