@@ -161,15 +161,18 @@ class ActiveLandmarks:
         """Correct the pose of the body by (4, 4) in the local frame, and add a covariance (6, 6) to its error, local
         axes; returns the same correction (4, 4) in the frame of the odometry, whose poses it corrects from now on.
         """
-        T_local_odom = self.T_local_odom
+        T_odom = self._correct_odometry(T_correction)
         self._local.shift(T_correction, covariance)
         self._variances, self._has_slipped = np.zeros(3), False
-        return self._correct_odometry(invert(T_local_odom) @ T_correction @ T_local_odom)
+        return T_odom
 
-    def _correct_odometry(self, T_odom: FloatArray) -> FloatArray:
-        """Move the pose of the body by (4, 4) in the frame of the odometry; returns that."""
+    def _correct_odometry(self, T_local: FloatArray) -> FloatArray:
+        """Move where the odometry has the body by (4, 4) in the local frame; returns the same in the frame of the
+        odometry.
+        """
         assert self._pose is not None
-        T_odom = rigid(T_odom)
+        T_local_odom = self.T_local_odom
+        T_odom = rigid(invert(T_local_odom) @ T_local @ T_local_odom)
         self._pose = replace(self._pose, T_odom_body=rigid(T_odom @ self._pose.T_odom_body))
         return T_odom
 
@@ -203,23 +206,25 @@ class ActiveLandmarks:
 
     def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> Correction | None:
         """Correct the state by landmarks, and learn from it how large the errors of the odometry are."""
-        sigmas, slip = np.sqrt(self._variances), None
+        if not len(slots):
+            return None
+        sigmas = np.sqrt(self._variances)
         innovation, effects = self._local.update(slots, offsets, covariances, self._local.step_effects(slots) * sigmas)
-        if len(slots):
-            error = sigmas * self._noise.slip(innovation, effects, has_slipped=self._has_slipped)
-            if not self._has_slipped:
-                self._noise.add(innovation, effects)
-            self._variances, self._has_slipped = np.zeros(3), False
-            if error.any():
-                heading, x, y = error
-                R, xyz_m = rotation_of(np.array([0.0, 0.0, heading])), self.T_local_body[:3, 3]
-                T_error = make_transform(R, xyz_m + np.array([x, y, 0.0]) - R @ xyz_m)
-                T_odom = self._correct_odometry(invert(self.T_local_odom) @ T_error @ self.T_local_odom)
-                slip = Correction(T_odom, np.array([0.5 * (x**2 + y**2), 0.0, heading**2]))
+        error = sigmas * self._noise.slip(innovation, effects, has_slipped=self._has_slipped)
+        if not self._has_slipped:
+            self._noise.add(innovation, effects)
+        self._variances, self._has_slipped = np.zeros(3), False
+        T_local_body = self.T_local_body
         if len(slots) >= FIXING_LANDMARKS:
-            R, fit = self.T_local_body[:3, :3], fit_of(self.positions[slots] - self.T_local_body[:3, 3])
-            self.pose_covariance = covariance_in_axes(fit @ self._local.relative_covariance(slots) @ fit.T, R)
-        return slip
+            fit = fit_of(self.positions[slots] - T_local_body[:3, 3])
+            covariance = fit @ self._local.relative_covariance(slots) @ fit.T
+            self.pose_covariance = covariance_in_axes(covariance, T_local_body[:3, :3])
+        if not error.any():
+            return None
+        heading, x, y = error
+        R, xyz_m = rotation_of(np.array([0.0, 0.0, heading])), T_local_body[:3, 3]
+        T_odom = self._correct_odometry(make_transform(R, xyz_m + np.array([x, y, 0.0]) - R @ xyz_m))
+        return Correction(T_odom, np.array([0.5 * (x**2 + y**2), 0.0, heading**2]))
 
     @property
     def innovation_ratios(self) -> dict[str, float]:

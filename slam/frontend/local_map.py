@@ -37,7 +37,9 @@ POSE = 6
 
 
 class LocalMap:
-    """An EKF over the pose of the body and the landmarks that it holds, each known by an id of the caller's."""
+    """An EKF over the pose of the body and the landmarks that it holds, each known by an id; later ones have higher
+    ids.
+    """
 
     def __init__(self) -> None:
         self.start(np.eye(4))
@@ -49,8 +51,7 @@ class LocalMap:
         self._T = make_transform(T_odom_body[:3, :3], np.zeros(3))
         self._P = np.zeros((POSE, POSE))
         self.ids = np.zeros(0, dtype=np.int64)
-        """Ids (L,) of the landmarks held; another array once they change."""
-        self._slots: dict[int, int] = {}
+        """Ids (L,) of the landmarks held, ascending; another array once they change."""
         self._positions = np.zeros((0, 3))
 
     @property
@@ -64,8 +65,8 @@ class LocalMap:
         return make_transform(self._T[:3, :3], self._T[:3, 3] + self._origin)
 
     def slots(self, ids: IntArray) -> IntArray:
-        """Where ids (K,) stand in the state; -1 for one that is not held."""
-        return np.array([self._slots.get(each, -1) for each in ids.tolist()], dtype=np.int64)
+        """Where ids (K,), all of them held, stand in the state."""
+        return np.searchsorted(self.ids, ids)
 
     def advance(self, T_before_after: FloatArray, covariance: FloatArray) -> None:
         """Move the body by a step (4, 4) of the odometry with its covariance (6, 6), rotation [rad] before translation
@@ -90,14 +91,14 @@ class LocalMap:
 
     def predict(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
         """Positions (K, 3) m of landmarks, and covariances (K, 3, 3) m^2 of their offsets from the body, local axes."""
-        columns = POSE + 3 * slots[:, None] + np.arange(3)
-        own = self._P[columns[:, :, None], columns[:, None, :]]
+        columns = _columns(slots)
+        own = self._P[_blocks(columns)]
         cross = self._P[3:POSE][:, columns].transpose(1, 0, 2)
         return self._positions[slots] + self._origin, own + self._P[3:POSE, 3:POSE] - cross - cross.transpose(0, 2, 1)
 
     def relative_covariance(self, slots: IntArray) -> FloatArray:
         """Joint covariance (3 K, 3 K) m^2 of the offsets of landmarks from the body, local axes."""
-        columns = (POSE + 3 * slots[:, None] + np.arange(3)).ravel()
+        columns = _columns(slots).ravel()
         cross = np.tile(self._P[3:POSE][:, columns], (len(slots), 1))
         of_pose = np.tile(self._P[3:POSE, 3:POSE], (len(slots), len(slots)))
         return self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T
@@ -111,15 +112,15 @@ class LocalMap:
         return np.concatenate([skew(offsets)[:, :, 2:], shifts], axis=2).reshape(-1, 3)
 
     def update(
-        self, slots: IntArray, measured: FloatArray, covariances: FloatArray, effects: FloatArray | None = None
+        self, slots: IntArray, measured: FloatArray, covariances: FloatArray, effects: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Correct the state by landmarks of one scan.
 
         Args:
-            slots: (K,) of the landmarks, none twice.
+            slots: (K,) of the landmarks, one at least, none twice.
             measured: (K, 3) m, offsets from the body in local axes.
             covariances: (K, 3, 3) m^2 of the measurements, in the same axes.
-            effects: (3 K, N) of errors on what was measured, if they are to be whitened.
+            effects: (3 K, N) of errors on what was measured.
 
         Returns:
             The innovations (3 K,) and the effects (3 K, N), whitened by the covariance of the innovations.
@@ -128,15 +129,11 @@ class LocalMap:
             np.linalg.LinAlgError: noises differ by more orders of magnitude than float64 has digits.
         """
         count = len(slots)
-        effects = np.zeros((3 * count, 0)) if effects is None else effects
-        if count == 0:
-            return np.zeros(0), effects
         innovations = measured - (self._positions[slots] - self._T[:3, 3])
-        columns = (POSE + 3 * slots[:, None] + np.arange(3)).ravel()
+        columns = _columns(slots).ravel()
         HP = self._P[columns] - np.tile(self._P[3:POSE], (count, 1))
         S = HP[:, columns] - np.tile(HP[:, 3:POSE], (1, count))
-        entries = np.arange(3 * count).reshape(count, 3)
-        blocks = entries[:, :, None], entries[:, None, :]
+        blocks = _blocks(np.arange(3 * count).reshape(count, 3))
         own = S[blocks] + covariances
         excess = np.maximum(squared_mahalanobis(innovations, own) / GATE - 1.0, 0.0)  # Huber's weights, beyond the gate
         S[blocks] = own + excess[:, None, None] * covariances
@@ -157,16 +154,17 @@ class LocalMap:
         if len(slots) == 0:
             return
         innovations = measured - (self._positions[slots] - self._T[:3, 3])
-        columns = POSE + 3 * slots[:, None] + np.arange(3)
+        columns = _columns(slots)
+        blocks = _blocks(columns)
         _, relative = self.predict(slots)
-        own = self._P[columns[:, :, None], columns[:, None, :]] - self._P[3:POSE][:, columns].transpose(1, 2, 0)
+        own = self._P[blocks] - self._P[3:POSE][:, columns].transpose(1, 2, 0)
         gains = np.swapaxes(np.linalg.solve(relative + covariances, own.swapaxes(1, 2)), 1, 2)
         flat = columns.ravel()
         rows = self._P[columns] - self._P[3:POSE]
         self._P[flat] -= (gains @ rows).reshape(len(flat), -1)
         rows = self._P[:, flat].T.reshape(len(slots), 3, -1) - self._P[:, 3:POSE].T
         self._P[:, flat] -= (gains @ rows).reshape(len(flat), -1).T
-        self._P[columns[:, :, None], columns[:, None, :]] += gains @ covariances @ gains.swapaxes(1, 2)
+        self._P[blocks] += gains @ covariances @ gains.swapaxes(1, 2)
         # What rounding makes asymmetric grows from update to update.
         symmetric = 0.5 * (self._P[flat] + self._P[:, flat].T)
         self._P[flat], self._P[:, flat] = symmetric, symmetric.T
@@ -177,36 +175,28 @@ class LocalMap:
         """Move landmarks (K,) by ``shifts`` (K, 3) m, whose coordinates err by ``variances`` (K, 3) m^2."""
         self._positions = self._positions.copy()
         self._positions[slots] += shifts
-        entries = POSE + 3 * slots[:, None] + np.arange(3)
-        self._P[entries, entries] += variances
+        columns = _columns(slots)
+        self._P[columns, columns] += variances
 
     def insert(self, ids: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
         """Add landmarks (K,) at ``offsets`` (K, 3) m from the body in local axes, with covariances (K, 3, 3) m^2."""
-        if len(ids) == 0:
-            return
-        size, count = len(self._P), len(ids)
-        P = np.zeros((size + 3 * count, size + 3 * count))
-        P[:size, :size] = self._P
-        P[size:, :size] = np.tile(self._P[3:POSE], (count, 1))
-        P[:size, size:] = P[size:, :size].T
-        P[size:, size:] = np.tile(self._P[3:POSE, 3:POSE], (count, count))
-        block = size + np.arange(3 * count).reshape(count, 3)
-        P[block[:, :, None], block[:, None, :]] += covariances
-        self._P = P
+        count = len(ids)
+        cross = np.tile(self._P[3:POSE], (count, 1))
+        own = np.tile(cross[:, 3:POSE], (1, count))
+        own[_blocks(np.arange(3 * count).reshape(count, 3))] += covariances
+        self._P = np.block([[self._P, cross.T], [cross, own]])
         self._positions = np.concatenate([self._positions, self._T[:3, 3] + offsets])
-        self._set_ids(np.concatenate([self.ids, ids]))
+        self.ids = np.concatenate([self.ids, ids])
 
     def remove(self, ids: IntArray) -> None:
         """Marginalize landmarks; ids that are not held are ignored."""
-        held = [self._slots[each] for each in ids.tolist() if each in self._slots]
-        if not held:
+        kept = np.flatnonzero(~np.isin(self.ids, ids))
+        if len(kept) == len(self.ids):
             return
-        kept = np.ones(len(self.ids), dtype=np.bool_)
-        kept[held] = False
-        columns = np.concatenate([np.arange(POSE), (POSE + 3 * np.flatnonzero(kept)[:, None] + np.arange(3)).ravel()])
+        columns = np.append(np.arange(POSE), _columns(kept))
         self._P = self._P[np.ix_(columns, columns)]
         self._positions = self._positions[kept]
-        self._set_ids(self.ids[kept])
+        self.ids = self.ids[kept]
 
     def _apply(self, change: FloatArray) -> None:
         R, V = rotation_of(change[:3]), left_jacobian(change[:3])
@@ -214,6 +204,12 @@ class LocalMap:
         self._T = make_transform(R @ self._T[:3, :3], R @ self._T[:3, 3] + shifts[0])
         self._positions = self._positions @ R.T + shifts[1:]
 
-    def _set_ids(self, ids: IntArray) -> None:
-        self.ids = ids
-        self._slots = {each: slot for slot, each in enumerate(ids.tolist())}
+
+def _columns(slots: IntArray) -> IntArray:
+    """(K, 3): where the positions of landmarks stand in the error."""
+    return POSE + 3 * slots[:, None] + np.arange(3)
+
+
+def _blocks(columns: IntArray) -> tuple[IntArray, IntArray]:
+    """Indices of the blocks (K, 3, 3) of a covariance, for the columns (K, 3) of each landmark."""
+    return columns[:, :, None], columns[:, None, :]
