@@ -151,6 +151,7 @@ class Mapper:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
         rows = rows[~np.isin(rows, list(self._map.aliases.values()))]
         self._retire(rows, RetirementReason.GONE)
+        self._active.drop(rows)
 
     def break_at(self, first: Keyframe) -> None:
         """Let a new segment begin with a keyframe. Landmarks first observed on it so far are retired, as others that
@@ -176,7 +177,7 @@ class Mapper:
 
     def _restart(self, pose: OdometryPose | None = None) -> None:
         """Restart the local map at a pose, or where the body is, without active landmarks."""
-        self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
+        self._deactivate(self._active.rows)
         self._active.restart(pose)
         self.tracker.restart()
 
@@ -205,7 +206,7 @@ class Mapper:
         self._map.assign(seen, velocity_local=np.where((followed | moving)[:, None], velocities_mps, 0.0))
         stopped = (states == LandmarkState.RETIRED) & ~too_fast
         self._active.drop(seen[stopped])
-        self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)
+        self._retire(seen[moving], RetirementReason.MOVING)  # still followed, it corrects nothing
 
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
         enough = observations >= CONFIRM_OBSERVATIONS
@@ -227,25 +228,18 @@ class Mapper:
         unseen_scans = self._scan_count - landmarks["last_scan"][rows]
         lost = (unseen_m > MISSED_RANGES * self._config.sensor_range_m) | (unseen_scans > self._max_missed_scans)
         stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED)
-        self._deactivate(stale | self._active.surplus())
+        self._deactivate(rows[stale | self._active.surplus()])
 
-    def _deactivate(self, gone: BoolArray) -> None:
-        """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""
-        rows = self._active.rows[gone]
+    def _deactivate(self, rows: IntArray) -> None:
+        """Deactivate landmarks; tentative ones are retired."""
         tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
         self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
         self._active.drop(rows)
 
-    def _retire(self, rows: IntArray, reason: RetirementReason, *, stays_active: bool = False) -> None:
-        """Retire landmarks and remove them from the graph; moving ones are still followed, and correct nothing."""
-        if not len(rows):
-            return
-        ended = self._map.retire(rows, reason)
-        if not stays_active:
-            self._active.drop(rows)
-        for row in rows.tolist():
-            self._pending.drop(row)
-        self._graph.remove_landmarks(ended)
+    def _retire(self, rows: IntArray, reason: RetirementReason) -> None:
+        """Retire landmarks and remove them from the graph."""
+        if len(rows):
+            self._graph.remove_landmarks(self._map.retire(rows, reason))
 
 
 def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:
@@ -261,12 +255,10 @@ def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Ed
 
 def _associations(scan: Scan, rows: IntArray, created: BoolArray) -> DetectionAssociations:
     """One entry for each detection of the message, used or not."""
-    landmark_ids = [""] * len(scan.used)
-    created_of_all = np.zeros(len(scan.used), dtype=np.bool_)
-    created_of_all[scan.used] = created
-    for place, row in zip(np.flatnonzero(scan.used).tolist(), rows.tolist(), strict=True):
-        landmark_ids[place] = str(row) if row >= 0 else ""
-    return DetectionAssociations(scan.stamp_ns, tuple(landmark_ids), created_of_all)
+    rows_of_all, created_of_all = np.full(len(scan.used), NEW), np.zeros(len(scan.used), dtype=np.bool_)
+    rows_of_all[scan.used], created_of_all[scan.used] = rows, created
+    landmark_ids = tuple(str(row) if row >= 0 else "" for row in rows_of_all.tolist())
+    return DetectionAssociations(scan.stamp_ns, landmark_ids, created_of_all)
 
 
 def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolArray:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.backend.factors import Observation, sum_observations
+from slam.backend.factors import Observation, stacked, sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import OdometryCalibration
 from slam.common.config import Config
@@ -41,10 +41,6 @@ class PendingObservations:
         is_used = np.array([self._counts[row] < MAX_MEASUREMENTS for row in rows.tolist()], dtype=np.bool_)
         self._counts.update(rows[is_used].tolist())
         self._scans.append((rows[is_used], scan.of(is_used)))
-
-    def drop(self, row: int) -> None:
-        """Forget what is held back of a landmark."""
-        self._held_back.pop(row, None)
 
     def close(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
         """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait."""
@@ -90,11 +86,11 @@ class PendingObservations:
         return [self._with_shared_error(each, is_guessed=each.landmark in guessed) for each in found]
 
     def _with_shared_error(self, summed: Observation, *, is_guessed: bool) -> Observation:
-        covariance = summed.covariance_inflation * summed.covariance
-        if not is_guessed:
-            return replace(summed, covariance=covariance, covariance_inflation=1.0)
-        covariance = covariance + self._detection.common_sigma_m**2 * np.eye(3)
-        return replace(summed, covariance=covariance, covariance_inflation=self._detection.covariance_inflation)
+        covariance, inflation = summed.covariance_inflation * summed.covariance, 1.0
+        if is_guessed:
+            covariance = covariance + self._detection.common_sigma_m**2 * np.eye(3)
+            inflation = self._detection.covariance_inflation
+        return replace(summed, covariance=covariance, covariance_inflation=inflation)
 
 
 class ObservationGroup:
@@ -110,14 +106,12 @@ class ObservationGroup:
         self._config = config
         self._keyframes: list[Keyframe] = []
         self._observations: list[Observation] = []
-        self._frames: list[int] = []  # of each observation, its place in ``_keyframes``
         self._variances = np.zeros(2)  # of the motion since the first keyframe: m^2 along an axis, rad^2 of the heading
 
     def add(self, keyframe: Keyframe, observations: Sequence[Observation]) -> None:
         """Add the observations from the next keyframe."""
         if self._keyframes:
             self._variances += self._step(keyframe)
-        self._frames += [len(self._keyframes)] * len(observations)
         self._keyframes.append(keyframe)
         self._observations += observations
 
@@ -130,34 +124,29 @@ class ObservationGroup:
         if not self._observations:
             return False
         translation, heading = self._variances + self._step(keyframe)
-        ranges_m = np.linalg.norm([each.position for each in self._observations], axis=1)
-        variances = np.trace(_covariances(self._observations), axis1=1, axis2=2) / 3.0
-        added = (translation + heading * ranges_m**2) / variances
+        _, _, positions, covariances, inflations = stacked(self._observations)
+        variances = np.trace(inflations[:, None, None] * covariances, axis1=1, axis2=2) / 3.0
+        added = (translation + heading * np.linalg.norm(positions, axis=1) ** 2) / variances
         return bool(added.mean() > MAX_ADDED_VARIANCE)
 
     def take(self) -> list[Observation]:
         """The observations of the group, one a landmark, in the frame of the last keyframe; the next group begins."""
-        keyframes, observations, frames = self._keyframes, self._observations, self._frames
-        self._keyframes, self._observations, self._frames = [], [], []
-        self._variances = np.zeros(2)
+        keyframes, observations = self._keyframes, self._observations
+        self._keyframes, self._observations, self._variances = [], [], np.zeros(2)
         if len(keyframes) < 2 or not observations:
             return observations
-        last = keyframes[-1]
-        T = np.array([relative(last.T_local_body, each.T_local_body) for each in keyframes])[frames]
+        first, last = keyframes[0], keyframes[-1]
+        seen_from, landmarks, positions, covariances, inflations = stacked(observations)
+        T = np.array([relative(last.T_local_body, each.T_local_body) for each in keyframes])[seen_from - first.id]
         R = T[:, :3, :3]
         return sum_observations(
             np.full(len(observations), last.id),
-            np.array([each.landmark for each in observations]),
-            apply_each(T, np.array([each.position for each in observations])),
-            R @ _covariances(observations) @ np.swapaxes(R, 1, 2),
-            np.array([each.covariance_inflation for each in observations]),
+            landmarks,
+            apply_each(T, positions),
+            R @ (inflations[:, None, None] * covariances) @ np.swapaxes(R, 1, 2),
+            inflations,
         )
 
     def _step(self, keyframe: Keyframe) -> FloatArray:
         translation, _, heading = step_variances(self._keyframes[-1].odometry, keyframe.odometry, self._config)
         return np.array([translation, heading])
-
-
-def _covariances(observations: Sequence[Observation]) -> FloatArray:
-    """(N, 3, 3) m^2, inflated."""
-    return np.array([each.covariance * each.covariance_inflation for each in observations])

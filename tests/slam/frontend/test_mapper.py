@@ -322,7 +322,7 @@ def test_landmarks_that_became_inactive_since_a_scan_was_located_are_none_of_its
     bench.drive(12)
     bench.move(1.2, 6.0)
     tracked, pose = bench.locate(1.2)
-    bench.mapper._deactivate(np.ones(4, bool))
+    bench.mapper._deactivate(np.arange(4))
     associations = bench.mapper.add_scan(tracked, pose)
     assert associations.landmark_ids == ("",) * 4
     assert not associations.created.any()

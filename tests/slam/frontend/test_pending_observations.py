@@ -66,14 +66,6 @@ def test_observations_of_retired_landmarks_are_dropped():
     assert drive.close(3, ends_group=True) == [(0, 3), (1, 3)]
 
 
-def test_what_is_held_back_can_be_dropped():
-    drive = Drive(NOISY)
-    drive.close(1, ends_group=True)
-    drive.pending.drop(0)
-    drive.map.confirm(drive.rows)
-    assert drive.close(2, ends_group=True) == [(0, 2), (1, 1), (1, 2)]
-
-
 # The measurements since the last keyframe
 
 
