@@ -155,7 +155,7 @@ class ActiveLandmarks:
     def known_landmarks(self) -> KnownLandmarks:
         """The active landmarks with their joint covariance."""
         joint = self._local.relative_covariance(np.arange(len(self.rows)))
-        return KnownLandmarks(*self.predict(), self._map.labels.beliefs(self.rows), joint)
+        return KnownLandmarks(self.positions, self._map.labels.beliefs(self.rows), joint)
 
     def shift(self, T_correction: FloatArray, covariance: FloatArray) -> FloatArray:
         """Correct the pose of the body by (4, 4) in the local frame, and add a covariance (6, 6) to its error, local

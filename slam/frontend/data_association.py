@@ -8,7 +8,6 @@ no more than its neighbourhoods.
 """
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -22,9 +21,9 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 
 NEW, AMBIGUOUS = -1, -2
-GATE_PROBABILITY = 0.9995
-"""Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
-NEW_OBJECT_GATE_PROBABILITY = 0.999999
+MATCH_GATE = float(chdtri(3, 1.0 - 0.9995))
+"""Chi-squared with 3 degrees of freedom: the gate keeps that share of true matches."""
+NEW_OBJECT_GATE = float(chdtri(3, 1.0 - 0.999999))
 """A detection outside the gate of every landmark, but not as far off as that, is left out. Where labels are identities,
 it is left out however far off it is, unless it is likelier a new object.
 """
@@ -103,8 +102,7 @@ def associate(
     rows, ratios = np.full(len(positions), NEW, dtype=np.int64), np.zeros(len(positions))
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows, ratios)
-    gate = _gate(GATE_PROBABILITY)
-    outer_gate = _gate(NEW_OBJECT_GATE_PROBABILITY)
+    outer_gate = NEW_OBJECT_GATE
     if config.spacing_m > np.ptp(landmark_positions, axis=0).max():  # no two objects around are of one class
         outer_gate = np.inf
     detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
@@ -125,7 +123,7 @@ def associate(
     excess = np.maximum(distance_squared / 3.0, 1.0)
     tail_cost = pair_cost + 3.0 * (1.0 + np.log(excess) - excess)
     rows[detection[(belief >= 0.5) & (distance_squared <= outer_gate) & (tail_cost < none_cost)]] = AMBIGUOUS
-    inside = np.flatnonzero(distance_squared <= gate)
+    inside = np.flatnonzero(distance_squared <= MATCH_GATE)
     inside = inside[pair_cost[inside] < none_cost[inside]]  # a dearer pair is in no cheapest assignment
     contested = _is_contested(detection[inside], landmark[inside])
     taken = inside[_cheapest(detection[inside], landmark[inside], none_cost[inside] - pair_cost[inside], contested)]
@@ -137,7 +135,7 @@ def associate(
     variances = (np.einsum("nii->n", each) for each in (landmark_covariances[landmark], covariances[detection]))
     # What is near a landmark and yet outside its gate is as far off as the gate, at least.
     ambiguous = int(np.count_nonzero(rows == AMBIGUOUS))
-    count, squares = len(taken) + ambiguous, distance_squared[taken].sum() + gate * ambiguous
+    count, squares = len(taken) + ambiguous, distance_squared[taken].sum() + MATCH_GATE * ambiguous
     return Assignment(
         rows,
         ratios,
@@ -163,22 +161,16 @@ def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[Flo
     return x * x / first + y * y / second + z * z / third, first * second * third
 
 
-def density(positions: FloatArray, covariances: FloatArray) -> float:
-    """Objects per m^3 among N at ``positions`` (N, 3) m, known by covariances (M, 3, 3) m^2.
+def density(positions: FloatArray, variances: FloatArray) -> float:
+    """Objects per m^3 among N at ``positions`` (N, 3) m, whose coordinates are known by variances (M, 3) m^2.
 
     The volume is that of the cylinder that holds them. Detections of one object are spread by the noise alone: by
     sqrt(2 pi e) standard deviations, the entropy of a Gaussian.
     """
-    spread = np.sqrt(2.0 * np.pi * np.e * np.median(np.diagonal(covariances, axis1=1, axis2=2), axis=0))
+    spread = np.sqrt(2.0 * np.pi * np.e * np.median(variances, axis=0))
     radius_m = float(np.max(np.linalg.norm(positions[:, :2] - np.median(positions[:, :2], axis=0), axis=1)))
     height_m = max(float(np.ptp(positions[:, 2])), float(spread[2]))
     return len(positions) / (np.pi * max(radius_m, float(spread[:2].mean())) ** 2 * height_m)
-
-
-@lru_cache
-def _gate(probability: float) -> float:
-    """The squared distance in three dimensions that is exceeded with 1 - ``probability``."""
-    return float(chdtri(3, 1.0 - probability))
 
 
 def _is_contested(detection: IntArray, landmark: IntArray) -> BoolArray:

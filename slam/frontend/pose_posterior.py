@@ -22,7 +22,7 @@ from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import chdtri, logsumexp
+from scipy.special import logsumexp
 
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
@@ -38,7 +38,7 @@ from slam.common.geometry import (
 )
 from slam.frontend.data_association import (
     EXCLUDED_RATIO,
-    GATE_PROBABILITY,
+    MATCH_GATE,
     NEW,
     Assignment,
     Objects,
@@ -67,12 +67,11 @@ REFINEMENTS = 3
 
 @frozen
 class KnownLandmarks:
-    """The L landmarks around: positions (L, 3) m, covariances (L, 3, 3) m^2 of their offsets from the body, and class
-    probabilities (L, C), local axes; ``joint``: the covariance (3 L, 3 L) m^2 of all offsets.
+    """The L landmarks around: positions (L, 3) m, class probabilities (L, C), and the covariance ``joint`` (3 L, 3 L)
+    m^2 of their offsets from the body, local axes.
     """
 
     positions: FloatArray
-    covariances: FloatArray
     beliefs: FloatArray
     joint: FloatArray
 
@@ -115,9 +114,8 @@ class ModeSearch:
         self._seen = seen
         self._known = known
         self._origin = origin
-        around = density(known.positions, known.covariances)
+        around = density(known.positions, np.diagonal(known.joint).reshape(-1, 3))
         self._config = config.model_copy(update={"new_object_density": around})
-        self._gate = chdtri(3, 1.0 - GATE_PROBABILITY)
         self._tree = cKDTree(known.positions)
         self._common, self._own = common_error(known.positions - origin, known.joint)
 
@@ -169,7 +167,7 @@ class ModeSearch:
         if len(seen.positions) < 2:
             return np.zeros((0, 4, 4))
         sigma_m = np.sqrt(np.median(np.trace(seen.covariances, axis1=1, axis2=2)) / 3.0)
-        tolerance_m = sigma_m * self._gate**0.5
+        tolerance_m = sigma_m * MATCH_GATE**0.5
         apart_m = np.linalg.norm(known.positions[:, None, :2] - known.positions[None, :, :2], axis=2)
         likely = label_likelihood(known.beliefs, known.beliefs.shape[1], self._config)
         found = [np.zeros((0, 4, 4))]
@@ -210,7 +208,7 @@ class ModeSearch:
         distances, _ = squared_distances(r, S)
         likelihoods = label_likelihood(known.beliefs[j, seen.labels[k]], known.beliefs.shape[1], self._config)
         cost = distances - 2.0 * np.log(likelihoods)
-        chosen = np.flatnonzero(distances < self._gate)
+        chosen = np.flatnonzero(distances < MATCH_GATE)
         chosen = chosen[np.argsort(cost[chosen], kind="stable")[:MAX_SEEDS]]
         PA = prior @ A[chosen].swapaxes(1, 2)
         gain = PA @ np.linalg.inv(S[chosen])
@@ -294,12 +292,11 @@ def _log_elsewhere(modes: Sequence[Mode]) -> float:
     It looks like clutter, or as another of those poses that fits better than clutter: a robot keeps to its way along a
     pattern, so that it is aligned with it there, too.
     """
-    best = max(modes, key=lambda mode: mode.log_weight, default=None)
-    ratios = [0.0]
-    for mode in modes:
-        is_better_than_clutter = mode.log_weight > np.log(mode.component.weight)
-        if best is not None and is_better_than_clutter and not is_same_pose(best, mode):
-            ratios.append(mode.log_likelihood_ratio)
+    if not modes:
+        return 0.0
+    best = max(modes, key=lambda mode: mode.log_weight)
+    better = [mode for mode in modes if mode.log_weight > np.log(mode.component.weight)]
+    ratios = [0.0, *(mode.log_likelihood_ratio for mode in better if not is_same_pose(best, mode))]
     return float(logsumexp(ratios) - np.log(len(ratios)))
 
 

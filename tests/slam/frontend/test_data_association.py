@@ -13,10 +13,8 @@ from slam.common.calibration import ObjectCalibration
 from slam.frontend import data_association
 from slam.frontend.data_association import (
     AMBIGUOUS,
-    GATE_PROBABILITY,
     INCONSISTENT_SIGMAS,
     NEW,
-    NEW_OBJECT_GATE_PROBABILITY,
     Assignment,
     Objects,
     associate,
@@ -28,8 +26,9 @@ from tests.helpers.landmarks import spheres
 
 CONFIG = ObjectCalibration(spacing_m=0.01)
 SIGMA_M = 0.2
-GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(GATE_PROBABILITY, 3))
-OUTER_GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3))
+MATCH_GATE, NEW_OBJECT_GATE = chi2.ppf([0.9995, 0.999999], 3)
+GATE_M = SIGMA_M * np.sqrt(2.0 * MATCH_GATE)
+OUTER_GATE_M = SIGMA_M * np.sqrt(2.0 * NEW_OBJECT_GATE)
 
 
 @dataclass
@@ -89,7 +88,7 @@ def pair(scene: Scene, d: int, row: int) -> tuple[float, float]:
 def gain_of(rows: tuple[int, ...], scene: Scene) -> float:
     """Log-likelihood ratio of an assignment against none; -inf: a pair outside the gate."""
     pairs = [pair(scene, d, row) for d, row in enumerate(rows) if row >= 0]
-    if any(squared > chi2.ppf(GATE_PROBABILITY, 3) for squared, _ in pairs):
+    if any(squared > MATCH_GATE for squared, _ in pairs):
         return -np.inf
     return sum(ratio for _, ratio in pairs)
 
@@ -103,7 +102,7 @@ def is_bad_measurement(scene: Scene, d: int) -> bool:
         widening = max(squared / 3.0, 1.0)
         tail = ratio + 0.5 * squared - 0.5 * squared / widening - 1.5 * np.log(widening)
         is_like = scene.beliefs[row, scene.seen.labels[d]] >= 0.5
-        if is_like and squared <= chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3) and tail > 0.0:
+        if is_like and squared <= NEW_OBJECT_GATE and tail > 0.0:
             return True
     return False
 
@@ -216,7 +215,7 @@ def test_assignment_is_uncertain_where_landmarks_are_less_certain_than_detection
 @pytest.mark.parametrize(("factor", "is_inconsistent"), [(0.99, False), (1.01, True)])
 def test_assignment_is_inconsistent_by_the_sum_of_squared_distances(factor: float, is_inconsistent: bool) -> None:
     """One of twenty detections is outside the gate, and counts as if it was there."""
-    gate, most = chi2.ppf(GATE_PROBABILITY, 3), 20 * 3.0 + INCONSISTENT_SIGMAS * np.sqrt(20 * 6.0)
+    gate, most = MATCH_GATE, 20 * 3.0 + INCONSISTENT_SIGMAS * np.sqrt(20 * 6.0)
     squared, places = np.append(1.1 * gate, np.full(19, factor * (most - gate) / 19.0)), 100.0 * np.arange(20)
     scene = plain_scene(places + SIGMA_M * np.sqrt(2.0 * squared), places)
     assert scene.assigned(ObjectCalibration(new_object_density=1e-12)).is_inconsistent == is_inconsistent
@@ -229,12 +228,12 @@ def test_density_is_that_of_objects_in_a_cylinder() -> None:
     rng = np.random.default_rng(0)
     positions = rng.uniform(-50.0, 50.0, (4000, 3)) * [1.0, 1.0, 0.1]
     positions = positions[np.linalg.norm(positions[:, :2], axis=1) < 50.0]
-    assert density(positions, spheres(0.1, len(positions))) == pytest.approx(
+    assert density(positions, np.full((1, 3), 0.1**2)) == pytest.approx(
         len(positions) / (np.pi * 50.0**2 * 10.0), rel=0.05
     )
 
 
 def test_density_of_a_single_object_is_that_of_its_noise() -> None:
     spread_m = np.sqrt(2.0 * np.pi * np.e) * 0.3
-    found = density(np.zeros((1, 3)), 0.09 * np.eye(3)[None])
+    found = density(np.zeros((1, 3)), np.full((1, 3), 0.09))
     assert found == pytest.approx(1.0 / (np.pi * spread_m**3))

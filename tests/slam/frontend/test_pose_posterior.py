@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import multivariate_normal
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, skew, transform_from_xyz_yaw
-from slam.frontend.data_association import AMBIGUOUS, GATE_PROBABILITY, Assignment, Objects, associate, density
+from slam.frontend.data_association import AMBIGUOUS, MATCH_GATE, Assignment, Objects, associate, density
 from slam.frontend.pose_posterior import (
     SAME_POSE_GATE,
     KnownLandmarks,
@@ -46,9 +46,9 @@ class Scene:
         A = by_pose(landmarks)
         common = np.diag([1e-4, 1e-4, turn_rad, shift_m, shift_m, 1e-2]) ** 2
         joint = A @ common @ A.T + OWN_M**2 * np.eye(len(A))
-        blocks = np.array([joint[row : row + 3, row : row + 3] for row in range(0, len(A), 3)])
+        self.blocks = np.array([joint[row : row + 3, row : row + 3] for row in range(0, len(A), 3)])
         beliefs = np.ones((len(landmarks), 1)) if beliefs is None else beliefs
-        self.known = KnownLandmarks(self.landmarks, blocks, beliefs, joint)
+        self.known = KnownLandmarks(self.landmarks, beliefs, joint)
 
     def seen(self, which: IntArray, T_off: FloatArray, labels: IntArray | None = None, seed: int = 0) -> Objects:
         """Landmarks ``which``, as detected by a body that is ``T_off`` (4, 4) from where it is predicted."""
@@ -62,7 +62,7 @@ class Scene:
 
     def nearest_only(self, seen: Objects) -> IntArray:
         """What each detection is by the assignment at the predicted pose."""
-        return associate(seen, self.known.positions, self.known.covariances, self.known.beliefs, CONFIG).landmark_rows
+        return associate(seen, self.known.positions, self.blocks, self.known.beliefs, CONFIG).landmark_rows
 
 
 def about_body(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
@@ -116,7 +116,7 @@ def test_weight_and_covariance_of_a_mode_are_those_by_its_pairs(weight: float) -
     A = by_pose(seen.positions - ORIGIN)
     S = A @ (common + added) @ A.T + block_diag(*(own[which] + seen.covariances))
     r = (seen.positions - scene.landmarks[which]).ravel()
-    clutter = density(scene.landmarks, scene.known.covariances)
+    clutter = density(scene.landmarks, np.diagonal(scene.known.joint).reshape(-1, 3))
     expected = multivariate_normal.logpdf(r, cov=S) - len(which) * np.log(clutter) + np.log(weight)
     assert mode.log_weight == pytest.approx(expected, abs=0.05)
     gain = (common + added) @ A.T @ np.linalg.inv(S)
@@ -136,7 +136,7 @@ def test_wide_component_finds_any_heading(yaw: float) -> None:
 
 @pytest.mark.parametrize(("tolerances", "count"), [(1.9, 0), (2.1, 2)])
 def test_proposals_are_of_two_detections_that_their_noise_does_not_turn_by_far(tolerances: float, count: int) -> None:
-    apart_m = tolerances * NOISE_M * np.sqrt(chi2.ppf(GATE_PROBABILITY, 3))
+    apart_m = tolerances * NOISE_M * np.sqrt(MATCH_GATE)
     scene = Scene(np.array([[5.0, 1.0, 0.0], [5.0, 1.0 + apart_m, 0.0]]))
     seen = Objects(scene.landmarks, spheres(NOISE_M, 2), np.zeros(2, int))
     assert len(scene.search(seen)._proposals()) == count
