@@ -79,12 +79,7 @@ class Slam:
         self._first_keyframe = len(known)
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
-        self._track = OdometryTrack(
-            self.counters,
-            first_segment=self._first_segment,
-            sensor_range_m=config.sensor_range_m,
-            T_level_odom=config.calibration.odometry.T_level_odom,
-        )
+        self._track = OdometryTrack(config.calibration, self.counters, first_segment=self._first_segment)
         self._frontend = Frontend(config.calibration.detection, self._frames, self._track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
         self._closer.initial_pose = None if prior_map is None else initial_pose

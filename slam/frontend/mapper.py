@@ -61,7 +61,7 @@ class Mapper:
         self._map = object_map
         self._graph = graph
         self._active = ActiveLandmarks(config, object_map)
-        self.tracker = Tracker(config.calibration.objects, config.calibration.detection, self._active, object_map)
+        self.tracker = Tracker(config.calibration, self._active, object_map)
         self._pending = PendingObservations(config, object_map)
         self._message_count = 0
         self._sensors: set[str] = set()
@@ -76,18 +76,10 @@ class Mapper:
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
         previous, continues = self.keyframes[-1] if self.keyframes else None, pose.segment == self.segment
-        if (
-            previous
-            and continues
-            and not is_keyframe_due(
-                previous,
-                pose,
-                self._active.T_local_odom @ pose.T_odom_body,
-                self._config.keyframe_distance_m,
-                sensor_range_m=self._config.sensor_range_m,
-            )
-        ):
-            return None
+        if previous and continues:
+            T_local_body = self._active.T_local_odom @ pose.T_odom_body
+            if not is_keyframe_due(previous, pose, T_local_body, self._config):
+                return None
         if previous and not previous.is_prior:
             self.close_keyframe(ends_group=False)
         if previous and not continues:
@@ -113,7 +105,6 @@ class Mapper:
         """Bring the landmarks up to date by a scan, whose keyframe is the last one."""
         scan, labels = tracked.scan, tracked.labels
         self._count_scan(scan.sensor)
-        in_local = tracked.seen
         in_keyframe = scan.seen_from(relative(self.keyframes[-1].T_local_body, self._active.T_local_body))
         rows = tracked.landmark_rows
         # Keyframes since then may have made landmarks inactive.
@@ -121,8 +112,8 @@ class Mapper:
         known, new = rows >= 0, rows == NEW
         self._map.record_observations(
             rows[known],
-            in_local.positions[known],
-            in_local.covariances[known],
+            tracked.seen.positions[known],
+            tracked.seen.covariances[known],
             labels[known],
             stamp_ns=scan.stamp_ns,
             scan=self._scan_count,
@@ -209,17 +200,10 @@ class Mapper:
         self._retire(seen[moving], RetirementReason.MOVING)  # still followed, it corrects nothing
 
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
-        enough = observations >= CONFIRM_OBSERVATIONS
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
-        steady = observations >= self._confirm_fraction * scans
-        confirmed = seen[
-            tentative
-            & exists
-            & enough
-            & steady
-            & (np.maximum(speeds, 2.0 * noise_mps) <= MOVING_RANGES_PER_S * range_m)
-        ]
-        self._map.confirm(confirmed)
+        steady = observations >= np.maximum(CONFIRM_OBSERVATIONS, self._confirm_fraction * scans)
+        slow = np.maximum(speeds, 2.0 * noise_mps) <= MOVING_RANGES_PER_S * range_m
+        self._map.confirm(seen[tentative & exists & steady & slow])
 
     def _deactivate_stale(self, travel_m: float) -> None:
         """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import DetectionCalibration, ObjectCalibration
+from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.data_association import AMBIGUOUS, DECIDED, NEW, Assignment, Objects, associate
@@ -106,11 +106,9 @@ def _anywhere(positions: FloatArray, weight: float) -> PriorComponent:
 class Tracker:
     """Places the scans of one drive among the active landmarks."""
 
-    def __init__(
-        self, config: ObjectCalibration, detection: DetectionCalibration, active: ActiveLandmarks, object_map: ObjectMap
-    ) -> None:
-        self._config = config
-        self._detection = detection
+    def __init__(self, calibration: Calibration, active: ActiveLandmarks, object_map: ObjectMap) -> None:
+        self._config = calibration.objects
+        self._detection = calibration.detection
         self.active = active
         self._map = object_map
         self._scans, self._slips = PRIOR_SCANS, 1
@@ -312,10 +310,11 @@ class Tracker:
     def _sure_mode(self, tracked: Tracked, modes: list[Mode]) -> Mode | None:
         """The likeliest mode, if its pose is sure and most detections or landmarks in view are matched at it."""
         best = modes[0]
-        same = np.array([bool(mode.assignment.matched.any()) and is_same_pose(mode, best) for mode in modes])
-        if not best.assignment.matched.any() or probabilities(modes)[same].sum() < DECIDED:
+        if not best.assignment.matched.any():
             return None
-        if np.linalg.eigvalsh(best.covariance[:3, :3])[-1] > MAX_TURN_RAD**2:
+        same = np.array([bool(mode.assignment.matched.any()) and is_same_pose(mode, best) for mode in modes])
+        turn_rad2 = np.linalg.eigvalsh(best.covariance[:3, :3])[-1]
+        if probabilities(modes)[same].sum() < DECIDED or turn_rad2 > MAX_TURN_RAD**2:
             return None
         origin = apply(best.T_motion, self.active.T_local_body[:3, 3])
         positions = apply(best.T_motion, tracked.seen.positions)

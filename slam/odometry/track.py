@@ -13,7 +13,7 @@ import numpy as np
 from logs.messages import Odometry
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.calibration import DetectionCalibration
+from slam.common.calibration import Calibration
 from slam.common.geometry import blend, rigid
 from slam.odometry.pose import OdometryPose
 
@@ -43,29 +43,22 @@ class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
     A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
-    ``counters``: of unusable messages; ``sensor_range_m`` is that of the detections; ``T_level_odom`` (4, 4) turns the
-    frame of the messages, which that of the track is level with.
+    ``counters``: of unusable messages. The frame of the track is that of the messages, made level.
     """
 
-    def __init__(
-        self,
-        counters: Counter[str] | None = None,
-        *,
-        first_segment: int = 0,
-        sensor_range_m: float = DetectionCalibration().sensor_range_m,
-        T_level_odom: FloatArray | None = None,
-    ) -> None:
+    def __init__(self, calibration: Calibration, counters: Counter[str], *, first_segment: int = 0) -> None:
+        sensor_range_m = calibration.detection.sensor_range_m
         self._max_speed_mps = MAX_SPEED_RANGES * sensor_range_m
         self._jitter_m = 0.05 / 30.0 * sensor_range_m  # travel is counted in steps of at least that length
         self._sensor_range_m = sensor_range_m
         self._first_segment = first_segment
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
-        self._T_odom_reported = np.eye(4) if T_level_odom is None else T_level_odom
+        self._T_odom_reported = calibration.odometry.T_level_odom
         self._corrected = np.zeros(3)
         self._waiting: Odometry | None = None
         self._arrived_ns, self._descends = np.iinfo(np.int64).min, False
         self._counted_xyz_m = np.zeros(3)
-        self._counters = counters if counters is not None else Counter[str]()
+        self._counters = counters
 
     @property
     def latest(self) -> OdometryPose | None:
@@ -190,36 +183,21 @@ class OdometryTrack:
         return seconds > MAX_GAP_S or step_m > farthest_m
 
     def _append(self, odometry: Odometry) -> OdometryPose:
-        last = self.latest
-        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
-        xyz_m = T_odom_body[:3, 3]
+        last, T_odom_body = self.latest, self._T_odom_reported @ odometry.T_odom_body
+        xyz_m, travel_m, segment, speed_mps = T_odom_body[:3, 3], 0.0, self._first_segment, self._max_speed_mps
         if last is None:
             self._counted_xyz_m = xyz_m
-            pose = OdometryPose(
-                odometry.stamp_ns,
-                T_odom_body,
-                0.0,
-                self._first_segment,
-                self._max_speed_mps,
-                T_odom_reported=self._T_odom_reported,
-            )
+        elif self._is_beyond(self._poses, odometry):
+            self._counted_xyz_m, travel_m, segment = xyz_m, last.travel_m, last.segment + 1
         else:
-            breaks = self._is_beyond(self._poses, odometry)
-            seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-            step_m = math.dist(xyz_m, last.T_odom_body[:3, 3])
-            # The jitter of a standing body is no travel.
+            travel_m, segment = last.travel_m, last.segment
+            speed_mps = math.dist(xyz_m, last.T_odom_body[:3, 3]) / ((odometry.stamp_ns - last.stamp_ns) * 1e-9)
             counted_m = math.dist(xyz_m, self._counted_xyz_m)
-            if breaks or counted_m >= self._jitter_m:
-                self._counted_xyz_m = xyz_m
-            pose = OdometryPose(
-                odometry.stamp_ns,
-                T_odom_body,
-                travel_m=last.travel_m + (counted_m if counted_m >= self._jitter_m and not breaks else 0.0),
-                segment=last.segment + breaks,
-                speed_mps=self._max_speed_mps if breaks else step_m / seconds,
-                T_odom_reported=self._T_odom_reported,
-                corrected=self._corrected,
-            )
+            if counted_m >= self._jitter_m:  # the jitter of a standing body is no travel
+                self._counted_xyz_m, travel_m = xyz_m, travel_m + counted_m
+        pose = OdometryPose(
+            odometry.stamp_ns, T_odom_body, travel_m, segment, speed_mps, self._T_odom_reported, self._corrected
+        )
         self._poses.append(pose)
         return pose
 
@@ -250,8 +228,7 @@ class OdometryPath:
 
     def break_at(self, stamp_ns: int) -> None:
         """Let a new segment begin with the pose at that time."""
-        for index in range(bisect_left(self._stamps_ns, stamp_ns), len(self._stamps_ns)):
-            self._segments[index] += 1
+        np.asarray(self._segments)[bisect_left(self._stamps_ns, stamp_ns) :] += 1
         if self.latest is not None:
             self.latest = replace(self.latest, segment=self.latest.segment + 1)
 

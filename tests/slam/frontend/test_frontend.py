@@ -19,7 +19,7 @@ from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import MAX_GAP_S, OdometryTrack
 from tests.helpers.landmarks import detections_of, spheres
-from tests.helpers.poses import motion_by, pose_at
+from tests.helpers.poses import pose_at
 from tests.slam.frontend.test_tracker import STEP_NS, T_true, forest
 
 START_NS = 10**9
@@ -28,14 +28,12 @@ START_NS = 10**9
 class Drive:
     """A front end and what it hands out; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
 
-    def __init__(
-        self, *, frame_id: str = "base_link", time_offset_s: float = 0.0, T_level_odom: FloatArray | None = None
-    ) -> None:
-        config = Config().calibrated({"detection.time_offset_s": time_offset_s})
+    def __init__(self, *, frame_id: str = "base_link", time_offset_s: float = 0.0, roll_deg: float = 0.0) -> None:
+        config = Config().calibrated({"detection.time_offset_s": time_offset_s, "odometry.roll_deg": roll_deg})
         self.counters = Counter[str]()
         object_map = ObjectMap(config.calibration.objects)
         self.mapper = Mapper(config, object_map, FactorGraph())
-        track = OdometryTrack(self.counters, T_level_odom=T_level_odom)
+        track = OdometryTrack(config.calibration, self.counters)
         self.frontend = Frontend(config.calibration.detection, SensorFrames(), track, self.mapper, self.counters)
         self.rng, self.objects, self.frame_id = np.random.default_rng(0), forest(), frame_id
         self.T_fault, self.step = np.eye(4), 0
@@ -97,7 +95,7 @@ def test_each_pose_is_handed_out_once_as_reported() -> None:
 
 
 def test_detections_in_the_odometry_frame_are_in_that_of_the_messages() -> None:
-    drive, T_odom_body = Drive(T_level_odom=motion_by([0.3, 0.0, 0.0])), pose_at(2.0, yaw=0.5)
+    drive, T_odom_body = Drive(roll_deg=17.0), pose_at(2.0, yaw=0.5)
     drive.frontend.add_detections(detections_of([[4.0, 1.0, 0.0]], stamp_ns=START_NS, frame_id="odom"))
     drive.frontend.add_odometry(Odometry(START_NS, T_odom_body, "odom", "base_link"))
     drive.take(drive.frontend.finish())

@@ -1,5 +1,6 @@
 """From scans to landmarks and factors, one small scene at a time."""
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -39,7 +40,7 @@ class Bench:
         self.map = ObjectMap(self.config.calibration.objects)
         self.graph = FactorGraph()
         self.mapper = Mapper(self.config, self.map, self.graph)
-        self.track = OdometryTrack()
+        self.track = OdometryTrack(self.config.calibration, Counter())
 
     def move(self, seconds: float, x: float = 0.0) -> Keyframe | None:
         (pose,) = self.track.add(Odometry(round(seconds * 1e9), pose_at(x))) or self.track.finish()

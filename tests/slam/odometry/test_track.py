@@ -1,13 +1,13 @@
 """The track of the odometry: interpolation, disorder, breaks and corrections."""
 
 from collections import Counter
-from typing import Any
 
 import numpy as np
 import pytest
 
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
+from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import invert
 from slam.odometry.track import HISTORY, Correction, OdometryTrack
 from tests.helpers.poses import pose_at
@@ -19,8 +19,11 @@ def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
     return Odometry(START_NS + round(seconds * 1e9), pose_at(x, yaw=yaw))
 
 
-def track(*steps: tuple[float, float], **given: Any) -> OdometryTrack:
-    made = OdometryTrack(**given)
+def track(
+    *steps: tuple[float, float], counters: Counter[str] | None = None, sensor_range_m: float = 30.0
+) -> OdometryTrack:
+    calibration = Calibration(detection=DetectionCalibration(sensor_range_m=sensor_range_m))
+    made = OdometryTrack(calibration, Counter() if counters is None else counters)
     for seconds, x in steps:
         made.add(odometry(seconds, x))
     made.finish()
@@ -40,7 +43,7 @@ def test_pose_between_two_messages_is_interpolated():
 
 
 def test_pose_at_a_message_is_that_of_the_message_bit_for_bit():
-    made = OdometryTrack()
+    made = track()
     first, second = odometry(0, 0.1, 0.3), odometry(0.1, 0.7, 0.4)
     made.add(first)
     made.add(second)
@@ -49,8 +52,8 @@ def test_pose_at_a_message_is_that_of_the_message_bit_for_bit():
 
 
 def test_track_has_no_pose_outside_its_time():
-    assert OdometryTrack().latest is None
-    assert x_at(OdometryTrack(), 0.0) is None
+    assert track().latest is None
+    assert x_at(track(), 0.0) is None
     made = track((0, 0), (1, 1))
     assert x_at(made, -1e-9) is None
     assert x_at(made, 1 + 1e-9) is None
@@ -122,7 +125,7 @@ def test_single_stamp_from_the_future_is_no_silence():
 def test_descending_stamps_add_no_poses(seconds):
     """The first of them lies in the future, and the last just after the last good one."""
     counters = Counter[str]()
-    made = OdometryTrack(counters)
+    made = track(counters=counters)
     late = [odometry(2.0 + seconds - 0.1 * i, 2.0 + 0.1 * i) for i in range(round(10 * seconds))]
     after = [odometry(2.0 + seconds + 0.1 * i, 2.0 + seconds + 0.1 * i) for i in range(1, 5)]
     good = [odometry(0.1 * i, 0.1 * i) for i in range(20)]
@@ -157,7 +160,7 @@ def jump(y: float = 0.0, yaw: float = 0.0) -> FloatArray:
 
 def jumped(T_jump: FloatArray, *, until: int = 108) -> tuple[OdometryTrack, Counter[str]]:
     counters = Counter[str]()
-    made = OdometryTrack(counters)
+    made = track(counters=counters)
     for step in range(until):
         made.add(message(step, T_jump))
     return made, counters
