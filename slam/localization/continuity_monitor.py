@@ -79,8 +79,6 @@ class ContinuityMonitor:
         self._steps.append(_Step(pose, invert(gravity_frame(keyframe.T_local_body)), seen_since))
         while self._steps[-1].pose.travel_m - self._steps[0].pose.travel_m > self._memory_m:
             self._steps.popleft()
-        if len(self._steps) < 2 or not len(rows):
-            return None
         # It happened after the last sighting of a landmark.
         times_m = np.unique(landmarks["last_seen_travel_m"])
         times_m = times_m[(times_m >= self._steps[0].pose.travel_m) & (times_m < self._steps[-1].pose.travel_m)]
@@ -148,16 +146,16 @@ class Visibility:
 
     def __init__(self, range_m: float) -> None:
         self._range_m = range_m
-        # The last cell is all that is out of range: nothing is learned there.
+        # The last cell is all that is out of range.
         self._expected = np.full(RANGE_CELLS * BEARING_CELLS + 1, PRIOR_EXPECTED)
-        self._seen = np.zeros(RANGE_CELLS * BEARING_CELLS + 1)
+        self._seen = np.zeros_like(self._expected)
 
     def learn(self, positions: FloatArray, seen: BoolArray) -> None:
         """Add landmarks at ``positions`` (N, 3) m in the frame of the upright body: which of them were seen (N,)."""
         cells = self._cells(positions)
-        inside = cells < len(self._expected) - 1
-        np.add.at(self._expected, cells[inside], 1.0)
-        np.add.at(self._seen, cells[inside], seen[inside].astype(np.float64))
+        self._expected += np.bincount(cells, minlength=len(self._expected))
+        self._seen += np.bincount(cells, seen, minlength=len(self._seen))
+        self._seen[-1] = 0.0
 
     def probability(self, positions: FloatArray) -> FloatArray:
         """Probability (N,) that landmarks at ``positions`` (N, 3) m are seen; 0 out of range."""
@@ -165,4 +163,4 @@ class Visibility:
 
     def _cells(self, positions: FloatArray) -> IntArray:
         ring, sector = polar_cells(positions, self._range_m, RANGE_CELLS, BEARING_CELLS)
-        return np.where(ring < RANGE_CELLS, ring * BEARING_CELLS + sector, RANGE_CELLS * BEARING_CELLS)
+        return np.minimum(ring * BEARING_CELLS + sector, RANGE_CELLS * BEARING_CELLS)

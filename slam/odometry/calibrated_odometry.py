@@ -10,7 +10,7 @@ import numpy as np
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import OdometryCalibration
-from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw, yaw_rad
 
 
 class CalibratedOdometry:
@@ -52,11 +52,9 @@ class CalibratedOdometry:
             further_rad = (self._calibration.turn_scale - 1.0) * turn_rad + np.deg2rad(lacking_deg)
             on_chord = _rotation(self._turned_rad + 0.5 * further_rad)
             self._turned_rad += further_rad
-            corrected = np.eye(4)
-            corrected[:3, :3] = _rotation(self._turned_rad) @ reported[:3, :3]
             step_m[2] += self._calibration.climb * length_m
-            corrected[:3, 3] = self._corrected[:3, 3] + self._calibration.length_scale * (on_chord @ step_m)
-            self._corrected = corrected
+            xyz_m = self._corrected[:3, 3] + self._calibration.length_scale * (on_chord @ step_m)
+            self._corrected = make_transform(_rotation(self._turned_rad) @ reported[:3, :3], xyz_m)
         self._latest = odometry.stamp_ns, reported
         return invert(self._T_level) @ self._corrected
 

@@ -15,11 +15,9 @@ _KEYFRAME = np.dtype(
         ("travel_m", np.float64),
         ("segment", np.int64),
         ("position_local", np.float64, 3),
-        ("translation_variance", np.float64),  # summed up over the track so far, as are:
-        # sums weighted by the heading variance of each step: of one, of the horizontal position, of its square.
-        ("sum_one", np.float64),
-        ("sum_position", np.float64, 2),
-        ("sum_square", np.float64),
+        # Over the track so far: of the translation variance of each step, and, weighted by its heading variance, of
+        # one, of the horizontal position (x, y), and of its square.
+        ("sums", np.float64, 5),
     ]
 )
 
@@ -42,16 +40,12 @@ class KeyframeTrack:
         if self._size == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
         pose, position = keyframe.odometry, keyframe.T_local_body[:3, 3]
-        previous, row = self._rows[self._size - 1], self._rows[self._size]
-        translation, _, heading = np.zeros(3)
+        xy_m, sums = position[:2], self._rows["sums"][self._size - 1]
         if self._latest is not None and self._latest.segment == pose.segment:
             translation, _, heading = step_variances(self._latest, pose, self._config)
-        row["travel_m"], row["segment"], row["position_local"] = pose.travel_m, pose.segment, position
-        row["translation_variance"] = previous["translation_variance"] + translation
-        row["sum_one"] = previous["sum_one"] + heading
-        row["sum_position"] = previous["sum_position"] + heading * position[:2]
-        row["sum_square"] = previous["sum_square"] + heading * float(position[:2] @ position[:2])
-        self.cells.add((pose.segment, *(position[:2] // self._cell_m).tolist()))
+            sums = sums + np.array([translation, heading, *(heading * xy_m), heading * float(xy_m @ xy_m)])
+        self._rows[self._size] = pose.travel_m, pose.segment, position, sums
+        self.cells.add((pose.segment, *(xy_m // self._cell_m).tolist()))
         self._latest = pose
         self._size += 1
 
@@ -89,10 +83,9 @@ class KeyframeTrack:
         a, b = self._rows[first], self._rows[last]
         if a["segment"] != b["segment"]:
             return np.inf, np.inf
-        yaw_variance = float(b["sum_one"] - a["sum_one"])
-        position = b["position_local"][:2]
-        cross = float(position @ (b["sum_position"] - a["sum_position"]))
-        square = float(b["sum_square"] - a["sum_square"])
+        sums, position = b["sums"] - a["sums"], b["position_local"][:2]
+        translation_variance, yaw_variance, *_, square = sums.tolist()
+        cross = float(position @ sums[2:4])
         levers = max(yaw_variance * float(position @ position) - 2.0 * cross + square, 0.0)
-        variance = float(b["translation_variance"] - a["translation_variance"]) + 0.5 * levers
+        variance = translation_variance + 0.5 * levers
         return float(np.sqrt(variance)), float(np.sqrt(yaw_variance))
