@@ -129,7 +129,7 @@ class ActiveLandmarks:
             for stamp_ns in (before_ns, after_ns)
         )
         variances = np.maximum(later_m2 - earlier_m2, 0.0)
-        self._local.move(slots, shifts, np.repeat(variances[:, None], 3, axis=1))
+        self._local.move(slots, shifts, variances[:, None])
 
     def predict(self) -> tuple[FloatArray, FloatArray]:
         """Predicted positions (A, 3) m of the active landmarks, and covariances (A, 3, 3) m^2 relative to the robot."""

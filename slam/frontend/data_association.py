@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.special import chdtri
 
 from logs.records import frozen
@@ -132,7 +133,9 @@ def associate(
     likeliest = np.zeros(len(positions))
     np.maximum.at(likeliest, detection[inside], likelihood[inside])
     alike = inside[likelihood[inside] > EXCLUDED_RATIO * likeliest[detection[inside]]]
-    variances = (np.einsum("nii->n", each) for each in (landmark_covariances[landmark], covariances[detection]))
+    of_landmarks, of_detections = (
+        np.median(np.einsum("nii->n", each)) for each in (landmark_covariances[landmark], covariances[detection])
+    )
     # What is near a landmark and yet outside its gate is as far off as the gate, at least.
     ambiguous = int(np.count_nonzero(rows == AMBIGUOUS))
     count, squares = len(taken) + ambiguous, distance_squared[taken].sum() + MATCH_GATE * ambiguous
@@ -140,7 +143,7 @@ def associate(
         rows,
         ratios,
         is_contested=bool(_is_contested(detection[alike], landmark[alike]).any()),
-        is_uncertain=bool(np.median(next(variances)) > 2.0 * np.median(next(variances))),
+        is_uncertain=bool(of_landmarks > 2.0 * of_detections),
         is_inconsistent=squares > 3.0 * count + INCONSISTENT_SIGMAS * np.sqrt(6.0 * count),
     )
 
@@ -161,13 +164,13 @@ def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[Flo
     return x * x / first + y * y / second + z * z / third, first * second * third
 
 
-def density(positions: FloatArray, variances: FloatArray) -> float:
-    """Objects per m^3 among N at ``positions`` (N, 3) m, whose coordinates are known by variances (M, 3) m^2.
+def density(positions: FloatArray, joint: FloatArray) -> float:
+    """Objects per m^3 among N at ``positions`` (N, 3) m, whose ``joint`` covariance is (3 N, 3 N) m^2.
 
     The volume is that of the cylinder that holds them. Detections of one object are spread by the noise alone: by
     sqrt(2 pi e) standard deviations, the entropy of a Gaussian.
     """
-    spread = np.sqrt(2.0 * np.pi * np.e * np.median(variances, axis=0))
+    spread = np.sqrt(2.0 * np.pi * np.e * np.median(np.diagonal(joint).reshape(-1, 3), axis=0))
     radius_m = float(np.max(np.linalg.norm(positions[:, :2] - np.median(positions[:, :2], axis=0), axis=1)))
     height_m = max(float(np.ptp(positions[:, 2])), float(spread[2]))
     return len(positions) / (np.pi * max(radius_m, float(spread[:2].mean())) ** 2 * height_m)
@@ -182,41 +185,27 @@ def _cheapest(detection: IntArray, landmark: IntArray, gain: FloatArray, contest
     """Which pairs (P,), none of the same detection or landmark as another, gain most."""
     if not contested.any():
         return np.arange(len(detection))
-    (row, rows), (column, columns) = _ranks(detection[contested]), _ranks(landmark[contested])
-    shape = rows, columns
-    solve = _partners if rows * columns <= FEW_DISTANCES else _partners_of_many
-    partner = solve(row, column, gain[contested], shape)
+    rows, row = np.unique(detection[contested], return_inverse=True)
+    columns, column = np.unique(landmark[contested], return_inverse=True)
+    shape, partner = (len(rows), len(columns)), np.full(len(rows), -1)
+    if len(rows) * len(columns) > FEW_DISTANCES:
+        chosen_row, chosen_column = min_weight_full_bipartite_matching(_costs(row, column, gain[contested], shape))
+    else:
+        gains = np.zeros(shape)
+        gains[row, column] = gain[contested]
+        chosen_row, chosen_column = linear_sum_assignment(gains, maximize=True)
+    partner[chosen_row] = chosen_column
     return np.sort(np.concatenate([np.flatnonzero(~contested), np.flatnonzero(contested)[partner[row] == column]]))
 
 
-def _ranks(values: IntArray) -> tuple[IntArray, int]:
-    """The rank of each of the values (N,), which are not negative, among the different ones; and how many these are."""
-    ranks = np.cumsum(np.bincount(values) > 0)
-    return ranks[values] - 1, int(ranks[-1])
-
-
-def _partners(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:
-    """The column of each row, -1 for none, that make most of the gains > 0 of the edges (E,)."""
-    gains = np.zeros(shape)
-    gains[row, column] = gain
-    partner = np.full(shape[0], -1, dtype=np.int64)
-    chosen_row, chosen_column = linear_sum_assignment(gains, maximize=True)
-    partner[chosen_row] = chosen_column
-    return partner
-
-
-def _partners_of_many(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:
-    """The same; the matrix is sparse, and an edge to a column of its own means no landmark."""
+def _costs(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> csr_array:
+    """Costs by the gains > 0 of the edges (E,); an edge of each row to a column of its own means no landmark."""
     none = np.arange(shape[0])
     cost = np.concatenate([-gain, np.zeros(shape[0])])
     # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".
     cost += 1.0 - cost.min()
     edges = np.concatenate([row, none]), np.concatenate([column, shape[1] + none])
-    graph = coo_array((cost, edges), shape=(shape[0], sum(shape))).tocsr()
-    chosen_row, chosen_column = min_weight_full_bipartite_matching(graph)
-    partner = np.empty(shape[0], dtype=np.int64)
-    partner[chosen_row] = chosen_column
-    return partner
+    return csr_array((cost, edges), shape=(shape[0], sum(shape)))
 
 
 def label_likelihood(belief_in_label: FloatArray, classes: int, config: ObjectCalibration) -> FloatArray:
@@ -250,11 +239,9 @@ def _near_pairs(
     gate: float,
 ) -> tuple[IntArray, IntArray]:
     """Pairs (detection, landmark) that can pass the gate by the largest variances: a superset of those that do."""
-    traces = (np.einsum("nii->n", each) for each in (covariances, landmark_covariances))
-    radius = np.sqrt(gate * sum(trace.max() for trace in traces))
+    radius = np.sqrt(gate * sum(np.einsum("nii->n", each).max() for each in (covariances, landmark_covariances)))
     if len(positions) * len(landmark_positions) <= FEW_DISTANCES:
-        offsets = positions[:, None] - landmark_positions
-        detection, landmark = np.nonzero(np.einsum("dli,dli->dl", offsets, offsets) <= radius * radius)
+        detection, landmark = np.nonzero(cdist(positions, landmark_positions) <= radius)
         return detection, landmark
     pairs = cKDTree(positions).sparse_distance_matrix(cKDTree(landmark_positions), radius, output_type="ndarray")
     order = np.lexsort((pairs["j"], pairs["i"]))

@@ -172,7 +172,7 @@ class LocalMap:
         self._positions[slots] += np.einsum("kij,kj->ki", gains, innovations)
 
     def move(self, slots: IntArray, shifts: FloatArray, variances: FloatArray) -> None:
-        """Move landmarks (K,) by ``shifts`` (K, 3) m, whose coordinates err by ``variances`` (K, 3) m^2."""
+        """Move landmarks (K,) by ``shifts`` (K, 3) m, whose coordinates err by ``variances`` (K, 3 or 1) m^2."""
         self._positions = self._positions.copy()
         self._positions[slots] += shifts
         columns = _columns(slots)

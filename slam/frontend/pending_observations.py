@@ -44,7 +44,11 @@ class PendingObservations:
 
     def close(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
         """The observations for the graph once a keyframe has all of them; those of tentative landmarks wait."""
-        for observation in self._grouped(keyframe, ends_group=ends_group):
+        ended = self._group.take() if self._group.ends_before(keyframe) else []
+        self._group.add(keyframe, self._of_keyframe(keyframe.id))
+        if ends_group or keyframe.id % GROUP_KEYFRAMES == 0:
+            ended += self._group.take()
+        for observation in ended:
             self._held_back[observation.landmark].append(observation)
         ready = []
         rows = sorted(self._held_back)
@@ -54,15 +58,6 @@ class PendingObservations:
             elif state == LandmarkState.RETIRED:
                 del self._held_back[row]
         return ready
-
-    def _grouped(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
-        """The observations of the groups of keyframes that end with a keyframe or before it."""
-        observations = self._of_keyframe(keyframe.id)
-        ended = self._group.take() if self._group.ends_before(keyframe) else []
-        self._group.add(keyframe, observations)
-        if ends_group or keyframe.id % GROUP_KEYFRAMES == 0:
-            ended += self._group.take()
-        return ended
 
     def _of_keyframe(self, keyframe: int) -> list[Observation]:
         """One observation a landmark, by the information of its measurements since the last keyframe.
@@ -148,5 +143,4 @@ class ObservationGroup:
         )
 
     def _step(self, keyframe: Keyframe) -> FloatArray:
-        translation, _, heading = step_variances(self._keyframes[-1].odometry, keyframe.odometry, self._config)
-        return np.array([translation, heading])
+        return step_variances(self._keyframes[-1].odometry, keyframe.odometry, self._config)[[0, 2]]

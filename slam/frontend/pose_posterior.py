@@ -22,6 +22,7 @@ from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from logs.records import frozen
@@ -114,7 +115,7 @@ class ModeSearch:
         self._seen = seen
         self._known = known
         self._origin = origin
-        around = density(known.positions, np.diagonal(known.joint).reshape(-1, 3))
+        around = density(known.positions, known.joint)
         self._config = config.model_copy(update={"new_object_density": around})
         self._tree = cKDTree(known.positions)
         self._common, self._own = common_error(known.positions - origin, known.joint)
@@ -168,7 +169,7 @@ class ModeSearch:
             return np.zeros((0, 4, 4))
         sigma_m = np.sqrt(np.median(np.trace(seen.covariances, axis1=1, axis2=2)) / 3.0)
         tolerance_m = sigma_m * MATCH_GATE**0.5
-        apart_m = np.linalg.norm(known.positions[:, None, :2] - known.positions[None, :, :2], axis=2)
+        apart_m = cdist(known.positions[:, :2], known.positions[:, :2])
         likely = label_likelihood(known.beliefs, known.beliefs.shape[1], self._config)
         found = [np.zeros((0, 4, 4))]
         for a, b in combinations(self._nearest(seen).tolist(), 2):
@@ -201,7 +202,7 @@ class ModeSearch:
         """Poses xi (S, 6), with their covariances (S, 6, 6): the predicted one, and those by one pair each."""
         known = self._known
         nearest = self._nearest(seen)
-        k, j = (each.ravel() for each in np.meshgrid(nearest, np.arange(len(known.positions)), indexing="ij"))
+        k, j = np.repeat(nearest, len(known.positions)), np.tile(np.arange(len(known.positions)), len(nearest))
         A = _jacobians(seen.positions[k] - self._origin)
         S = A @ prior @ A.swapaxes(1, 2) + self._own[j] + seen.covariances[k]
         r = seen.positions[k] - known.positions[j]

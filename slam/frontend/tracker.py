@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration, DetectionCalibration
@@ -75,11 +76,9 @@ class _Path(deque[tuple[int, FloatArray]]):
 
     def way_until(self, stamp_ns: int) -> FloatArray:
         """Turn [rad] and length [m] of the way from the last scan, (2,), at the speed of all."""
-        way = np.zeros(2)
-        for (_, before), (_, after) in pairwise(self):
-            way += _size(relative(before, after))
         if len(self) < 2:
-            return way
+            return np.zeros(2)
+        way = np.sum([_size(relative(before, after)) for (_, before), (_, after) in pairwise(self)], axis=0)
         span_ns = max(self[-1][0] - self[0][0], 1)
         return way * (stamp_ns - self[-1][0]) / span_ns
 
@@ -197,8 +196,7 @@ class Tracker:
         for earlier, earlier_pose in reversed(untold):
             T_now_earlier = relative(pose.T_odom_body, earlier_pose.T_odom_body)
             scan = earlier.scan.seen_from(T_now_earlier)
-            offsets = scan.positions[:, None] - tracked.scan.positions
-            near = np.einsum("nki,nki->nk", offsets, offsets) < self._config.spacing_m**2
+            near = cdist(scan.positions, tracked.scan.positions) < self._config.spacing_m
             other = ~(near & (earlier.labels[:, None] == tracked.labels)).any(axis=1)
             tracked = replace(
                 tracked,

@@ -215,8 +215,8 @@ def test_assignment_is_uncertain_where_landmarks_are_less_certain_than_detection
 @pytest.mark.parametrize(("factor", "is_inconsistent"), [(0.99, False), (1.01, True)])
 def test_assignment_is_inconsistent_by_the_sum_of_squared_distances(factor: float, is_inconsistent: bool) -> None:
     """One of twenty detections is outside the gate, and counts as if it was there."""
-    gate, most = MATCH_GATE, 20 * 3.0 + INCONSISTENT_SIGMAS * np.sqrt(20 * 6.0)
-    squared, places = np.append(1.1 * gate, np.full(19, factor * (most - gate) / 19.0)), 100.0 * np.arange(20)
+    most, places = 20 * 3.0 + INCONSISTENT_SIGMAS * np.sqrt(20 * 6.0), 100.0 * np.arange(20)
+    squared = np.append(1.1 * MATCH_GATE, np.full(19, factor * (most - MATCH_GATE) / 19.0))
     scene = plain_scene(places + SIGMA_M * np.sqrt(2.0 * squared), places)
     assert scene.assigned(ObjectCalibration(new_object_density=1e-12)).is_inconsistent == is_inconsistent
 
@@ -228,12 +228,12 @@ def test_density_is_that_of_objects_in_a_cylinder() -> None:
     rng = np.random.default_rng(0)
     positions = rng.uniform(-50.0, 50.0, (4000, 3)) * [1.0, 1.0, 0.1]
     positions = positions[np.linalg.norm(positions[:, :2], axis=1) < 50.0]
-    assert density(positions, np.full((1, 3), 0.1**2)) == pytest.approx(
+    assert density(positions, 0.1**2 * np.eye(3 * len(positions))) == pytest.approx(
         len(positions) / (np.pi * 50.0**2 * 10.0), rel=0.05
     )
 
 
 def test_density_of_a_single_object_is_that_of_its_noise() -> None:
     spread_m = np.sqrt(2.0 * np.pi * np.e) * 0.3
-    found = density(np.zeros((1, 3)), np.full((1, 3), 0.09))
+    found = density(np.zeros((1, 3)), 0.09 * np.eye(3))
     assert found == pytest.approx(1.0 / (np.pi * spread_m**3))

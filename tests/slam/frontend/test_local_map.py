@@ -84,8 +84,8 @@ def observe(local: LocalMap, seen: Measurement, R_body: FloatArray) -> None:
     offsets, covariances = seen.z @ R.T, np.tile(R @ R_body @ R.T, (len(seen.z), 1, 1))
     known = np.isin(seen.ids, local.ids)
     if known.any():
-        slots = local.slots(seen.ids[known])
-        local.update(slots, offsets[known], covariances[known], np.zeros((3 * len(slots), 0)))
+        none = np.zeros((3 * known.sum(), 0))
+        local.update(local.slots(seen.ids[known]), offsets[known], covariances[known], none)
     local.insert(seen.ids[~known], offsets[~known], covariances[~known])
 
 

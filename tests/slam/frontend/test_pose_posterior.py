@@ -116,7 +116,7 @@ def test_weight_and_covariance_of_a_mode_are_those_by_its_pairs(weight: float) -
     A = by_pose(seen.positions - ORIGIN)
     S = A @ (common + added) @ A.T + block_diag(*(own[which] + seen.covariances))
     r = (seen.positions - scene.landmarks[which]).ravel()
-    clutter = density(scene.landmarks, np.diagonal(scene.known.joint).reshape(-1, 3))
+    clutter = density(scene.landmarks, scene.known.joint)
     expected = multivariate_normal.logpdf(r, cov=S) - len(which) * np.log(clutter) + np.log(weight)
     assert mode.log_weight == pytest.approx(expected, abs=0.05)
     gain = (common + added) @ A.T @ np.linalg.inv(S)
