@@ -18,8 +18,9 @@ from slam.final_map import FinalMap
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.localization.prior_map import PriorMap
-from slam.localization.state import CALIBRATIONS, OF_ONE_MAP, Fix, State
+from slam.localization.state import CALIBRATIONS, OF_ONE_MAP, State
 from slam.object_map.map_io import save_map
+from slam.odometry.pose import OdometryPose
 from slam.place_recognition.initial_pose import InitialPose
 from slam.provenance import settings_of
 from slam.self_calibration.calibration import CalibratedLog, calibrate
@@ -75,8 +76,8 @@ class LiveSlam:
         return self._slam.state
 
     @property
-    def fixes(self) -> Sequence[Fix]:
-        """The relocalizations so far."""
+    def fixes(self) -> Sequence[OdometryPose]:
+        """The poses of the odometry at the relocalizations so far."""
         return self._slam.fixes
 
     def snapshot(self) -> list[Message] | None:

@@ -41,7 +41,7 @@ from slam.frontend.mapper import Mapper
 from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior, tie_to_fixes
 from slam.localization.prior_map import PriorMap, restore_prior_map, with_heights_of
-from slam.localization.state import DISCONTINUITY, KIDNAPPED, Fix, LocalizationState, State
+from slam.localization.state import DISCONTINUITY, KIDNAPPED, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser, Outcome
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.calibrated_odometry import CalibratedOdometry
@@ -90,8 +90,8 @@ class Slam:
         self._gnss = None if georeference is None else GnssPrior(georeference)
         self._geodetic_fixes: dict[int, GeodeticFix] = {}  # the latest at each keyframe
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
-        self.fixes: Sequence[Fix] = self._localization.fixes
-        """The relocalizations so far."""
+        self.fixes: Sequence[OdometryPose] = self._localization.fixes
+        """The poses of the odometry at the relocalizations so far."""
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
         self._check = DriveCheck(config.calibration)
@@ -280,9 +280,9 @@ class Slam:
             self.counters["odometry_breaks"] += 1
         is_localized = self._closer.closures.is_localized(keyframe)
         changes = self._localization.update(keyframe, is_localized=is_localized, began=began)
-        if any(change.state == State.RELOCALIZED for change in changes):
+        if any(state == State.RELOCALIZED for state, _, _ in changes):
             self.counters["relocalizations"] += 1
-        return [self._status(change.state, change.message, level=change.level) for change in changes]
+        return [self._status(state, message, level=level) for state, message, level in changes]
 
     def _close_loops(self, keyframe: Keyframe) -> Outcome:
         if not self._config.loop_closure.enabled:

@@ -1,10 +1,10 @@
 """Localization state of the robot."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from logs.messages import DetectionAssociations, LoopClosureRecord
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
 
 CALIBRATIONS = "calibrations"
 """Counter of a status: how often the map was built again with another calibration. What follows replaces the records of
@@ -26,47 +26,30 @@ class State(StrEnum):
     RELOCALIZED = "RELOCALIZED"
 
 
-@dataclass(frozen=True, slots=True)
-class Fix:
-    """A relocalization: when it happened, and after how much travel."""
-
-    stamp_ns: int
-    travel_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class StateChange:
-    """A state and what led to it, for people; ``level`` is that of the log, info or warning."""
-
-    state: State
-    message: str
-    level: str
-
-
 class LocalizationState:
     """The state, keyframe by keyframe: lost unless odometry and closures connect the newest keyframe to the map.
 
-    ``fixes``: the relocalizations so far.
+    ``fixes``: the poses of the odometry at the relocalizations so far.
     """
 
     def __init__(self, *, has_prior_map: bool) -> None:
         self._localized = State.TRACKING if has_prior_map else State.MAPPING
         self.state = State.LOST if has_prior_map else State.MAPPING
-        self.fixes: list[Fix] = []
+        self.fixes: list[OdometryPose] = []
 
-    def update(self, keyframe: Keyframe, *, is_localized: bool, began: str = "") -> list[StateChange]:
-        """Follow to the newest keyframe; ``began``: why a segment begins there or before. Returns what changed."""
+    def update(self, keyframe: Keyframe, *, is_localized: bool, began: str = "") -> list[tuple[State, str, str]]:
+        """Follow to the newest keyframe; ``began``: why a segment begins there or before.
+
+        Returns the changes: each time the state, what led to it, for people, and the level in the log, info or warning.
+        """
         if not is_localized:
             was_lost, self.state = self.state == State.LOST, State.LOST
             if was_lost and not began:
                 return []
             message = f"{began}: active landmarks dropped" if began else CONTRADICTED
-            return [StateChange(self.state, message, "warning")]
+            return [(self.state, message, "warning")]
         if self.state != State.LOST:
             return []
-        self.fixes.append(Fix(keyframe.odometry.stamp_ns, keyframe.odometry.travel_m))
+        self.fixes.append(keyframe.odometry)
         self.state = self._localized
-        return [
-            StateChange(State.RELOCALIZED, "relocalized in the map", "info"),
-            StateChange(self.state, "localization continues", "info"),
-        ]
+        return [(State.RELOCALIZED, "relocalized in the map", "info"), (self.state, "localization continues", "info")]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slam.localization.state import CONTRADICTED, DISCONTINUITY, Fix, LocalizationState, State
+from slam.localization.state import CONTRADICTED, DISCONTINUITY, LocalizationState, State
 from tests.helpers.poses import keyframe_at
 
 KEYFRAME = keyframe_at(np.eye(4), 7, travel_m=20.0)
@@ -10,8 +10,8 @@ KEYFRAME = keyframe_at(np.eye(4), 7, travel_m=20.0)
 
 def update(state: LocalizationState, *, is_localized: bool, began: str = "") -> list[tuple[State, str]]:
     changes = state.update(KEYFRAME, is_localized=is_localized, began=began)
-    assert all(change.level == ("warning" if change.state is State.LOST else "info") for change in changes)
-    return [(change.state, change.message) for change in changes]
+    assert all(level == ("warning" if changed is State.LOST else "info") for changed, _, level in changes)
+    return [(changed, message) for changed, message, _ in changes]
 
 
 def test_a_robot_maps_until_its_odometry_breaks():
@@ -30,7 +30,7 @@ def test_a_lost_robot_is_found_again():
     assert update(state, is_localized=False) == []
     assert [each for each, _ in update(state, is_localized=True)] == [State.RELOCALIZED, State.TRACKING]
     assert state.state is State.TRACKING
-    assert state.fixes == [Fix(7 * 10**9, 20.0)]
+    assert state.fixes == [KEYFRAME.odometry]
     assert update(state, is_localized=True) == []
     assert update(state, is_localized=False) == [(State.LOST, CONTRADICTED)]
 
