@@ -55,7 +55,7 @@ class ContinuityMonitor:
         self.kidnapping_probability = 0.0
         """Posterior probability of the likeliest kidnapping at the last keyframe."""
         self._visibility = Visibility(sensor_range_m)
-        self._counts = np.array([[PRIOR_SEEN, PRIOR_MISSED], [PRIOR_SEEN, PRIOR_MISSED]])
+        self._counts = np.tile([PRIOR_SEEN, PRIOR_MISSED], (2, 1))
         self._steps: deque[_Step] = deque()
 
     def restart(self) -> None:
@@ -64,13 +64,13 @@ class ContinuityMonitor:
 
     def update(self, keyframe: Keyframe, object_map: ObjectMap) -> float | None:
         """Add the newest keyframe; returns the travel [m] after which the robot was kidnapped, None if it was not."""
-        pose = keyframe.odometry
+        pose, landmarks = keyframe.odometry, object_map.rows
         rows = np.flatnonzero(
-            (object_map.rows["state"] == LandmarkState.CONFIRMED)
-            & (object_map.rows["segment"] == pose.segment)
-            & (object_map.rows["last_seen_travel_m"] > pose.travel_m - self._memory_m)
+            (landmarks["state"] == LandmarkState.CONFIRMED)
+            & (landmarks["segment"] == pose.segment)
+            & (landmarks["last_seen_travel_m"] > pose.travel_m - self._memory_m)
         )
-        landmarks = object_map.rows[rows]
+        landmarks = landmarks[rows]
         if self._steps and self._steps[-1].pose.segment != pose.segment:
             self._steps.clear()
         self.kidnapping_probability = np.exp(self._log_prior)

@@ -7,10 +7,12 @@ mirror image, which no motion of the robot explains.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
 from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
+from slam.common.arrays import FloatArray
 from slam.localization.gnss import geodetic_places
 from slam.localization.prior_map import PriorMap
 from slam.object_map.submap import Submap
@@ -45,14 +47,13 @@ def why_not_recognised(
         return (
             f"the fixes of the log are {far_m / 1000.0:.0f} km from the nearest object, so the map is of another place"
         )
-    rows, theirs = _own_rows(objects, trajectory), known.vocabulary
-    labels = {objects.labels[row] for row in rows}
-    if labels and labels.isdisjoint(theirs):
+    (_, labels), theirs = _own_landmarks(objects, trajectory), known.vocabulary
+    if labels and set(labels).isdisjoint(theirs):
         return (
-            f"no class in common: the map has {_listed(theirs)}, the drive {_listed(sorted(labels))}; rename them in "
-            "[labels]"
+            f"no class in common: the map has {_listed(theirs)}, the drive {_listed(sorted(set(labels)))}; rename them "
+            "in [labels]"
         )
-    shared = sum(objects.labels[row] in theirs for row in rows)
+    shared = sum(label in theirs for label in labels)
     if shared < MIN_LANDMARKS:
         return f"{shared} landmarks of a class of the map were seen, too few for a relocalization; drive farther"
     if not isinstance(known, ImportedMap):
@@ -88,11 +89,11 @@ def _fit(known: ImportedMap, seen: Submap) -> tuple[int, bool]:
     return met, swapped >= max(MIN_MET, len(seen) // 2, 2 * met)
 
 
-def _own_rows(objects: ObjectMapRecord, trajectory: TrajectoryRecord) -> list[int]:
-    """The confirmed landmarks that the drive itself has seen."""
+def _own_landmarks(objects: ObjectMapRecord, trajectory: TrajectoryRecord) -> tuple[FloatArray, list[str]]:
+    """Positions (N, 3) m and labels of the confirmed landmarks that the drive itself has seen."""
     since_ns = trajectory.stamps_ns.min(initial=np.iinfo(np.int64).max)
     seen = (objects.first_seen_ns >= since_ns) & objects.is_confirmed
-    return np.flatnonzero(seen).tolist()
+    return objects.positions[seen], list(compress(objects.labels, seen.tolist()))
 
 
 def _nearest_landmarks(
@@ -103,10 +104,10 @@ def _nearest_landmarks(
     Their noise includes that of the map.
     """
     number_of = {name: number for number, name in enumerate(known.vocabulary)}
-    rows = [row for row in _own_rows(objects, trajectory) if objects.labels[row] in number_of]
-    positions = objects.positions[rows] - trajectory.T_map_body[:1, :3, 3]
+    positions, own_labels = _own_landmarks(objects, trajectory)
+    positions = positions[[label in number_of for label in own_labels]] - trajectory.T_map_body[:1, :3, 3]
     nearest = np.argsort(np.linalg.norm(positions[:, :2], axis=1), kind="stable")[:60]
-    labels = np.array([number_of[objects.labels[row]] for row in rows], dtype=np.int64)
+    labels = np.array([number_of[label] for label in own_labels if label in number_of], dtype=np.int64)
     sigmas = np.full(len(nearest), np.hypot(sigma_m, known.sigma_m))
     return Submap(positions[nearest], sigmas, labels[nearest], nearest)
 
