@@ -22,6 +22,9 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import MAX_GAP_S, OdometryTrack
 
+Placed = Iterator[OdometryPose | DetectionAssociations]
+"""Poses of the track, and the associations of each scan after the poses before it."""
+
 logger = logging.getLogger(__name__)
 
 REJOINING_SCANS = 20
@@ -86,7 +89,7 @@ class Frontend:
         self._untold = []
         return self._track.break_after(travel_m, before_ns=first.odometry.stamp_ns)
 
-    def advance(self) -> Iterator[OdometryPose | DetectionAssociations]:
+    def advance(self) -> Placed:
         """Place the waiting scans up to the newest odometry.
 
         Yields the poses before each scan, which the caller makes keyframes of, and then its associations.
@@ -103,7 +106,7 @@ class Frontend:
             yield from self._map_untold()
         yield from self._poses_until(overdue_ns)
 
-    def finish(self) -> Iterator[OdometryPose | DetectionAssociations]:
+    def finish(self) -> Placed:
         """The same at the end of the drive, without further scans.
 
         Raises:
@@ -130,7 +133,7 @@ class Frontend:
             )
         logger.warning("%s: detections in that frame are dropped", missing)
 
-    def _place(self, detections: ObjectDetections) -> Iterator[OdometryPose | DetectionAssociations]:
+    def _place(self, detections: ObjectDetections) -> Placed:
         pose = self._track.at(self._time_ns(detections))
         if pose is None:
             self._counters["detections_without_odometry"] += 1
@@ -151,7 +154,7 @@ class Frontend:
         if len(self._untold) == REJOINING_SCANS:
             yield from self._map_untold()
 
-    def _map_untold(self) -> Iterator[OdometryPose | DetectionAssociations]:
+    def _map_untold(self) -> Placed:
         """Map the scans that did not show that a step was none."""
         untold, self._untold = self._untold, []
         for tracked, earlier in untold:
@@ -159,15 +162,13 @@ class Frontend:
             if pose is not None:
                 yield from self._map(tracked.scan, pose)
 
-    def _map(self, scan: Scan, pose: OdometryPose) -> Iterator[OdometryPose | DetectionAssociations]:
+    def _map(self, scan: Scan, pose: OdometryPose) -> Placed:
         """Place a scan where the odometry has it, or near there."""
         if pose.segment != self._mapper.segment:
             yield from self._poses_until(pose.stamp_ns)
         yield from self._corrected(self._mapper.locate(scan, pose), pose, pose.segment)
 
-    def _corrected(
-        self, tracked: Tracked, pose: OdometryPose, segment: int
-    ) -> Iterator[OdometryPose | DetectionAssociations]:
+    def _corrected(self, tracked: Tracked, pose: OdometryPose, segment: int) -> Placed:
         """Map a placed scan, with the odometry corrected by it, which is right up to a ``segment``."""
         self.placed = tracked, pose
         if tracked.correction is not None:

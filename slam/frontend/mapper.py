@@ -104,7 +104,10 @@ class Mapper:
     def add_scan(self, tracked: Tracked, pose: OdometryPose) -> DetectionAssociations:
         """Bring the landmarks up to date by a scan, whose keyframe is the last one."""
         scan, labels = tracked.scan, tracked.labels
-        self._count_scan(scan.sensor)
+        self._message_count += 1
+        self._sensors.add(scan.sensor)
+        # Several sensors share the view: a scan is counted when each has given one.
+        self._scan_count = self._message_count // len(self._sensors)
         in_keyframe = scan.seen_from(relative(self.keyframes[-1].T_local_body, self._active.T_local_body))
         rows = tracked.landmark_rows
         # Keyframes since then may have made landmarks inactive.
@@ -172,12 +175,6 @@ class Mapper:
         self._active.restart(pose)
         self.tracker.restart()
 
-    def _count_scan(self, sensor: str) -> None:
-        """Several sensors share the view: a scan is counted when each has given one."""
-        self._message_count += 1
-        self._sensors.add(sensor)
-        self._scan_count = self._message_count // len(self._sensors)
-
     def _update_life_cycle(self, seen: IntArray) -> None:
         """Update the life cycle of the observed landmarks: confirm static ones, retire moving ones.
 
@@ -227,14 +224,13 @@ class Mapper:
 
 
 def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:
-    T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
-    kind = EdgeKind.ODOMETRY
-    covariance = step_covariance(previous.odometry, keyframe.odometry, config.calibration.odometry)
-    if keyframe.odometry.segment != previous.odometry.segment:
+    before, after, kind = previous.odometry, keyframe.odometry, EdgeKind.ODOMETRY
+    covariance = step_covariance(before, after, config.calibration.odometry)
+    if after.segment != before.segment:
         kind = EdgeKind.DISCONTINUITY
         sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
         covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
-    return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
+    return Edge(previous.id, keyframe.id, relative(before.T_odom_body, after.T_odom_body), covariance, kind)
 
 
 def _associations(scan: Scan, rows: IntArray, created: BoolArray) -> DetectionAssociations:

@@ -63,15 +63,14 @@ class KeyframeTrack:
         that travel; None if none is.
         """
         rows = self._rows[: self._size]
-        first, last = np.searchsorted(rows["travel_m"], [from_m, to_m])
-        first = max(first, np.searchsorted(rows["segment"], segment))
-        last = min(last, np.searchsorted(rows["segment"], segment, side="right"))
-        if first >= last:
+        there = (rows["segment"] == segment) & (rows["travel_m"] >= from_m) & (rows["travel_m"] < to_m)
+        ids = np.flatnonzero(there)
+        if not len(ids):
             return None
-        offsets = rows["position_local"][first:last, :2] - position_local[:2]
+        offsets = rows["position_local"][ids, :2] - position_local[:2]
         squares = np.einsum("ij,ij->i", offsets, offsets)
-        best = int(np.argmin(squares))
-        return int(first) + best, float(np.sqrt(squares[best]))
+        best = np.argmin(squares)
+        return int(ids[best]), float(np.sqrt(squares[best]))
 
     def drift_sigmas(self, first: int, last: int) -> tuple[float, float]:
         """Standard deviations of the place [m, each coordinate] and the heading [rad] of keyframe ``last`` as seen from

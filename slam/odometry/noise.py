@@ -26,8 +26,8 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCa
 
 def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
     """The same without corrections."""
-    steps_m = abs(after.travel_m - before.travel_m), math.dist(before.T_odom_body[:3, 3], after.T_odom_body[:3, 3])
-    length_m = max(steps_m)
+    straight_m = math.dist(before.T_odom_body[:3, 3], after.T_odom_body[:3, 3])
+    length_m = max(abs(after.travel_m - before.travel_m), straight_m)
     turn_rad = float(rotation_angle_rad(relative(before.T_odom_body, after.T_odom_body)))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
     translation = max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)

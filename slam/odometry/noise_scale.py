@@ -25,8 +25,6 @@ WINDOW = 20
 """Corrections after which the scale is estimated again."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: what is beyond contradicts its covariance."""
-AXES = (slice(1, 3), slice(0, 1))
-"""Translation and heading in an error of heading, x and y."""
 
 
 class NoiseScale:
@@ -39,8 +37,7 @@ class NoiseScale:
         self.factors = np.ones(2)
         self.innovation_ratio = 0.0
         """The last squared correction by its variance and the gate, the larger of the two."""
-        self._ratios: list[FloatArray] = []
-        self._weights: list[FloatArray] = []
+        self._window: list[FloatArray] = []  # (2, 2) each: ratios of translation and heading, and their weights
 
     def slip(self, innovation: FloatArray, effects: FloatArray, *, has_slipped: bool = False) -> FloatArray:
         """The error (3,) of the last step if it slipped, else zeros; in standard deviations, by which ``effects`` are
@@ -61,23 +58,22 @@ class NoiseScale:
         """Add whitened innovations (M,), and the effects (M, 3) on them of an error of one standard deviation in the
         heading, x and y of the step before.
         """
-        parts = [effects[:, axes] for axes in AXES]
-        squares = np.array([np.sum((part.T @ innovation) ** 2) for part in parts])
-        expected = np.array([np.sum(part**2) for part in parts])
+        sums = [
+            (np.sum((part.T @ innovation) ** 2), np.sum(part**2), np.sum((part.T @ part) ** 2))
+            for part in (effects[:, 1:3], effects[:, :1])  # translation and heading
+        ]
+        squares, expected, joint = np.transpose(sums)
         # Sums of squares that count like so many independent ones (Satterthwaite, 1946).
-        dimensions = expected**2 / np.maximum([np.sum((part.T @ part) ** 2) for part in parts], 1e-300)
-        dimensions = np.maximum(dimensions, 1.0)
+        dimensions = np.maximum(expected**2 / np.maximum(joint, 1e-300), 1.0)
         ratios = np.divide(squares, expected, out=np.ones(2), where=expected > 0.0)
         self.innovation_ratio = float(np.max(ratios)) / GATE
-        self._ratios.append(ratios * dimensions / chdtri(dimensions, 0.5))
-        self._weights.append(expected)
-        if len(self._ratios) < WINDOW:
+        self._window.append(np.array([ratios * dimensions / chdtri(dimensions, 0.5), expected]))
+        if len(self._window) < WINDOW:
             return
-        windows = zip(np.transpose(self._ratios), np.transpose(self._weights), strict=True)
-        ratios = np.array([_weighted_median(*each) for each in windows])
+        ratios = np.array([_weighted_median(*each) for each in np.transpose(self._window)])
         gains = np.sqrt(np.clip(ratios, 1.0 / WINDOW, WINDOW))
         self.factors = np.clip(self.factors * gains, 1.0, self._most)
-        self._ratios, self._weights = [], []
+        self._window = []
 
 
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
