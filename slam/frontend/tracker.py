@@ -115,7 +115,7 @@ class Tracker:
         self._unmatched = 0  # detections since one was matched
         self._lost = deque[tuple[Tracked, OdometryPose]](maxlen=WAITED_SCANS)
         self._path = _Path(maxlen=RECENT_STEPS + 1)  # since the last restart
-        self._T_odom_body: FloatArray | None = None
+        self._T_odom_body = np.eye(4)  # where the odometry has the last pose of the path
 
     @property
     def is_tracking(self) -> bool:
@@ -211,7 +211,6 @@ class Tracker:
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
         """The pose if the body has gone on as before."""
-        assert self._T_odom_body is not None
         return replace(pose, T_odom_body=self._T_odom_body @ self._path.step_until(pose.stamp_ns))
 
     def _associated(self, scan: Scan) -> Tracked:
@@ -265,7 +264,6 @@ class Tracker:
         slips = self._slips / self._scans
         components = [PriorComponent(1.0 - slips, np.zeros((6, 6)))]
         if is_failing or self._slips > 1:
-            assert self._T_odom_body is not None
             step = _size(relative(self._T_odom_body, pose.T_odom_body))
             components.append(PriorComponent(slips, self._slip(pose.stamp_ns, step)))
         if is_failing and self._path:

@@ -105,9 +105,10 @@ def _nearest_landmarks(
     """
     number_of = {name: number for number, name in enumerate(known.vocabulary)}
     positions, own_labels = _own_landmarks(objects, trajectory)
-    positions = positions[[label in number_of for label in own_labels]] - trajectory.T_map_body[:1, :3, 3]
+    labels = np.array([number_of.get(label, -1) for label in own_labels], dtype=np.int64)
+    is_known = labels >= 0
+    positions, labels = positions[is_known] - trajectory.T_map_body[:1, :3, 3], labels[is_known]
     nearest = np.argsort(np.linalg.norm(positions[:, :2], axis=1), kind="stable")[:60]
-    labels = np.array([number_of[label] for label in own_labels if label in number_of], dtype=np.int64)
     sigmas = np.full(len(nearest), np.hypot(sigma_m, known.sigma_m))
     return Submap(positions[nearest], sigmas, labels[nearest], nearest)
 
