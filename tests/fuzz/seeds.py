@@ -1,7 +1,5 @@
 """Whole and valid files of every format, from which the fuzzer goes out."""
 
-import contextlib
-import io
 import json
 import shutil
 from dataclasses import dataclass, replace
@@ -22,7 +20,7 @@ from tests.helpers.short_drives import keep_until, write_log, write_records
 from tests.logs.examples import every_kind
 from tests.logs.importers.test_centroids import FILES
 from tests.logs.importers.text_drives import DETECTIONS
-from tools import cli
+from tests.tools.runs import run_well
 
 _SECONDS = 2.0
 _KITTI = {
@@ -47,8 +45,8 @@ def make_seeds(folder: Path) -> Seeds:
     drive, mapped, saved = folder / "drive.mcap", folder / "mapped.mcap", folder / "map.mcap"
     entries = keep_until(drive_of(SimulationConfig()), _SECONDS)
     write_log(drive, entries)
-    _run("replay", drive, "-o", mapped, "--save-map", saved)
-    _run("export", mapped, "--tum", folder / "trajectory.tum", "--kitti", folder / "trajectory.kitti")
+    run_well("replay", drive, "-o", mapped, "--save-map", saved)
+    run_well("export", mapped, "--tum", folder / "trajectory.tum", "--kitti", folder / "trajectory.kitti")
     rows = (folder / "trajectory.tum").read_text().splitlines()
     (folder / "times.txt").write_text("\n".join(row.partition(" ")[0] for row in rows))
     (folder / "detections.csv").write_text(DETECTIONS)
@@ -56,10 +54,10 @@ def make_seeds(folder: Path) -> Seeds:
     with LogWriter(folder / "ros.mcap") as writer:
         for message in ros2_messages(entries):
             writer.write_raw(encoded(message))
-    (folder / "settings.toml").write_text(_run("config"))
-    (folder / "simulation.toml").write_text(_run("config", "--simulation"))
+    (folder / "settings.toml").write_text(run_well("config"))
+    (folder / "simulation.toml").write_text(run_well("config", "--simulation"))
     exported = ("--csv", folder / "objects.csv", "--geojson", folder / "objects.geojson", "--origin", "60.1,24.9")
-    _run("export", mapped, *exported)
+    run_well("export", mapped, *exported)
     _write_extract(folder / "objects.osm")
     shutil.copy(WEIGHTS, folder)
     with LogReader(folder / "ros.mcap") as reader:
@@ -73,14 +71,6 @@ def make_seeds(folder: Path) -> Seeds:
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: path.read_bytes() for name, path in found.items() if name.removesuffix(".mcap") not in logs},
     )
-
-
-def _run(*arguments: object) -> str:
-    with contextlib.redirect_stdout(io.StringIO()) as out:
-        code = cli.run([str(argument) for argument in arguments])
-    if code != 0:
-        raise RuntimeError(f"a seed cannot be made: dslam {arguments} ends with {code}")
-    return out.getvalue()
 
 
 def _as_json(file: McapFile) -> McapFile:

@@ -1,5 +1,8 @@
 """What the tests of the command line share."""
 
+import contextlib
+import io
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,6 +14,7 @@ from logs.messages import Odometry, Transform
 from logs.writer import LogWriter
 from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
+from tools import cli
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
@@ -22,14 +26,37 @@ class Result:
     out: str
     err: str
 
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+    @property
+    def text(self) -> str:
+        """What was printed, on one line."""
+        return " ".join(self.out.split())
+
 
 Run = Callable[..., Result]
+
+
+def run_well(*arguments: object) -> str:
+    """What the command line prints in this process, where it must end well."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        code = cli.run([str(argument) for argument in arguments])
+    assert code == 0, arguments
+    return out.getvalue()
 
 
 def run_python(code: str) -> Result:
     """What another interpreter says that runs ``code`` in the repository."""
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     return Result(done.returncode, done.stdout, done.stderr)
+
+
+def assert_well(result: Result) -> Result:
+    """It ended with nothing on standard error."""
+    assert (result.code, result.err) == (0, "")
+    return result
 
 
 def assert_refused(result: Result, *told: str, code: int = 2) -> None:

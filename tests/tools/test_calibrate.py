@@ -8,14 +8,13 @@ import pytest
 import dslam as library
 from slam.common.config import Config, load_config
 from tests.helpers.short_drives import metadata_of
-from tests.tools.runs import SAMPLE, Run, assert_refused
-from tools import cli
+from tests.tools.runs import SAMPLE, Run, assert_refused, run_well
 
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("calibrate") / "robot.toml"
-    assert cli.run(["calibrate", str(SAMPLE), "-o", str(path)]) == 0
+    run_well("calibrate", SAMPLE, "-o", path)
     return path
 
 
@@ -26,7 +25,7 @@ def test_file_holds_the_calibration_of_the_library(robot: Path) -> None:
 
 
 def test_several_logs_are_pooled(dslam: Run, robot: Path) -> None:
-    pooled = json.loads(dslam("calibrate", SAMPLE, SAMPLE, "--json").out)["calibration"]
+    pooled = dslam("calibrate", SAMPLE, SAMPLE, "--json").json["calibration"]
     assert pooled["evidence"]["scans"] == 2 * load_config(calibration=robot).calibration.evidence["scans"]
 
 

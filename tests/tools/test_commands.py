@@ -1,6 +1,5 @@
 """What the commands do when all is well."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ import pytest
 
 from logs.messages import LoopClosureRecord, Odometry
 from logs.writer import LogWriter
-from tests.tools.runs import Run
+from tests.tools.runs import Run, assert_well
 from tools import console
 
 pytestmark = pytest.mark.slow
@@ -20,11 +19,11 @@ def test_a_drive_is_simulated_mapped_and_looked_into(dslam: Run, tmp_path: Path)
     drive, output = tmp_path / "drive.mcap", tmp_path / "map.mcap"
     made = dslam("simulate", drive, "--seed", 2, "--length", 100, "--set", "sensor.dropout=0.2")
     assert made.code == 0
-    assert "world street-grid seed 2" in " ".join(made.out.split())
+    assert "world street-grid seed 2" in made.text
     replayed = dslam("replay", drive, "-o", output, "--set", "keyframe.distance_m=3", "--set", "calibrate=false")
-    assert (replayed.code, replayed.err) == (0, "")  # no progress where there is no terminal
+    assert_well(replayed)  # no progress where there is no terminal
     assert "confirmed" in replayed.out
-    told = " ".join(dslam("info", output, "--closures").out.split())
+    told = dslam("info", output, "--closures").text
     for text in (
         "changed_settings calibrate=false, keyframe.distance_m=3",
         "landmarks_confirmed",
@@ -54,7 +53,7 @@ def test_info_lists_loop_closures(dslam: Run, tmp_path: Path) -> None:
     assert {"LLR", "penalty"} < set(heading.split())
     assert row.split()[3:6] == ["inf", "23.5", "1.25"]
     assert "no loop-closure candidate" in dslam("info", log, "--keyframe", 60).out
-    every = json.loads(dslam("info", log, "--json", "--closures").out)["closure_candidates"]
+    every = dslam("info", log, "--json", "--closures").json["closure_candidates"]
     assert [candidate["query_keyframe_id"] for candidate in every] == list(range(60))
     assert (every[50]["time_s"], every[50]["accepted"], every[50]["score"]) == (50.0, True, None)
 

@@ -1,11 +1,10 @@
 """dslam degrade, as it is typed."""
 
-import json
 from pathlib import Path
 
 from slam.simulation.faults.registry import FAULTS
 from tests.helpers.short_drives import metadata_of
-from tests.tools.runs import SAMPLE, Run, assert_refused, write_drive
+from tests.tools.runs import SAMPLE, Run, assert_refused, assert_well, write_drive
 
 DETECTIONS = 3313
 
@@ -14,9 +13,7 @@ def test_faults_are_applied_in_their_order_and_recorded(dslam: Run, tmp_path: Pa
     output = tmp_path / "out.mcap"
     faults = ["position_noise=0.2", "dropout=0.3", "keep_label=tree:bench", "messages_twice", "false_positives=1.5"]
     typed = [part for fault in faults for part in ("--fault", fault)]
-    result = dslam("degrade", SAMPLE, "-o", output, *typed, "--seed", 3, "--json")
-    assert (result.code, result.err) == (0, "")
-    report = json.loads(result.out)
+    report = assert_well(dslam("degrade", SAMPLE, "-o", output, *typed, "--seed", 3, "--json")).json
     assert report["faults"] == faults
     assert 0 < report["detections"] < report["detections_before"] == DETECTIONS
     told = metadata_of(output)["faults"]
@@ -24,9 +21,7 @@ def test_faults_are_applied_in_their_order_and_recorded(dslam: Run, tmp_path: Pa
 
 
 def test_list_has_every_fault_with_its_meaning(dslam: Run) -> None:
-    result = dslam("degrade", "--list-faults")
-    assert (result.code, result.err) == (0, "")
-    told = " ".join(result.out.split())
+    told = assert_well(dslam("degrade", "--list-faults")).text
     assert all(f"{fault.name} {fault.meaning}" in told for fault in FAULTS.values())
 
 
@@ -39,5 +34,4 @@ def test_refusals(dslam: Run, tmp_path: Path) -> None:
     assert_refused(dslam(*several), "/left, /right", "--topic detections=/left")
     assert_refused(dslam(*several[:3], log, *several[4:]), "is the input")
     assert not output.exists()
-    result = dslam(*several, "--topic", "detections=/left", "--json")
-    assert json.loads(result.out)["detections_before"] == 30
+    assert dslam(*several, "--topic", "detections=/left", "--json").json["detections_before"] == 30

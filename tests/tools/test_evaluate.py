@@ -1,6 +1,5 @@
 """One log, and sweeps."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from slam.common.geometry import make_transform
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
-from tests.tools.runs import SAMPLE, Run, assert_refused
+from tests.tools.runs import SAMPLE, Run, assert_refused, assert_well
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +32,7 @@ def test_a_fix_is_measured_in_the_map_that_was_given(dslam: Run, short_log: Path
     assert dslam("replay", short_log, "-o", tmp_path / "first.mcap", "--save-map", saved).code == 0
     assert dslam("replay", short_log, "-o", later, "--map", saved).code == 0
     told = [
-        json.loads(dslam("evaluate", later, *option, "--json").out)["relocalization"]
+        dslam("evaluate", later, *option, "--json").json["relocalization"]
         for option in ((), ("--map-run", tmp_path / "first.mcap"))
     ]
     assert [each["method"] for each in told] == ["trajectory", "map"]
@@ -46,16 +45,14 @@ def test_a_fix_is_measured_in_the_map_that_was_given(dslam: Run, short_log: Path
 def test_sweep_prints_a_table_and_reuses_results(dslam: Run, short_log: Path, tmp_path: Path) -> None:
     command = ("sweep", short_log, "-o", tmp_path / "sweep", "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
     variant = ("--variant", "keyframe.distance_m=3;calibrate=false")
-    result = dslam(*command, *variant)
-    assert (result.code, result.err) == (0, "")
+    result = assert_well(dslam(*command, *variant))
     assert "2 drives mapped, 0 mapped before" in result.out
     assert all(part in result.out for part in ("faults=dropout=0.5", "(1 runs)", "least to greatest"))
     again = dslam(*command, *variant, "--json", "--require", "trajectory.ate_m<=0")
     assert again.code == 1
     assert "dropout=0.5, seed 0: trajectory.ate_m is" in again.err
-    told = json.loads(again.out)
-    assert told["computed"] == 0
-    assert list(told["groups"]) == ["faults=none", "faults=dropout=0.5"]
+    assert again.json["computed"] == 0
+    assert list(again.json["groups"]) == ["faults=none", "faults=dropout=0.5"]
 
 
 def test_sweep_names_a_drive_that_fails_and_ends_with_1(dslam: Run, short_log: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from slam.evaluation.inputs.records import EvaluationRecords, read_records
 from slam.object_map.map_io import confirmed
 from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import pose_at
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run, assert_refused, assert_well
 
 ORIGIN = "60.1699,24.9384,12.5,30"
 
@@ -34,8 +34,7 @@ def test_a_map_far_up_is_exported(dslam: Run, tmp_path: Path) -> None:
             writer.write("/odom", Odometry(i * 10**9, pose_at(i, z=1e7 * i)))
             writer.write("/objects", detections_of(places, stamp_ns=i * 10**9, frame_id="base_link"))
     assert dslam("replay", tmp_path / "drive.mcap", "-o", tmp_path / "mapped.mcap").code == 0
-    result = dslam("export", tmp_path / "mapped.mcap", "--g2o", tmp_path / "graph.g2o")
-    assert (result.code, result.err) == (0, "")
+    assert_well(dslam("export", tmp_path / "mapped.mcap", "--g2o", tmp_path / "graph.g2o"))
 
 
 def test_landmarks_as_a_table(dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:

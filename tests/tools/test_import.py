@@ -1,12 +1,11 @@
 """dslam import csv, as it is typed, and what docs/import.md says of it."""
 
-import json
 from pathlib import Path
 
 import pytest
 
 from tests.logs.importers.text_drives import DETECTIONS, TextDrive
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run, assert_refused, assert_well
 
 
 @pytest.fixture
@@ -20,12 +19,10 @@ def options(drive: TextDrive) -> tuple[object, ...]:
 
 def test_json_and_text_tell_what_is_left_out(dslam: Run, drive: TextDrive) -> None:
     drive.write("detections.csv", DETECTIONS.replace("object_id", "species").replace("100.400,pole", "100.400,"))
-    told = json.loads(dslam("import", "csv", drive.output, *options(drive), "--json").out)
+    told = dslam("import", "csv", drive.output, *options(drive), "--json").json
     assert told["message_counts"] == {"/odom": 5, "/detections": 3, "/ground_truth": 5}
     assert (told["detection_count"], told["odometry_format"], told["columns_left_out"]) == (4, "tum", ["species"])
-    result = dslam("import", "csv", drive.output, *options(drive))
-    assert (result.code, result.err) == (0, "")
-    text = " ".join(result.out.split())
+    text = assert_well(dslam("import", "csv", drive.output, *options(drive))).text
     for part in ("odometry format tum odometry length m 4", "columns left out species", f"notes {told['notes'][0]}"):
         assert part in text
 

@@ -1,7 +1,6 @@
 """dslam live."""
 
 import io
-import json
 import sys
 from pathlib import Path
 
@@ -27,8 +26,7 @@ def test_log_or_stream_is_mapped(dslam: Run, tmp_path: Path, monkeypatch: pytest
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(stream))
     else:
         source = str(write_log(tmp_path / "drive.mcap", entries))
-    run = dslam("live", source, "--speed", 0, "--port", 0, "-o", tmp_path / "out.mcap", "--json")
-    found = json.loads(run.out)
+    found = dslam("live", source, "--speed", 0, "--port", 0, "-o", tmp_path / "out.mcap", "--json").json
     assert found["status"].startswith("optimised")
     assert set(found["latency_s"]) == {"p50", "p99", "max"}
     assert (tmp_path / "out.mcap").exists()

@@ -1,6 +1,5 @@
 """Saved maps by the command line: made, described, found oneself in, and refused."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,7 @@ from logs.writer import LogWriter
 from slam.library import read_map
 from slam.object_map.map_io import METADATA, POINTS_TOPIC
 from tests.helpers.short_drives import raw_messages, records_of
-from tests.tools.runs import Run, assert_refused, run_python
-from tools import cli
+from tests.tools.runs import Run, assert_refused, assert_well, run_python, run_well
 
 pytestmark = pytest.mark.slow
 
@@ -21,11 +19,10 @@ pytestmark = pytest.mark.slow
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two drives along one street, one through another town, and the map of the first one."""
     folder = tmp_path_factory.mktemp("maps")
-    simulate = ("simulate", "--length", "120")
-    for name, more in (("first", ()), ("second", ("--set", "sensor.dropout=0.2")), ("other", ("--seed", "7"))):
-        assert cli.run([*simulate, str(folder / f"{name}.mcap"), *more]) == 0
-    made = ("replay", str(folder / "first.mcap"), "-o", str(folder / "out.mcap"))
-    assert cli.run([*made, "--save-map", str(folder / "map.mcap")]) == 0
+    simulate = ("simulate", "--length", 120)
+    for name, more in (("first", ()), ("second", ("--set", "sensor.dropout=0.2")), ("other", ("--seed", 7))):
+        run_well(*simulate, folder / f"{name}.mcap", *more)
+    run_well("replay", folder / "first.mcap", "-o", folder / "out.mcap", "--save-map", folder / "map.mcap")
     return folder
 
 
@@ -37,17 +34,16 @@ def town(folder: Path) -> Path:
 def test_relocalize_finds_the_robot(dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
     before, output = town.read_bytes(), tmp_path / "found.mcap"
     command = ("relocalize", folder / "second.mcap", "--map", town, "-o", output)
-    result = dslam(*command, "--picture", output.with_suffix(".png"))
-    assert (result.code, result.err) == (0, "")
+    result = assert_well(dslam(*command, "--picture", output.with_suffix(".png")))
     assert all(name in result.out for name in ("found", "recognised", "tracked"))
     assert output.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     closures = [closure for closure in records_of(output, "/slam/closures") if closure.accepted]
     assert len(closures) > 20
     assert min(pose.stamp_ns for pose in records_of(output, "/slam/pose")) >= closures[0].stamp_ns
-    found = json.loads(dslam("evaluate", output, "--map-run", folder / "out.mcap", "--json").out)["relocalization"]
+    found = dslam("evaluate", output, "--map-run", folder / "out.mcap", "--json").json["relocalization"]
     assert found["success_rate"] == 1.0
     assert found["median_error_m"] < 1.0
-    told = json.loads(dslam(*command, "--set", "loop_closure.descriptor=gosmatch_vertex", "--json").out)
+    told = dslam(*command, "--set", "loop_closure.descriptor=gosmatch_vertex", "--json").json
     assert told["found"] is True
     assert 0.5 < told["tracked_ratio"] < 1.0
     assert town.read_bytes() == before
@@ -77,7 +73,7 @@ def test_replay_extends_the_map_only_where_it_is_recognised(
     assert_refused(refused, "never relocalized", "was not written")
     assert not grown.exists()
     assert dslam("replay", folder / "second.mcap", "-o", output, *more).code == 0
-    before, after = (json.loads(dslam("info", path, "--json").out)["map"] for path in (town, grown))
+    before, after = (dslam("info", path, "--json").json["map"] for path in (town, grown))
     assert after["landmark_count"] <= 1.05 * before["landmark_count"]
     assert after["path_m"] == pytest.approx(2 * before["path_m"], rel=0.1)
     assert len(after["drives"]) == 2
@@ -91,10 +87,10 @@ def test_every_kind_of_map_is_shown_viewed_and_exported(dslam: Run, town: Path, 
         map_log = tmp_path / "imported.mcap"
         assert dslam("import", "map", map_log, "--file", tmp_path / "objects.csv").code == 0
     count = len(read_map(map_log).ids)
-    shown = " ".join(dslam("info", map_log).out.split())
+    shown = dslam("info", map_log).text
     assert f"landmark count {count}" in shown
     assert "this is a saved map, not a drive" in shown
-    assert json.loads(dslam("info", map_log, "--json").out)["map"]["landmark_count"] == count
+    assert dslam("info", map_log, "--json").json["map"]["landmark_count"] == count
     table, picture = tmp_path / "map.csv", tmp_path / "map.png"
     assert dslam("export", map_log, "--csv", table).code == 0
     assert len(table.read_text().splitlines()) == count + 1
@@ -134,7 +130,7 @@ def test_bad_maps_are_refused_in_one_line(dslam: Run, folder: Path, town: Path, 
         assert_refused(dslam(*refuse, tmp_path / "none.mcap"), "cannot read", "check the path")
     assert "cannot be used" in dslam("info", path).out
     damaged = rewritten(path, town, {"drives": "[1"})
-    assert "list of drives" in json.loads(dslam("info", damaged, "--json").out)["map"]["fault"]
+    assert "list of drives" in dslam("info", damaged, "--json").json["map"]["fault"]
     assert_refused(dslam("replay", town, "-o", output), "is a saved map, not a drive", "--map")
     assert_refused(dslam("relocalize", folder / "second.mcap", "--map", town, "-o", town), "is the input")
     assert not list(tmp_path.glob("out*"))

@@ -1,6 +1,5 @@
 """dslam train, as it is typed; the trainings behind it are tiny, or none."""
 
-import json
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from descriptors.registry import make_index
 from descriptors.training import contrast, trainer
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.trainer import WEIGHTS, Epoch, Recipe
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run, assert_refused, assert_well
 
 Called = dict[str, Any]
 
@@ -55,14 +54,13 @@ def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, calle
     assert dslam("train", tmp_path).code == 0
     assert called["config"] == ContrastTraining()
     options = ("--network", "descriptellation", "--epochs", 7, "--seed", 3, "--device", "cpu", "--threads", 1)
-    result = dslam("train", tmp_path / "net", *options)
-    assert (result.code, result.err) == (0, "")
+    result = assert_well(dslam("train", tmp_path / "net", *options))
     assert "epoch 3, " in result.out
     assert "validation_top_5 0.975" in result.out
     config = called.pop("config")
     assert (config.architecture, config.epochs, config.seed) == (DescriptellationArchitecture(), 7, 3)
     assert called == {"folder": tmp_path / "net", "device": "cpu", "threads": 1}
-    told = json.loads(dslam("train", tmp_path / "net", *options, "--json").out)
+    told = dslam("train", tmp_path / "net", *options, "--json").json
     assert (told["weights"], told["epochs"]) == (str(tmp_path / "net" / WEIGHTS), 4)
     assert (told["best"]["epoch"], told["best"]["validation_top_5"]) == (3, 0.975)
 
@@ -79,7 +77,7 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, t
     assert [line.split(",")[0] for line in curves] == ["epoch", "0", "1"]  # 0: the shipped weights
     assert result.code == 0, result.err
     path = tmp_path / "net" / WEIGHTS
-    assert json.loads(result.out)["weights"] == str(path)
+    assert result.json["weights"] == str(path)
     assert isinstance(make_index(str(path)), PairIndex) == (network == "descriptellation_lr")
 
 

@@ -4,7 +4,7 @@ import pytest
 import typer
 from typer.main import get_command
 
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run, assert_refused, assert_well
 from tools.cli import make_app
 
 
@@ -22,9 +22,8 @@ COMMANDS = commands(get_command(make_app()))
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_every_command_explains_itself_by_an_example(dslam: Run, command: tuple[str, ...]) -> None:
-    result = dslam(*command, "--help")
-    assert (result.code, result.err) == (0, "")
-    assert f"Example: dslam {' '.join(command)}" in " ".join(result.out.split())
+    result = assert_well(dslam(*command, "--help"))
+    assert f"Example: dslam {' '.join(command)}" in result.text
 
 
 def test_the_root_lists_the_commands_and_the_version(dslam: Run) -> None:

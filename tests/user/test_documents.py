@@ -18,8 +18,7 @@ from logs.topics import RecordKind
 from tests.helpers.loop_drives import one_block
 from tests.helpers.ros2_logs import header, ros2_messages, vector, write_bag
 from tests.test_docs import blocks_of, commands
-from tests.tools.runs import ROOT, Run
-from tools import cli
+from tests.tools.runs import ROOT, Run, run_well
 
 pytestmark = pytest.mark.slow
 
@@ -61,28 +60,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = zip(world.positions.tolist(), world.labels, world.object_ids, strict=True)
     write_table(folder / "world.csv", ["x_m", "y_m", "z_m", "class", "id"], ([*at, *of] for at, *of in rows))
     write_table(folder / "tour.csv", ["x_m", "y_m"], world.tour.tolist())
-    town = ["--objects", str(folder / "world.csv"), "--trajectory", str(folder / "tour.csv")]
-    simulate = ["simulate", *town, "--set", "drive.rate_hz=5"]
-    assert cli.run([*simulate, str(drive)]) == 0
-    assert cli.run([*simulate, str(tuesday), "--length", "120", "--set", "sensor.dropout=0.3"]) == 0
+    town = ("--objects", folder / "world.csv", "--trajectory", folder / "tour.csv")
+    simulate = ("simulate", *town, "--set", "drive.rate_hz=5")
+    run_well(*simulate, drive)
+    run_well(*simulate, tuesday, "--length", 120, "--set", "sensor.dropout=0.3")
     for source, output, saved in ((drive, "map.mcap", "town.mcap"), (tuesday, "b1.mcap", "harbour.mcap")):
-        made = ["replay", str(source), "-o", str(folder / output), "--save-map", str(folder / saved)]
-        assert cli.run(made) == 0
+        run_well("replay", source, "-o", folder / output, "--save-map", folder / saved)
     for name, setting in (("a2", "1.9"), ("a3", "1.8"), ("b2", "1.7"), ("b3", "1.6")):
-        changed = ["--set", f"keyframe.distance_m={setting}"]
-        assert cli.run(["replay", str(tuesday), "-o", str(folder / f"{name}.mcap"), *changed]) == 0
+        run_well("replay", tuesday, "-o", folder / f"{name}.mcap", "--set", f"keyframe.distance_m={setting}")
     for seed, day in enumerate(("monday", "wednesday", "thursday", "friday"), start=1):
-        assert cli.run([*simulate, str(folder / f"{day}.mcap"), "--length", "120", "--seed", str(seed)]) == 0
+        run_well(*simulate, folder / f"{day}.mcap", "--length", 120, "--seed", seed)
     shutil.copy(drive, folder / "mine.mcap")
     for copy in ("saved.mcap", "map_saved.mcap"):
         shutil.copy(folder / "town.mcap", folder / copy)
     shutil.copy(folder / "map.mcap", folder / "a1.mcap")
-    export = ["export", str(folder / "map.mcap")]
+    export = ("export", folder / "map.mcap")
     for name in ("gt.tum", "truth.tum", "00.txt", "consistent.txt"):
         kind = "--tum" if name.endswith("tum") else "--kitti"
-        assert cli.run([*export, "--of", "truth", kind, str(folder / name)]) == 0
-    assert cli.run([*export, "--of", "odometry", "--tum", str(folder / "odometry.tum")]) == 0
-    assert cli.run([*export, "--geojson", str(folder / "trees.geojson"), "--origin", "60.17,24.94"]) == 0
+        run_well(*export, "--of", "truth", kind, folder / name)
+    run_well(*export, "--of", "odometry", "--tum", folder / "odometry.tum")
+    run_well(*export, "--geojson", folder / "trees.geojson", "--origin", "60.17,24.94")
     (folder / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n", encoding="utf-8")
     write_objects(folder / "objects.csv", folder / "map.mcap")
     write_detections(folder / "detections.csv", drive)

@@ -1,9 +1,8 @@
 """dslam benchmark descriptors, as it is typed."""
 
-import json
 from pathlib import Path
 
-from tests.tools.runs import Result, Run, assert_refused
+from tests.tools.runs import Result, Run, assert_refused, assert_well
 
 SCENARIOS = ("self", "fewer objects", "added noise")
 MEASURES = {"success", "deviation", "misplaced", "likeliest", "query_ms", "build_s"}
@@ -26,7 +25,7 @@ def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "--json")
     assert result.code == 0, result.err
-    told = json.loads(result.out)
+    told = result.json
     assert (told["map"], told["objects"], told["classes"]) == (tmp_path.name, 60, 3)
     assert (told["queries"], told["seeds"]) == (5, 1)
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
@@ -47,9 +46,7 @@ def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
 def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
     _, objects, *_ = write_world(tmp_path)
     asked = ("benchmark", "recall", "--objects", objects, "--size", 50, "--classes", 1, "--classes", 3, "--queries", 2)
-    result = dslam(*asked, "--descriptor", "descriptellation_lr", "--json")
-    assert (result.code, result.err) == (0, "")
-    figures = json.loads(result.out)["figures"]
+    figures = assert_well(dslam(*asked, "--descriptor", "descriptellation_lr", "--json")).json["figures"]
     assert [(each["proposer"], each["map_objects"], each["map_classes"]) for each in figures] == [
         ("descriptellation_lr", 50, 1),
         ("random", 50, 1),

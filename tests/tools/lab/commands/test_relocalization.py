@@ -1,12 +1,11 @@
 """dslam benchmark relocalization, as it is typed."""
 
-import json
 from pathlib import Path
 
 import pytest
 
 from tests.tools.lab.commands.test_descriptors import write_world
-from tests.tools.runs import Run, assert_refused
+from tests.tools.runs import Run, assert_refused, assert_well
 
 SHARES = ("success_rate", "late_rate", "false_relocalization_rate", "not_found_rate")
 
@@ -17,9 +16,7 @@ def test_json_has_every_figure(dslam: Run, tmp_path: Path) -> None:
     assert dslam("simulate", log, *files).code == 0
     assert dslam("import", "map", tmp_path / "map.mcap", "--file", files[1], "--origin", "60,25").code == 0
     more = ("--map", tmp_path / "map.mcap", "--kidnaps", 2, "--json")
-    result = dslam("benchmark", "relocalization", "--log", log, *more)
-    assert (result.code, result.err) == (0, "")
-    told = json.loads(result.out)
+    told = assert_well(dslam("benchmark", "relocalization", "--log", log, *more)).json
     assert (told["drive"], len(told["outcomes"])) == ("drive", 2)
     assert sum(told["everywhere"][share] for share in SHARES) == pytest.approx(1.0)
     assert told["everywhere"]["kidnaps"] == 2

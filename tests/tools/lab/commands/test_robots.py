@@ -1,6 +1,5 @@
 """dslam benchmark robots, as it is typed."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -48,7 +47,7 @@ def test_the_table_tells_figures_warnings_and_failures(dslam: Run, data: Path) -
 
 
 def test_json_has_every_figure(dslam: Run, data: Path) -> None:
-    bad, good = json.loads(dslam("benchmark", "robots", data, "--json").out)["drives"]
+    bad, good = dslam("benchmark", "robots", data, "--json").json["drives"]
     assert (bad["error"], bad["notes"]) == ("line 1 | broken", ["line 1 | broken"])
     assert good["notes"] == ["odometry breaks 2"]
     assert good["evaluation"]["associations"]["precision"] == 0.6175

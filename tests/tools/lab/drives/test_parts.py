@@ -8,7 +8,7 @@ import pytest
 from slam.common.config import Config, load_config
 from slam.sweeps import sweep
 from slam.sweeps.mapped_drive import DriveTask, MappedDrive
-from tests.tools.runs import SAMPLE, Run, assert_refused
+from tests.tools.runs import SAMPLE, Run, assert_refused, assert_well
 from tools.lab.drives import parts
 from tools.lab.drives.parts import PARTS, map_without
 
@@ -33,8 +33,7 @@ def test_sweep_compares_with_the_whole_method(dslam: Run, tmp_path: Path, monkey
     result = MappedDrive({"trajectory": {"ate_m": 0.5}}, ("optimised",))
     monkeypatch.setattr(sweep, "compute_all", lambda compute, tasks, jobs: ((task, result) for task in tasks))
     command = ("sweep", SAMPLE, "-o", tmp_path / "out", "--jobs", 1, "--seeds", 2)
-    told = dslam(*command, "--part", "calibration", "--part", "labels", "--markdown")
-    assert (told.code, told.err) == (0, "")
+    told = assert_well(dslam(*command, "--part", "calibration", "--part", "labels", "--markdown"))
     rows = [line.split(" | ")[:2] for line in told.out.splitlines() if line.startswith("| variant=")]
     assert rows == [[f"| variant={name} (2 runs)", "0.500 ± 0.000"] for name in ("", "calibration", "labels")]
     assert_refused(dslam(*command, "--part", "wheels"), "no 'wheels'", "calibration")
