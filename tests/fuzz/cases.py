@@ -16,6 +16,7 @@ from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
 from tests.fuzz.seeds import WEIGHTS, Seeds
+from tests.helpers.forked_commands import write_files
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
 _OUTPUT = re.compile(r"(out|saved)\.\w+")
@@ -112,9 +113,7 @@ def _written(found: re.Match[str], seeds: Seeds, folder: Path, rng: np.random.Ge
     for each in inside or [name]:
         is_intact = found[1] == "=" or each != altered
         content = _intact(each, seeds) if is_intact else _mutated(each, seeds, rng)
-        path = folder / (each if inside else target)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        write_files(folder, {each if inside else target: content})
     return target
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.seeds import Seeds
+from tests.helpers.forked_commands import write_files
 
 _NAMES = ("", ".", "..", "no/such", "drive.mcap/x", "x" * 300, "a\0b", "/dev/null", "/dev/zero", "http://localhost:1/x",
           "-", "a\nb", "\x1b[2J", "[red]", "\udcff")  # fmt: skip
@@ -47,11 +48,7 @@ import csv ODD --odometry trajectory.tum --detections detections.csv
 
 def make_odd_paths(seeds: Seeds, folder: Path) -> list[str]:
     """Put all seeds, and what is no file, into ``folder``; returns their names and those of nothing."""
-    for name, log in seeds.logs.items():
-        (folder / f"{name}.mcap").write_bytes(write_file(log, Layout()))
-    for name, content in seeds.files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
+    write_files(folder, {f"{name}.mcap": write_file(log, Layout()) for name, log in seeds.logs.items()} | seeds.files)
     (folder / "folder").mkdir()
     (folder / "loop").symlink_to("loop")
     (folder / "dangling").symlink_to("nowhere")

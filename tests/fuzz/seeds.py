@@ -14,6 +14,7 @@ from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.simulation.config import SimulationConfig
 from tests.fuzz.mcap_file import McapFile, Message, read_file
+from tests.helpers.forked_commands import write_files
 from tests.helpers.ros2_logs import encoded, ros2_messages, write_bag
 from tests.helpers.short_drives import drive as drive_of
 from tests.helpers.short_drives import keep_until, write_log, write_records
@@ -62,9 +63,7 @@ def make_seeds(folder: Path) -> Seeds:
     shutil.copy(WEIGHTS, folder)
     with LogReader(folder / "ros.mcap") as reader:
         write_bag(folder / "bag", list(reader.messages()))
-    for name, text in _KITTI.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
+    write_files(folder, {name: text.encode() for name, text in _KITTI.items()})
     logs = {name: read_file(str(folder / f"{name}.mcap")) for name in ("drive", "mapped", "map", "kinds", "ros")}
     found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
     return Seeds(

@@ -6,7 +6,7 @@ import pkgutil
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -32,6 +32,14 @@ def import_commands() -> None:
         with contextlib.suppress(ImportError, OSError):
             __import__(module)
     cli.make_app()
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Put ``files``, "FOLDER/NAME" or NAME and what they hold, into ``folder``."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
 
 
 def start(arguments: Sequence[str], folder: Path, limit: Callable[[], None] = lambda: None) -> int:

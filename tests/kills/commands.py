@@ -10,11 +10,18 @@ from tests.logs.importers.text_drives import TextDrive
 
 @dataclass(frozen=True)
 class Command:
-    """``arguments`` of dslam, run in a folder of its own; ``is_repeatable``: the same bytes each time."""
+    """``line`` of dslam, run in a folder of its own; ``is_repeatable``: the same bytes each time."""
 
-    name: str
-    arguments: tuple[str, ...]
+    line: str
     is_repeatable: bool = True
+
+    @property
+    def arguments(self) -> list[str]:
+        return self.line.split()
+
+    @property
+    def name(self) -> str:
+        return self.arguments[0]
 
 
 def make_commands(folder: Path) -> list[Command]:
@@ -26,16 +33,13 @@ def make_commands(folder: Path) -> list[Command]:
     write_log(log, keep_until(drive(), 4.0))
     write_log(other, keep_until(drive(), 5.0))
     replay(log, mapped)
-    text = TextDrive.make(folder)
-    tables = [part for role, path in text.files().items() for part in (f"--{role.replace('_', '-')}", str(path))]
-    network = ("--epochs", "2", "--threads", "1")
+    tables = (f"--{role.replace('_', '-')} {path}" for role, path in TextDrive.make(folder).files().items())
     return [
-        Command("replay", ("replay", str(log), "-o", "out.mcap", "--save-map", "map.mcap")),
-        Command("evaluate", ("evaluate", str(mapped), "--picture", "map.png")),
-        Command("export", ("export", str(mapped), "--tum", "a.txt", "--g2o", "a.g2o", "--csv", "a.csv")),
-        Command("import", ("import", "csv", "imported.mcap", *tables)),
-        Command("sweep", ("sweep", str(log), "-o", "sweep", "--degrade", "dropout=0.3", "--seeds", "2", "--jobs", "1"),
-                is_repeatable=False),
-        Command("fleet", ("fleet", "add", "city", str(log), str(other), "--workers", "1")),
-        Command("train", ("train", "net", *network), is_repeatable=False),
-    ]  # fmt: skip
+        Command(f"replay {log} -o out.mcap --save-map map.mcap"),
+        Command(f"evaluate {mapped} --picture map.png"),
+        Command(f"export {mapped} --tum a.txt --g2o a.g2o --csv a.csv"),
+        Command(f"import csv imported.mcap {' '.join(tables)}"),
+        Command(f"sweep {log} -o sweep --degrade dropout=0.3 --seeds 2 --jobs 1", is_repeatable=False),
+        Command(f"fleet add city {log} {other} --workers 1"),
+        Command("train net --epochs 2 --threads 1", is_repeatable=False),
+    ]

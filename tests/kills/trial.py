@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from logs.storage.mcap_index import MAGIC
-from tests.helpers.forked_commands import ERR, OUT, start
+from tests.helpers.forked_commands import ERR, OUT, start, write_files
 from tests.kills.commands import Command
 
 
@@ -51,9 +51,7 @@ def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: R
     """Kill a command after ``seconds``, in an empty folder if ``is_new``, or else over what a whole run left."""
     folder.mkdir()
     if not is_new:
-        for name, content in reference.files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(content)
+        write_files(folder, reference.files)
     child = start(command.arguments, folder)
     time.sleep(seconds)
     os.kill(child, signal.SIGKILL)

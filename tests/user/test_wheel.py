@@ -54,15 +54,7 @@ def test_a_drive_is_mapped_and_evaluated_in_a_fresh_environment(home: Path) -> N
 def test_the_library_is_typed(home: Path) -> None:
     example = home / "example.py"
     example.write_text(EXAMPLE, encoding="utf-8")
-    command = [
-        sys.executable,
-        "-m",
-        "mypy",
-        "--strict",
-        "--python-executable",
-        str(home / "bin" / "python"),
-        "example.py",
-    ]
-    result = subprocess.run(command, cwd=home, capture_output=True, text=True)
+    options = f"--strict --python-executable {home}/bin/python example.py".split()
+    result = subprocess.run([sys.executable, "-m", "mypy", *options], cwd=home, capture_output=True, text=True)
     assert 'Revealed type is "dslam.slam.evaluation.metrics.trajectory.TrajectoryErrors"' in result.stdout
     assert result.returncode == 0, result.stdout
