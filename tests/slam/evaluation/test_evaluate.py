@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,6 @@ from logs.messages import (
     GroundTruthPose,
     LoopClosureRecord,
     Odometry,
-    Record,
     SlamPose,
     StatusRecord,
     TrajectoryRecord,
@@ -19,10 +19,11 @@ from slam.common.geometry import apply, invert, make_transform, transform_from_x
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records, read_records
 from slam.evaluation.report.picture import compose_picture
+from slam.evaluation.result import Evaluation
 from tests.helpers.short_drives import write_records
 from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.maps import frames, object_map
-from tests.slam.evaluation.results import at_json, graph
+from tests.slam.evaluation.results import Log, associated, at_json, graph, measured, with_field, without
 
 COUNT = 400
 NOTHING = pytest.approx(0.0, abs=1e-9)
@@ -30,13 +31,13 @@ PARTS = {*("trajectory", "odometry", "online", "associations", "landmarks"), *("
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
 
 
-def made_log() -> list[tuple[str, Record]]:
+def made_log() -> Log:
     """400 m: odometry 1 % too long, a perfect estimate, ten objects seen three times each, one sighting missed."""
     at, T_gt = stamps(COUNT).tolist(), winding_path(COUNT)
     T_map_body = invert(T_WORLD_MAP) @ T_gt
     T_odom = T_map_body.copy()
     T_odom[:, :3, 3] *= 1.01
-    log: list[tuple[str, Record]] = []
+    log: Log = []
     for t, gt, est, odom in zip(at, T_gt, T_map_body, T_odom, strict=True):
         log.append(("/odom", Odometry(t, odom)))
         log.append(("/ground_truth", GroundTruthPose(t, gt)))
@@ -48,9 +49,7 @@ def made_log() -> list[tuple[str, Record]]:
             missed = index == 9 and k == 2
             sightings.append([(truth, "" if missed else landmark, k == 0)])
             at_frames.append(at[index * 10 + k])
-    associations, truths = frames(*sightings, stamps_ns=at_frames)
-    log += [("/slam/associations", record) for record in associations]
-    log += [("/ground_truth/detections", record) for record in truths]
+    log += associated(frames(*sightings, stamps_ns=at_frames))
     positions = winding_path(COUNT)[:100:10, :3, 3] + np.random.default_rng(0).uniform(-5, 5, (10, 3))
     labels = ("tree",) * 9 + ("pole",)
     log.append(("/ground_truth/objects", object_map(ids, positions, labels)))
@@ -72,14 +71,21 @@ def made_log() -> list[tuple[str, Record]]:
     return log
 
 
-def without(topic: str) -> list[tuple[str, Record]]:
-    """The log but for topics that begin so."""
-    return [each for each in made_log() if not each[0].startswith(topic)]
+MADE = made_log()
 
 
-def test_all_parts_of_a_complete_log() -> None:
-    result = evaluate(collect_records(made_log()))
-    assert PARTS.isdisjoint(result.unavailable)
+@pytest.fixture(scope="module")
+def complete() -> Evaluation:
+    return measured(MADE)
+
+
+def with_truth(alter: Callable[[FloatArray], FloatArray]) -> Log:
+    """The log with other true poses."""
+    return with_field(MADE, GroundTruthPose, "T_world_body", alter)
+
+
+def test_all_parts_of_a_complete_log(complete: Evaluation) -> None:
+    assert PARTS.isdisjoint(complete.unavailable)
     expected = {
         "trajectory.ate_m": NOTHING,
         "trajectory.online_ate_m": NOTHING,
@@ -95,55 +101,40 @@ def test_all_parts_of_a_complete_log() -> None:
         "counters.keyframes": 200,
         "protocol.revisit_m": 100.0,
     }
-    assert {path: at_json(result, path) for path in expected} == expected
+    assert {path: at_json(complete, path) for path in expected} == expected
 
 
-def test_truth_of_a_body_with_other_axes() -> None:
+def test_truth_of_a_body_with_other_axes(complete: Evaluation) -> None:
     """NED: x ahead, y to the right and z down."""
-    axes = np.diag([1.0, -1.0, -1.0, 1.0])
-    log = [
-        (topic, replace(record, T_world_body=record.T_world_body @ axes) if topic == "/ground_truth" else record)
-        for topic, record in made_log()
-    ]
-    result, same = evaluate(collect_records(log)), evaluate(collect_records(made_log()))
+    result = measured(with_truth(lambda T: T @ np.diag([1.0, -1.0, -1.0, 1.0])))
     assert at_json(result, "trajectory.true_axes") == "roll 180, pitch 0, yaw 0 deg"
-    assert at_json(same, "trajectory.true_axes") is None
-    assert at_json(result, "closures.precision") == at_json(same, "closures.precision") == 0.5
+    assert at_json(complete, "trajectory.true_axes") is None
+    assert at_json(result, "closures.precision") == at_json(complete, "closures.precision") == 0.5
     assert at_json(result, "trajectory.rpe_rotation_deg_per_100m") == pytest.approx(0.0, abs=1e-6)
 
 
-def test_truth_of_the_positions_of_an_antenna() -> None:
+def test_truth_of_the_positions_of_an_antenna(complete: Evaluation) -> None:
     antenna_m = np.array([3.0, -0.5, 1.2])
-    log = [
-        (topic, replace(record, T_world_body=make_transform(np.eye(3), apply(record.T_world_body, antenna_m[None])[0])))
-        if isinstance(record, GroundTruthPose)
-        else (topic, record)
-        for topic, record in made_log()
-    ]
-    result, same = evaluate(collect_records(log)), evaluate(collect_records(made_log()))
+    result = measured(with_truth(lambda T: make_transform(np.eye(3), apply(T, antenna_m[None])[0])))
     assert at_json(result, "trajectory.true_point_ahead_m") == pytest.approx(3.0, abs=0.05)
     assert at_json(result, "trajectory.true_point_left_m") == pytest.approx(-0.5, abs=0.05)
-    assert at_json(same, "trajectory.true_point_ahead_m") is None
+    assert at_json(complete, "trajectory.true_point_ahead_m") is None
     assert at_json(result, "trajectory.ate_m") == pytest.approx(0.0, abs=0.02)
     assert at_json(result, "trajectory.rpe_rotation_deg_per_100m") is None
-    assert at_json(result, "closures.precision") == at_json(same, "closures.precision") == 0.5
+    assert at_json(result, "closures.precision") == at_json(complete, "closures.precision") == 0.5
     assert result.unavailable["calibration"].startswith("the truth has positions only")
 
 
 def test_truth_of_a_body_that_never_turns() -> None:
-    log = [
-        (topic, replace(record, T_world_body=make_transform(np.eye(3), record.T_world_body[:3, 3])))
-        if isinstance(record, GroundTruthPose)
-        else (topic, replace(record, T_map_body=make_transform(np.eye(3), record.T_map_body[:, :3, 3])))
-        if isinstance(record, TrajectoryRecord)
-        else (topic, record)
-        for topic, record in made_log()
-    ]
-    assert at_json(evaluate(collect_records(log)), "trajectory.true_point_ahead_m") is None
+    def unturned(T: FloatArray) -> FloatArray:
+        return make_transform(np.eye(3), T[..., :3, 3])
+
+    log = with_field(with_truth(unturned), TrajectoryRecord, "T_map_body", unturned)
+    assert at_json(measured(log), "trajectory.true_point_ahead_m") is None
 
 
 def test_unmeasured_parts_are_empty_with_reason() -> None:
-    result = evaluate(collect_records(without("/ground_truth")))
+    result = measured(without(MADE, "/ground_truth"))
     assert at_json(result, "trajectory.ate_m") is None
     assert at_json(result, "associations") == at_json(result, "landmarks") == {}
     assert PARTS & set(result.unavailable) == PARTS - {"relocalization"}
@@ -154,21 +145,21 @@ def test_unmeasured_parts_are_empty_with_reason() -> None:
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
-    result = evaluate(collect_records(without("/slam/trajectory")))
+    result = measured(without(MADE, "/slam/trajectory"))
     assert "finished" in result.unavailable["trajectory"]
     assert at_json(result, "trajectory.online_ate_m") == NOTHING
     assert at_json(result, "landmarks.global_median_error_m") == NOTHING
 
 
 def test_revisits_need_keyframes() -> None:
-    result = evaluate(collect_records(without("/slam/graph")))
+    result = measured(without(MADE, "/slam/graph"))
     assert "/slam/graph" in result.unavailable["closures"]
     assert at_json(result, "closures.precision") == 0.5
     assert "recall" not in result.to_json_dict()["closures"]
 
 
 def test_a_reference_of_another_drive_is_told() -> None:
-    records = collect_records(made_log())
+    records = collect_records(MADE)
     late = replace(records.true_path, stamps_ns=records.true_path.stamps_ns + 10**13)
     truths = [replace(r, stamp_ns=r.stamp_ns + 10**13) for r in records.detection_truths]
     other = EvaluationRecords(true_path=late, detection_truths=tuple(truths))
@@ -178,15 +169,14 @@ def test_a_reference_of_another_drive_is_told() -> None:
     assert "another drive" in result.unavailable["associations"]
 
 
-def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
+def test_from_a_file_and_a_reference(complete: Evaluation, tmp_path: Path) -> None:
     out, reference = tmp_path / "out.mcap", tmp_path / "reference.mcap"
-    write_records(out, without("/ground_truth"))
-    write_records(reference, without("/slam"))
-    in_memory = evaluate(collect_records(made_log()))
+    write_records(out, without(MADE, "/ground_truth"))
+    write_records(reference, without(MADE, "/slam"))
     from_file = evaluate(read_records(out, reference=reference))
     assert PARTS.isdisjoint(from_file.unavailable)
     for path in ("trajectory.odometry_ate_m", "associations.recall", "landmarks.class_accuracy"):
-        assert at_json(from_file, path) == pytest.approx(at_json(in_memory, path), rel=1e-6)
+        assert at_json(from_file, path) == pytest.approx(at_json(complete, path), rel=1e-6)
 
 
 def drawn(records: EvaluationRecords) -> dict[str, FloatArray]:
@@ -198,7 +188,7 @@ def drawn(records: EvaluationRecords) -> dict[str, FloatArray]:
 
 
 def test_the_picture_is_in_the_map_frame() -> None:
-    layers = drawn(collect_records(made_log()))
+    layers = drawn(collect_records(MADE))
     path = layers["estimate"]
     np.testing.assert_allclose(layers["ground truth"], path, atol=1e-9)
     np.testing.assert_allclose(layers["odometry"][0], path[0], atol=1e-9)
@@ -212,7 +202,7 @@ def test_the_picture_is_in_the_map_frame() -> None:
 def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_noticed() -> None:
     at = stamps(COUNT).tolist()
     lost, found = StatusRecord(at[110], "LOST", "warning", ""), StatusRecord(at[120], "RELOCALIZED", "info", "")
-    records = collect_records([*made_log(), ("/slam/status", lost), ("/slam/status", found)])
+    records = collect_records([*MADE, ("/slam/status", lost), ("/slam/status", found)])
     assert records.graph is not None
     kept = records.graph.keyframe_ids[50:52].reshape(1, 2)
     jump = {"edge_transforms": np.eye(4)[None], "edge_covariances": np.eye(6)[None], "edge_kinds": ("discontinuity",)}
@@ -223,7 +213,7 @@ def test_a_lost_robot_is_marked_before_the_discontinuity_and_not_where_it_was_no
 
 
 def test_of_a_given_map_the_picture_shows_what_is_around_the_path() -> None:
-    records = collect_records(made_log())
+    records = collect_records(MADE)
     assert records.object_map is not None
     positions = records.object_map.positions.copy()
     positions[0] += [2.0 * COUNT, 0.0, 0.0]

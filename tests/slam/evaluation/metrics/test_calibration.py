@@ -1,27 +1,21 @@
 """Errors drawn from known covariances, and from others than the map says."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import gtsam
 import numpy as np
 import pytest
 
-from logs.messages import GroundTruthPose, Record
+from logs.messages import FactorGraphRecord, GroundTruthPose
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert
-from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.records import collect_records
 from slam.evaluation.metrics.calibration import NEEDS, measure_consistency, pose_errors
 from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.loops import closure
 from tests.slam.evaluation.maps import frames, object_map
-from tests.slam.evaluation.results import graph
+from tests.slam.evaluation.results import Log, associated, graph, measured, with_field, without
 
-Log = list[tuple[str, Record]]
-Change = Callable[[Log], Log]
 COUNT = 3000
 T_WORLD_MAP = pose_at(20.0, 30.0, z=1.0, yaw=2.4)
 ANISOTROPIC = np.diag([0.002, 0.003, 0.01, 0.5, 0.05, 0.1]) ** 2
@@ -91,9 +85,7 @@ def log_of_a_drive(*, poses: int = 400, landmarks: int = 400) -> Log:
     log.append(("/ground_truth/objects", object_map(true_ids, positions, labels)))
     log.append(("/slam/map", replace(object_map(ids, in_map, labels), covariances=spread)))
     sightings = [(truth, name, True) for truth, name in zip(true_ids, ids, strict=True)]
-    associations, truths = frames(sightings, stamps_ns=[int(at[0])])
-    log += [("/slam/associations", record) for record in associations]
-    log += [("/ground_truth/detections", record) for record in truths]
+    log += associated(frames(sightings, stamps_ns=[int(at[0])]))
     of_closures = 0.01 * random_covariances(rng, poses // 2, 6)  # small, so that all of them count as true
     off = exponential(draw(rng, of_closures))
     for row in range(poses // 2):
@@ -105,51 +97,42 @@ def log_of_a_drive(*, poses: int = 400, landmarks: int = 400) -> Log:
     return log
 
 
-def measured(log: Log) -> Mapping[str, Any]:
-    return evaluate(collect_records(log)).to_json_dict()["calibration"]
-
-
 def test_nees_of_right_covariances_is_1_in_every_part() -> None:
-    quality = measured(log_of_a_drive())
+    quality = measured(log_of_a_drive()).to_json_dict()["calibration"]
     for name in NEEDS:
         assert quality[f"{name}_nees"] == pytest.approx(1.0, abs=0.2), name
     assert quality["pose_count"] == 399  # the first keyframe is where the truth is tied
 
 
 def test_landmarks_are_tied_at_first_keyframe() -> None:
-    turn = pose_at(yaw=0.1)
-    shifted = [
-        (topic, replace(record, T_map_body=turn @ record.T_map_body) if topic == "/slam/graph" else record)
-        for topic, record in log_of_a_drive()
-    ]
-    quality = measured(shifted)
+    turned = with_field(log_of_a_drive(), FactorGraphRecord, "T_map_body", lambda T: pose_at(yaw=0.1) @ T)
+    quality = measured(turned).to_json_dict()["calibration"]
     assert quality["pose_nees"] == pytest.approx(1.0, abs=0.2)
     assert quality["landmark_nees"] > 100.0
 
 
-def without(topic: str) -> Change:
-    return lambda log: [each for each in log if not each[0].startswith(topic)]
-
-
-def without_pose_covariances(log: Log) -> Log:
-    return [(t, replace(r, pose_covariances=np.zeros((0, 6, 6))) if t == "/slam/graph" else r) for t, r in log]
+SHORT = log_of_a_drive(poses=40, landmarks=40)
 
 
 @pytest.mark.parametrize(
-    ("change", "left", "reason"),
+    ("log", "left", "reason"),
     [
-        (without("/slam/closures"), {"pose": 39, "landmark": 40}, "closures: "),
-        (without("/ground_truth/detections"), {"pose": 39, "closure": 20}, "landmarks: "),
-        (without("/slam/graph"), {"closure": 20}, "keyframes: "),
-        (without_pose_covariances, {"landmark": 40, "closure": 20}, "keyframes: "),
-        (lambda log: log[1:], {"closure": 19}, "first keyframe"),
-        (without("/ground_truth"), {}, "--reference"),
+        (without(SHORT, "/slam/closures"), {"pose": 39, "landmark": 40}, "closures: "),
+        (without(SHORT, "/ground_truth/detections"), {"pose": 39, "closure": 20}, "landmarks: "),
+        (without(SHORT, "/slam/graph"), {"closure": 20}, "keyframes: "),
+        (
+            with_field(SHORT, FactorGraphRecord, "pose_covariances", lambda covariances: covariances[:0]),
+            {"landmark": 40, "closure": 20},
+            "keyframes: ",
+        ),
+        (SHORT[1:], {"closure": 19}, "first keyframe"),
+        (without(SHORT, "/ground_truth"), {}, "--reference"),
     ],
 )
-def test_calibration_names_missing_parts(change: Change, left: dict[str, int], reason: str) -> None:
-    log = change(log_of_a_drive(poses=40, landmarks=40))
-    assert reason in evaluate(collect_records(log)).unavailable["calibration"]
-    quality = measured(log)
+def test_calibration_names_missing_parts(log: Log, left: dict[str, int], reason: str) -> None:
+    result = measured(log)
+    assert reason in result.unavailable["calibration"]
+    quality = result.to_json_dict()["calibration"]
     counts = {name: quality[f"{name}_count"] for name in NEEDS}
     assert {name: count for name, count in counts.items() if count} == left
     for name in NEEDS.keys() - left.keys():

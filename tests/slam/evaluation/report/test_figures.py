@@ -6,9 +6,10 @@ import pytest
 
 from logs.messages import StatusRecord
 from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.records import EvaluationRecords, collect_records
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.report.figures import SUMMARY, fill, summarize, value_at
-from tests.slam.evaluation.test_evaluate import made_log
+from tests.slam.evaluation.results import measured
+from tests.slam.evaluation.test_evaluate import MADE
 
 RESULTS = {"a": {"error_m": 0.25, "share": 0.5, "count": 3, "none": None}, "text": "x"}
 
@@ -29,8 +30,7 @@ def test_clause_without_value_is_left_out(clauses: tuple[str, ...], expected: st
 
 
 def test_every_figure_in_a_sentence_exists() -> None:
-    log = [*made_log(), ("/slam/status", StatusRecord(0, "LOST", "warning", ""))]
-    results = evaluate(collect_records(log)).to_json_dict()
+    results = measured([*MADE, ("/slam/status", StatusRecord(0, "LOST", "warning", ""))]).to_json_dict()
     clauses = [clause for line in SUMMARY.values() for clause in line]
     keys = [key.replace("][", ".").replace("[", ".") for clause in clauses for key in re.findall(r"{([^:]*)]", clause)]
     assert len(keys) > 30
