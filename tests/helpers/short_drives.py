@@ -1,6 +1,7 @@
 """Short drives for the tests of the estimator: simulated, altered by a test, replayed and read back."""
 
 from collections.abc import Callable, Iterable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from logs.importers.imported_log import TOPICS
 from logs.messages import FactorGraphRecord, ObjectMapRecord, Odometry, Record, StatusRecord
 from logs.reader import LogReader
 from logs.selection import select_all
+from logs.storage.stream import write_stream
 from logs.topics import RawMessage
 from logs.writer import LogWriter
 from slam.common.config import Config
@@ -107,6 +109,15 @@ def write_map(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord, *,
             writer.write("/map/objects", objects, 0)
         writer.write("/map/graph", graph, 0)
     return path
+
+
+def stream_of(entries: Iterable[Entry]) -> BytesIO:
+    """Records as a stream of bytes, at its beginning."""
+    stream = BytesIO()
+    for topic, log_time_ns, record in entries:
+        write_stream(stream, topic, record, log_time_ns)
+    stream.seek(0)
+    return stream
 
 
 def raw_messages(path: Path) -> list[RawMessage]:

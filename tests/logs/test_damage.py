@@ -32,7 +32,10 @@ def whole(tmp_path_factory):
     return write_records(path, records, configuration={"a": "1"}).read_bytes()
 
 
-def stamps(path):
+def read(folder, content):
+    """Stamps of the odometry and counters of a log with that content."""
+    path = folder / "log.mcap"
+    path.write_bytes(content)
     with LogReader(path) as reader:
         found = [entry.record.stamp_ns for entry in reader.records(ODOMETRY)]
         return found, reader.counters
@@ -40,9 +43,7 @@ def stamps(path):
 
 @pytest.mark.parametrize("cut", [8, 60, 300_001, -1, -30])
 def test_truncated_log_gives_a_prefix_of_its_records(whole, tmp_path, cut):
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(whole[:cut])
-    found, counters = stamps(path)
+    found, counters = read(tmp_path, whole[:cut])
     assert found == list(range(1, len(found) + 1))
     assert len(found) == COUNT if cut < 0 else 0 < len(found) < COUNT if cut > 300_000 else not found
     assert cut < 0 or counters["truncated"] == 1
@@ -63,9 +64,7 @@ def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(whole, tmp_path, wi
     chunk = McapIndex("", BytesIO(whole), ReadingLimits()).blocks[1]
     damaged = bytearray(whole)
     damaged[chunk.chunk_start_offset + 33] ^= 0xFF  # in the stored checksum: 9 bytes of header, two times, the size
-    path = tmp_path / "log.mcap"
-    path.write_bytes(damaged if with_summary else damaged[:-100])
-    found, counters = stamps(path)
+    found, counters = read(tmp_path, damaged if with_summary else damaged[:-100])
     assert 0 < len(found) < COUNT
     assert found == sorted(set(range(1, COUNT + 1)) - set(range(chunk.message_start_time, chunk.message_end_time + 1)))
     assert counters["lost_chunks"] == 1
@@ -75,20 +74,16 @@ def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(whole, tmp_path, wi
 def test_summary_with_a_bad_checksum_is_not_believed(whole, tmp_path):
     damaged = bytearray(whole)
     damaged[whole.rindex(b"/odom")] ^= 0x01
-    path = tmp_path / "log.mcap"
-    path.write_bytes(damaged)
-    assert len(stamps(path)[0]) == COUNT
+    assert len(read(tmp_path, damaged)[0]) == COUNT
 
 
 @pytest.mark.parametrize("layout", [Layout("lz4"), Layout("", has_index=False), Layout("", use_chunking=False)])
 def test_other_layouts_are_read_alike(whole, tmp_path, layout):
     path = tmp_path / "log.mcap"
     path.write_bytes(whole)
-    path.write_bytes(write_file(read_file(path), layout))
-    assert stamps(path) == (list(range(1, COUNT + 1)), {})
-    cut = path.read_bytes()[: path.stat().st_size // 2]
-    path.write_bytes(cut)
-    found, counters = stamps(path)
+    content = write_file(read_file(path), layout)
+    assert read(tmp_path, content) == (list(range(1, COUNT + 1)), {})
+    found, counters = read(tmp_path, content[: len(content) // 2])
     assert found == list(range(1, len(found) + 1))
     assert counters["truncated"] == 1
     assert layout.use_chunking or len(found) > COUNT // 3

@@ -29,6 +29,12 @@ def bags(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> d
     return {"mcap": write_bag(folder / "mcap", messages), "split": write_bag(folder / "split", messages, files=2)}
 
 
+@pytest.fixture
+def bag(bags: dict[str, Path], tmp_path: Path) -> Path:
+    """A copy of that of two files."""
+    return Path(shutil.copytree(bags["split"], tmp_path / "bag"))
+
+
 def contents(path: Path) -> list[tuple[str, int, bytes]]:
     return [(raw.topic, raw.log_time_ns, raw.data) for raw in raw_messages(path)]
 
@@ -58,8 +64,7 @@ def test_databases_are_refused_with_the_command_that_converts_them(messages: lis
         assert len(list(reader.records(select_topics(reader.topics())))) == len(messages)
 
 
-def test_a_missing_file_is_named(bags: dict[str, Path], tmp_path: Path) -> None:
-    bag = Path(shutil.copytree(bags["split"], tmp_path / "bag"))
+def test_a_missing_file_is_named(bag: Path) -> None:
     (bag / "part_1.mcap").unlink()
     with pytest.raises(UnreadableLogError, match=r"metadata\.yaml names part_1\.mcap, which are not there; copy"):
         LogReader(bag)
@@ -73,8 +78,7 @@ def test_folder_without_metadata_and_metadata_alone_are_refused(bags: dict[str, 
 
 
 @pytest.mark.parametrize("text", ["a: [1", "a: 3", "a: !!int ''", 'a: "\\Uffffffff"', "a: " + "[" * 3000])
-def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
-    bag = Path(shutil.copytree(bags["mcap"], tmp_path / "bag"))
+def test_metadata_that_is_none(bag: Path, text: str) -> None:
     (bag / "metadata.yaml").write_text(text)
     with pytest.raises(
         UnreadableLogError, match=r"metadata\.yaml is not the metadata of a rosbag2 recording"
@@ -83,8 +87,7 @@ def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str)
     assert "\n" not in str(caught.value)
 
 
-def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path) -> None:
-    bag = Path(shutil.copytree(bags["split"], tmp_path / "bag"))
+def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], bag: Path) -> None:
     path = bag / "part_1.mcap"
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
     with LogReader(bag) as reader:

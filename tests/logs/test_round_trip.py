@@ -6,7 +6,7 @@ from logs import messages as m
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
 from logs.writer import LogWriter
-from tests.helpers.short_drives import write_records
+from tests.helpers.short_drives import write_log, write_records
 from tests.logs.examples import assert_same_record, every_kind, random_detections
 
 
@@ -61,9 +61,8 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
 def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):
     rng = np.random.default_rng(7)
     times = rng.permutation(6000)
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        for time in times.tolist():
-            writer.write("/odom", m.Odometry(1_000_000 + time, np.eye(4)), log_time_ns=time)
+    entries = (("/odom", time_ns, m.Odometry(1_000_000 + time_ns, np.eye(4))) for time_ns in times.tolist())
+    write_log(tmp_path / "log.mcap", entries)
     with LogReader(tmp_path / "log.mcap") as reader:
         assert len(reader._open[0].blocks) > 1  # type: ignore[attr-defined]
         entries = list(reader.records(Selection.of({"/odom": "odometry"})))
@@ -88,10 +87,8 @@ def test_one_pass_decodes_and_copies(tmp_path):
 
 
 def test_topics_tell_counts_times_and_kinds(tmp_path):
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        for i in range(5000):
-            writer.write("/odom", m.Odometry(i + 1, np.eye(4)))
-        writer.write("/late", m.Odometry(9, np.eye(4)), log_time_ns=123)
+    entries = [("/odom", None, m.Odometry(i + 1, np.eye(4))) for i in range(5000)]
+    write_log(tmp_path / "log.mcap", [*entries, ("/late", 123, m.Odometry(9, np.eye(4)))])
     with LogReader(tmp_path / "log.mcap") as reader:
         late, odom = reader.topics()
     assert (late.topic, late.message_count, late.first_log_time_ns) == ("/late", 1, 123)  # of its chunk

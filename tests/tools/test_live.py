@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from logs.storage.stream import write_stream
 from slam.simulation.config import SimulationConfig
-from tests.helpers.short_drives import drive, keep_until, write_log
+from tests.helpers.short_drives import drive, keep_until, stream_of, write_log
 from tests.tools.runs import Run
 
 pytest.importorskip("foxglove")
@@ -19,11 +18,7 @@ pytest.importorskip("foxglove")
 def test_log_or_stream_is_mapped(dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str) -> None:
     entries = keep_until(drive(SimulationConfig()), 4.0)
     if source == "-":
-        stream = io.BytesIO()
-        for topic, log_time_ns, record in entries:
-            write_stream(stream, topic, record, log_time_ns)
-        stream.seek(0)
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(stream))
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(stream_of(entries)))
     else:
         source = str(write_log(tmp_path / "drive.mcap", entries))
     found = dslam("live", source, "--speed", 0, "--port", 0, "-o", tmp_path / "out.mcap", "--json").json

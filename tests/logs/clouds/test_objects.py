@@ -4,6 +4,7 @@ import numpy as np
 
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.objects import CloudObjects, find_objects
+from logs.messages import FloatArray
 from tests.helpers.data import KITTI, SCANS, needs_scans
 from tests.logs.clouds.clouds import FAR, cloud, post
 
@@ -11,31 +12,33 @@ ORIGIN = np.zeros(3)
 NAMES = {80: "pole", 71: "trunk", 10: "car"}
 
 
+def seen(*parts: tuple[int, int, FloatArray], upright: bool = True) -> CloudObjects:
+    """Objects in a scan of a sensor at the origin."""
+    return find_objects(cloud([*parts, FAR]), NAMES, upright=upright, viewpoint=ORIGIN)
+
+
 def test_clusters_of_a_class_are_objects_where_there_are_no_instances() -> None:
-    posts = cloud([(80, 0, post(8.0, 2.0)), (80, 0, post(8.0, 4.0)), (71, 0, post(8.3, 2.0)), FAR])
-    found = find_objects(posts, NAMES, viewpoint=ORIGIN)
+    found = seen((80, 0, post(8.0, 2.0)), (80, 0, post(8.0, 4.0)), (71, 0, post(8.3, 2.0)))
     assert found.labels == ("trunk", "pole", "pole")
 
 
 def test_points_of_one_instance_are_one_object_however_far_apart() -> None:
-    posts = cloud([(80, 3, post(8.0, 2.0)), (80, 3, post(8.0, 5.0)), (80, 4, post(8.0, 5.5)), FAR])
-    found = find_objects(posts, NAMES, viewpoint=ORIGIN)
+    found = seen((80, 3, post(8.0, 2.0)), (80, 3, post(8.0, 5.0)), (80, 4, post(8.0, 5.5)))
     assert found.labels == ("pole", "pole")
 
 
 def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:
     points = post(20.0, 0.0)
     rings = points[np.isclose(points[:, 2] % 0.7, 0.0, atol=0.05) | np.isclose(points[:, 2] % 0.7, 0.7, atol=0.05)]
-    assert len(find_objects(cloud([(80, 0, rings), FAR]), NAMES, viewpoint=ORIGIN).labels) == 1
-    tilted = find_objects(cloud([(80, 0, rings), FAR]), NAMES, upright=False, viewpoint=ORIGIN)
-    assert len(tilted.labels) > 1
+    assert len(seen((80, 0, rings)).labels) == 1
+    assert len(seen((80, 0, rings), upright=False).labels) > 1
 
 
 def test_too_small_and_too_long_objects_are_left_out() -> None:
     wall = np.concatenate([post(6.0, y) for y in np.arange(-10.0, 10.0, 0.25)])
-    found = find_objects(cloud([(80, 0, post(9.0, 0.0)), (10, 0, post(5.0, 0.0)[:3])]), NAMES)
-    seen = find_objects(cloud([(80, 0, post(9.0, 0.0)), (71, 0, wall), FAR]), NAMES, viewpoint=ORIGIN)
-    assert found.labels == seen.labels == ("pole",)
+    without_small = find_objects(cloud([(80, 0, post(9.0, 0.0)), (10, 0, post(5.0, 0.0)[:3])]), NAMES)
+    without_long = seen((80, 0, post(9.0, 0.0)), (71, 0, wall))
+    assert without_small.labels == without_long.labels == ("pole",)
 
 
 def test_lengths_follow_the_reach_of_the_sensor() -> None:

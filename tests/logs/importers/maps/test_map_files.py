@@ -9,6 +9,7 @@ import pytest
 
 from logs.errors import DatasetError
 from logs.importers.maps.geojson import read_geojson
+from logs.importers.maps.map_objects import MapObjects
 from logs.importers.maps.object_table import read_object_table
 from logs.importers.maps.osm import read_osm
 
@@ -36,6 +37,12 @@ def geojson(path: Path, *features: object, **more: object) -> Path:
     return path
 
 
+def table(folder: Path, text: str) -> MapObjects:
+    path = folder / "objects.csv"
+    path.write_text(text)
+    return read_object_table(path)
+
+
 def test_table_of_metres_with_classes_and_ids(tmp_path: Path) -> None:
     path = tmp_path / "objects.csv.gz"
     path.write_bytes(gzip.compress(b"x_m,y_m,z_m,class,id\n1.5,-2,0.5,pole,a\n3,4,,,b\n"))
@@ -45,19 +52,14 @@ def test_table_of_metres_with_classes_and_ids(tmp_path: Path) -> None:
 
 
 def test_table_of_names_that_repeat_and_of_unknown_ids(tmp_path: Path) -> None:
-    path = tmp_path / "objects.csv"
-    path.write_text("easting,northing,name\n1,2,bench\n3,4,bench\n5,6,\n")
-    objects = read_object_table(path)
+    objects = table(tmp_path, "easting,northing,name\n1,2,bench\n3,4,bench\n5,6,\n")
     np.testing.assert_array_equal(objects.positions[:, :2], [[1, 2], [3, 4], [5, 6]])
     assert (objects.labels, objects.ids) == (("bench", "bench", "object"), ("bench", "bench#1", "line 4"))
-    path.write_text("x,y,id\n1,2,\n3,4,\n")
-    assert read_object_table(path).ids == ("line 2", "line 3")
+    assert table(tmp_path, "x,y,id\n1,2,\n3,4,\n").ids == ("line 2", "line 3")
 
 
 def test_table_of_degrees_by_the_names_of_its_columns(tmp_path: Path) -> None:
-    path = tmp_path / "trees.csv"
-    path.write_text("Longitude;Latitude;Species\n24.9;60.1;oak\n")
-    objects = read_object_table(path)
+    objects = table(tmp_path, "Longitude;Latitude;Species\n24.9;60.1;oak\n")
     np.testing.assert_array_equal(objects.positions, [[60.1, 24.9, 0.0]])
     assert (objects.labels, objects.is_geodetic) == (("oak",), True)
 
@@ -72,10 +74,8 @@ def test_table_of_degrees_by_the_names_of_its_columns(tmp_path: Path) -> None:
     ],
 )
 def test_read_object_table_refuses(tmp_path: Path, text: str, fault: str) -> None:
-    path = tmp_path / "objects.csv"
-    path.write_text(text)
     with pytest.raises(DatasetError, match=fault):
-        read_object_table(path)
+        table(tmp_path, text)
 
 
 def test_geojson_of_points_with_their_class(tmp_path: Path) -> None:
