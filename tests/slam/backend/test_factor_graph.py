@@ -53,8 +53,7 @@ def test_a_robust_kernel_holds_against_one_mirrored_observation():
     assert_is_true(graph)
 
 
-def test_the_incremental_and_the_batch_estimate_agree():
-    graph = build(noisy_edges(), sightings())
+def test_the_incremental_and_the_batch_estimate_agree(graph):
     before = graph.poses()
     rows = graph.landmarks
     landmarks_before = graph.landmark_positions(rows)
@@ -100,9 +99,8 @@ REFUSED: dict[str, tuple[Callable[[FactorGraph], object], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_it_is_refused_by_name(name):
+def test_it_is_refused_by_name(graph, name):
     call, told = REFUSED[name]
-    graph = build(noisy_edges(), sightings())
     with pytest.raises(FactorGraphError, match=told):
         call(graph)
 

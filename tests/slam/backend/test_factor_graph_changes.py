@@ -24,9 +24,9 @@ from tests.slam.backend.graphs import (
 )
 
 
-def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
+def test_a_removed_landmark_is_as_if_it_had_never_been_seen(graph):
     without = [o for o in sightings() if o.landmark not in (2, 4)]
-    graph, reference = build(noisy_edges(), sightings()), build(noisy_edges(), without)
+    reference = build(noisy_edges(), without)
     graph.remove_landmarks([2, 4, 77])
     graph.optimize()
     reference.optimize()
@@ -34,15 +34,14 @@ def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
     assert all(not isinstance(f, Observation) or f.landmark not in (2, 4) for f in graph.factors.values())
 
 
-def test_a_landmark_that_comes_and_goes_between_two_updates_was_never_there() -> None:
-    edges, observations = noisy_edges(), sightings()
-    graph, twin = build(edges, observations), build(edges, observations)
+def test_a_landmark_that_comes_and_goes_between_two_updates_was_never_there(graph):
+    poses = graph.poses()
     seen = np.array([3.0, 1.0, 0.5])
     graph.add_observations([Observation(k, 99, seen, SEEN_COVARIANCE) for k in (3, 4)])
     graph.remove_landmarks([99])
     graph.update()
     assert 99 not in graph.landmarks
-    np.testing.assert_array_equal(graph.poses(), twin.poses())
+    np.testing.assert_array_equal(graph.poses(), poses)
 
 
 def test_observed_positions_are_means_by_information_of_own_observations_only():
@@ -66,8 +65,7 @@ def test_observed_positions_are_means_by_information_of_own_observations_only():
 
 
 @pytest.mark.parametrize("update_between", [True, False])
-def test_a_removed_landmark_may_be_seen_again(update_between):
-    graph = build(noisy_edges(), sightings())
+def test_a_removed_landmark_may_be_seen_again(graph, update_between):
     graph.remove_landmarks([4])
     if update_between:
         graph.update()
@@ -76,8 +74,7 @@ def test_a_removed_landmark_may_be_seen_again(update_between):
     assert_is_true(graph)
 
 
-def test_a_removed_edge_is_in_force_no_longer():
-    graph = build(noisy_edges(), sightings())
+def test_a_removed_edge_is_in_force_no_longer(graph):
     tight = Edge(0, 6, np.eye(4), 1e-6 * np.eye(6), "odometry")
     number = graph.add_edge(tight)
     graph.optimize()
@@ -89,8 +86,7 @@ def test_a_removed_edge_is_in_force_no_longer():
     assert number not in graph.factors
 
 
-def test_an_update_with_nothing_new_changes_nothing():
-    graph = build(noisy_edges(), sightings())
+def test_an_update_with_nothing_new_changes_nothing(graph):
     before = graph.poses()
     graph.update()
     graph.update()
@@ -156,9 +152,8 @@ def test_a_joining_edge_moves_its_segment_as_a_whole(ends):
     assert number not in graph.factors
 
 
-def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it():
+def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it(graph):
     """Landmarks seen by both parts would pull them together again."""
-    graph = build(noisy_edges(), sightings())
     T_step, loose = pose_at(300.0), np.diag(np.repeat([1.0, 1e4], 3))
     graph.break_before(Edge(3, 4, T_step, loose, EdgeKind.DISCONTINUITY))
     graph.optimize()

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,14 @@ def whole() -> SavedMap:
     return driven_map(town(), 0.0, 100.0)
 
 
+def condense(whole: SavedMap, **changed: Any) -> SavedMap:
+    """The map with other fields of its graph, condensed."""
+    return condense_map(replace(whole, graph=replace(whole.graph, **changed)), cell_m=CELL_M)
+
+
 @pytest.fixture(scope="module")
 def condensed(whole: SavedMap) -> SavedMap:
-    return condense_map(whole, cell_m=CELL_M)
+    return condense(whole)
 
 
 def test_a_condensed_map_keeps_its_landmarks_and_shape(whole: SavedMap, condensed: SavedMap) -> None:
@@ -33,14 +39,16 @@ def test_a_condensed_map_keeps_its_landmarks_and_shape(whole: SavedMap, condense
     np.testing.assert_allclose(seen_at, objects.positions[rows], atol=1e-9)
 
 
-def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(whole: SavedMap) -> None:
+def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(
+    whole: SavedMap, condensed: SavedMap
+) -> None:
     graph, count = whole.graph, len(whole.graph.keyframe_ids)
     twice = {
         name: np.concatenate([getattr(graph, name)] * 2)
         for name in ("keyframe_stamps_ns", "T_map_body", "observation_positions", "observation_covariances")
     }
-    again = replace(
-        graph,
+    double = condense(
+        whole,
         **twice,
         keyframe_ids=np.arange(2 * count),
         edge_keyframe_ids=np.array([[0, count]]),
@@ -50,16 +58,15 @@ def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(whole
         observation_keyframe_ids=np.append(graph.observation_keyframe_ids, graph.observation_keyframe_ids + count),
         observation_landmark_ids=graph.observation_landmark_ids * 2,
     )
-    single, double = (condense_map(replace(whole, graph=each), cell_m=CELL_M) for each in (graph, again))
-    assert double.objects.ids == single.objects.ids
-    np.testing.assert_array_equal(double.graph.T_map_body, single.graph.T_map_body)
-    np.testing.assert_allclose(double.graph.observation_covariances, 0.5 * single.graph.observation_covariances)
+    assert double.objects.ids == condensed.objects.ids
+    np.testing.assert_array_equal(double.graph.T_map_body, condensed.graph.T_map_body)
+    np.testing.assert_allclose(double.graph.observation_covariances, 0.5 * condensed.graph.observation_covariances)
 
 
 def test_the_place_at_the_origin_comes_first_also_if_drives_came_from_behind_it(whole: SavedMap) -> None:
     T_map_body = whole.graph.T_map_body.copy()
     T_map_body[:, 0, 3] -= 60.0
-    folded = condense_map(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), cell_m=CELL_M)
+    folded = condense(whole, T_map_body=T_map_body)
     from_origin_m = np.linalg.norm(folded.graph.T_map_body[:, :3, 3], axis=1)
     assert from_origin_m[0] == from_origin_m.min() < 0.5 * CELL_M
 
@@ -68,7 +75,7 @@ def test_a_level_drive_passes_one_row_of_cells_whatever_its_noise(whole: SavedMa
     rng = np.random.default_rng(0)
     T_map_body = whole.graph.T_map_body.copy()
     T_map_body[:, 1:3, 3] = rng.normal(0.0, 0.05, (len(T_map_body), 2))
-    folded = condense_map(replace(whole, graph=replace(whole.graph, T_map_body=T_map_body)), cell_m=CELL_M)
+    folded = condense(whole, T_map_body=T_map_body)
     assert len(folded.graph.keyframe_ids) == len(np.unique(np.round(T_map_body[:, 0, 3] / CELL_M)))
 
 
@@ -82,7 +89,7 @@ def test_edges_between_places_are_as_uncertain_as_the_steps_between_them(condens
 
 def test_places_that_only_a_closure_ties_have_its_edge(whole: SavedMap) -> None:
     kinds = ["closure" if 20 <= row < 40 else kind for row, kind in enumerate(whole.graph.edge_kinds)]
-    tied = condense_map(replace(whole, graph=replace(whole.graph, edge_kinds=tuple(kinds))), cell_m=CELL_M)
+    tied = condense(whole, edge_kinds=tuple(kinds))
     assert set(tied.graph.edge_kinds) == {"odometry", "closure"}
     assert find_fault(tied.objects, tied.graph) == ""
 

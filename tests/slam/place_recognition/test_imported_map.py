@@ -23,30 +23,36 @@ def imported(positions: FloatArray) -> ImportedMap:
     return make_imported_map(positions, labels, ids, sigma_m=0.3, georeference=Georeference(60.0, 24.0))
 
 
-def test_a_file_gives_it_back(tmp_path: Path) -> None:
-    known, path = imported(scattered()), tmp_path / "map.mcap"
-    save_imported_map(path, known)
+@pytest.fixture
+def known() -> ImportedMap:
+    return imported(scattered())
+
+
+@pytest.fixture
+def path(known: ImportedMap, tmp_path: Path) -> Path:
+    save_imported_map(tmp_path / "map.mcap", known)
+    return tmp_path / "map.mcap"
+
+
+def test_a_file_gives_it_back(known: ImportedMap, path: Path) -> None:
     loaded = load_prior_map(path)
     assert isinstance(loaded, ImportedMap)
     assert isinstance(loaded.pairs.words, np.memmap)
     assert (loaded.vocabulary, loaded.georeference, loaded.sigma_m) == (("pole", "tree"), known.georeference, 0.3)
     for name in ("positions", "classes", "ids"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(known, name))
-    again = tmp_path / "again.mcap"
+    again = path.with_name("again.mcap")
     save_imported_map(again, known)
     assert again.read_bytes() == path.read_bytes()
 
 
-def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
-    known, path = imported(scattered()), tmp_path / "map.mcap"
-    save_imported_map(path, known)
+def test_a_damaged_file_is_refused(known: ImportedMap, path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[content.index(known.positions.tobytes()) + 7] ^= 1
-    (tmp_path / "changed.mcap").write_bytes(content)
-    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
-    for name in ("changed", "cut"):
-        with pytest.raises(SavedMapError, match=rf"{name}\.mcap.*damaged"):
-            load_prior_map(tmp_path / f"{name}.mcap")
+    for damaged in (content, content[: len(content) // 2]):
+        path.write_bytes(damaged)
+        with pytest.raises(SavedMapError, match=r"map\.mcap.*damaged"):
+            load_prior_map(path)
 
 
 @pytest.mark.parametrize(

@@ -27,14 +27,10 @@ def searched(positions: FloatArray, labels: IntArray, classes: int = 1) -> Place
 
 
 def observed(
-    positions: FloatArray,
-    centre: tuple[float, float],
-    rng: np.random.Generator,
-    *,
-    missing: float = 0.0,
-    clutter: int = 0,
+    positions: FloatArray, rng: np.random.Generator, *, missing: float = 0.0, clutter: int = 0
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Objects (N, 3) within 30 m of a robot, their rows (N,), -1 of clutter, and the robot's pose (4, 4)."""
+    centre = rng.uniform(100.0, 450.0, 2)
     T_map_query = pose_at(*centre, z=2.0, yaw=float(rng.uniform(-np.pi, np.pi)))
     rows = np.flatnonzero(np.hypot(*(positions[:, :2] - centre).T) < 30.0)
     rows = rows[rng.random(len(rows)) >= missing]
@@ -54,7 +50,7 @@ def is_near(T: FloatArray, T_gt: FloatArray, *, within_m: float = 0.5) -> bool:
 
 def test_objects_that_are_not_allowed_make_no_pose() -> None:
     positions, labels = town()
-    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(2))
+    seen, rows, T_gt = observed(positions, np.random.default_rng(2))
     allowed = np.ones(len(positions), bool)
     allowed[rows] = False
     poses = searched(positions, labels).find_poses(query(seen, labels[rows]), count=5, allowed=allowed)
@@ -64,7 +60,7 @@ def test_objects_that_are_not_allowed_make_no_pose() -> None:
 
 def test_pose_is_fitted_to_all_objects_in_view() -> None:
     positions, labels = town()
-    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(2))
+    seen, rows, T_gt = observed(positions, np.random.default_rng(2))
     T = searched(positions, labels).find_poses(query(seen, labels[rows]), count=5)
     assert len(T) == 5
     assert np.linalg.norm((T[0] - T_gt)[:2, 3]) < 3.0 * SIGMA_M / np.sqrt(len(rows))
@@ -78,8 +74,7 @@ def test_pairs_are_compared_by_the_noise_between_neighbours() -> None:
     found = {SIGMA_M: 0, None: 0}
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
-        seen, rows, T_gt = observed(positions, centre, rng, missing=0.3, clutter=12)
+        seen, rows, T_gt = observed(positions, rng, missing=0.3, clutter=12)
         seen[:, 1] += seen[:, 0] ** 2 / 100.0  # a bend of the odometry
         for local_sigma_m in found:
             asked = Submap(seen, np.full(len(rows), 3.0), np.zeros_like(rows), rows, local_sigma_m=local_sigma_m)
@@ -107,10 +102,10 @@ def test_of_poses_that_are_one_the_likeliest_is_kept(yaw: float) -> None:
 
 
 def test_class_without_objects_meets_nothing() -> None:
-    positions, labels = town(200)
+    positions, labels = town()
     search = searched(positions, labels, classes=3)
     rng = np.random.default_rng(5)
-    seen, rows, _ = observed(positions, (70.0, 70.0), rng)
+    seen, rows, _ = observed(positions, rng)
     mixed = np.where(rng.random(len(rows)) < 0.5, 2, 0)
     poses = search.find_poses(query(seen, mixed), count=5)
     assert np.isfinite(poses).all()
@@ -122,8 +117,7 @@ def test_pose_voted_for_beside_the_right_one_is_fitted_until_it_is_right(monkeyp
     rng = np.random.default_rng(3)
     errors_m = []
     for _ in range(10):
-        centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
-        seen, rows, T_gt = observed(positions, centre, rng)
+        seen, rows, T_gt = observed(positions, rng)
         T_beside = T_gt @ pose_at(1.4, 1.0, yaw=0.05)
         monkeypatch.setattr("slam.place_recognition.place_search.vote_for_poses", lambda *_, T=T_beside, **__: T[None])
         (fitted,) = search.find_poses(query(seen, labels[rows]), map_sigma_m=SIGMA_M, count=1)

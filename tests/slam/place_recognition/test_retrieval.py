@@ -52,23 +52,28 @@ class Places:
         positions = apply(invert(pose_at(x_m, yaw=0.4)), here.map.rows["position_local"][rows])
         return Submap(positions, np.full(COUNT, 0.4), here.map.labels.classes(rows), 10_000 + rows)
 
+    def add_again(self, rows: np.ndarray, x_m: float, travel_m: float) -> None:
+        """The objects of ``rows`` as seen on another traversal."""
+        for kept, dropped in zip(rows, self.add(x_m, travel_m), strict=True):
+            self.map.merge(int(kept), int(dropped))
+
+    def propose(self, x_m: float, seed: int = 1, before_m: float = BEFORE_M) -> list[Place]:
+        return self.retriever.propose(self.query(x_m, seed), before_m=before_m)
+
     def found_m(self, x_m: float, seed: int = 1) -> list[float]:
         """Where the first place is said to be, if there is one."""
         self.index()
-        found = self.retriever.propose(self.query(x_m, seed), before_m=BEFORE_M)
-        return [round(float(place.T_local_query[0, 3]), 1) for place in found[:1]]
+        return [round(float(place.T_local_query[0, 3]), 1) for place in self.propose(x_m, seed)[:1]]
+
+    def reference(self, travel_m: float, before_m: float = BEFORE_M) -> list[int]:
+        """Rows of the reference of the place at 50 m that was seen then."""
+        place = Place(pose_at(50.0), travel_m, 0, "descriptor")
+        return list(self.retriever.reference_submap(place, before_m=before_m).rows)
 
 
 @pytest.fixture
 def places() -> Places:
     return Places()
-
-
-def test_a_place_is_found_by_its_objects(places):
-    places.add(50.0, 100.0)
-    places.add(400.0, 450.0, seed=2)
-    assert places.found_m(50.0) == [50.0]
-    assert places.found_m(400.0, seed=2) == [400.0]
 
 
 def test_not_among_landmarks_of_this_traversal(places):
@@ -87,10 +92,9 @@ def test_not_among_retired_landmarks(places):
 
 def test_not_among_landmarks_that_are_still_active(places):
     rows = places.add(50.0, 100.0)
-    place = Place(pose_at(50.0), 100.0, 0, "descriptor")
-    assert len(places.retriever.reference_submap(place, before_m=BEFORE_M)) == COUNT
+    assert len(places.reference(100.0)) == COUNT
     places.map.assign(rows, is_active=True)
-    assert len(places.retriever.reference_submap(place, before_m=BEFORE_M)) == 0
+    assert places.reference(100.0) == []
     assert places.found_m(50.0) == []
 
 
@@ -98,10 +102,9 @@ def test_landmarks_are_left_behind_after_some_travel(places):
     recent_m = NOW_M - INACTIVE_RANGES * CONFIG.sensor_range_m
     places.add(50.0, recent_m + 1.0)
     places.index()
-    found = places.retriever.propose(places.query(50.0), before_m=NOW_M)
-    assert found == []
+    assert places.propose(50.0, before_m=NOW_M) == []
     places.index(NOW_M + 20.0)
-    assert places.retriever.propose(places.query(50.0), before_m=NOW_M) != []
+    assert places.propose(50.0, before_m=NOW_M) != []
 
 
 def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(places):
@@ -111,25 +114,20 @@ def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(
     places.add(50.0, 500.0 + extent_m + 1.0)
     places.add(50.0, 500.0, segment=1)
     places.add(50.0 + RADIUS_M + 25.0, 500.0)
-    place = Place(pose_at(50.0), 500.0, 0, "descriptor")
-    found = places.retriever.reference_submap(place, before_m=BEFORE_M)
-    assert found.rows.tolist() == here.tolist()
-    assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0
+    assert places.reference(500.0) == here.tolist()
+    assert places.reference(500.0, before_m=499.0) == []
 
 
 @pytest.mark.parametrize(("traversals", "is_found"), [(INDEXED_TRAVERSALS - 1, True), (INDEXED_TRAVERSALS, False)])
 def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, is_found):
     first = places.add(0.0, 0.0)
     for number in range(1, traversals):
-        for kept, dropped in zip(first, places.add(0.0, float(number)), strict=True):
-            places.map.merge(int(kept), int(dropped))
+        places.add_again(first, 0.0, float(number))
     places.index(500.0)
-    for kept, dropped in zip(first, places.add(50.0, 550.0), strict=True):
-        places.map.merge(int(kept), int(dropped))
+    places.add_again(first, 50.0, 550.0)
     places.add(400.0, 551.0, seed=2)
     places.index()
-    found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
-    assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
+    assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in places.propose(50.0)) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]
 
 
@@ -202,11 +200,9 @@ def test_matches_by_vectors_are_pairs_of_one_length_in_one_segment(places):
         positions = np.concatenate([ends, np.reshape(more, (-1, 3))])
         rows = np.arange(len(positions))
         landmarks.enter(Batch(positions, np.zeros_like(rows), rows, rows, segment, ("tree",)))
-    found = landmarks.search(ends, np.zeros(2, int), sigmas_m=np.full(2, 0.1))
-    assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1}), frozenset({3, 4})}
-    allowed = np.array([True, True, True, True, False])
-    found = landmarks.search(ends, np.zeros(2, int), sigmas_m=np.full(2, 0.1), allowed=allowed)
-    assert {frozenset(pair) for pair in found.entries.tolist()} == {frozenset({0, 1})}
+    for allowed, pairs in ((None, {(0, 1), (3, 4)}), (np.arange(5) < 4, {(0, 1)})):
+        found = landmarks.search(ends, np.zeros(2, int), sigmas_m=np.full(2, 0.1), allowed=allowed)
+        assert {tuple(sorted(pair)) for pair in found.entries.tolist()} == pairs
 
 
 @pytest.mark.parametrize("descriptor", ["descriptellation_lr", "gosmatch_vertex"])
@@ -217,7 +213,7 @@ def test_places_of_segments_are_told_apart(descriptor):
     places.add(50.0, 100.0, seed=2, segment=1)
     places.index()
     for seed, segment in ((1, 0), (2, 1)):
-        best = places.retriever.propose(places.query(50.0, seed), before_m=BEFORE_M)[0]
+        best = places.propose(50.0, seed)[0]
         assert (round(float(best.T_local_query[0, 3]), 1), best.segment) == (50.0, segment)
 
 
