@@ -4,8 +4,7 @@ import numpy as np
 
 from descriptors.baselines import BINS, GosmatchVertex
 from descriptors.class_vectors import class_vectors
-from descriptors.constellation import gather_constellations
-from tests.descriptors.constellations import VOCABULARY, describe, scattered
+from tests.descriptors.constellations import VOCABULARY, describe, gathered, scattered
 
 
 def test_gosmatch_vertex_sums_vectors_of_classes_by_distance() -> None:
@@ -21,7 +20,7 @@ def test_gosmatch_vertex_sums_vectors_of_classes_by_distance() -> None:
 
 def test_last_bin_counts_edges_longer_than_all_bins() -> None:
     positions = np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
-    apart = gather_constellations(positions, np.array([0, 1]), VOCABULARY, radius_m=300.0)
+    apart = gathered(positions, np.array([0, 1]), 300.0)
     bins = GosmatchVertex().describe(apart).reshape(2, BINS, 64)
     np.testing.assert_allclose(np.linalg.norm(bins, axis=2), np.eye(BINS)[[BINS - 1, BINS - 1]], atol=1e-5)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from descriptors.constellation import Constellations, gather_constellations
+from descriptors.constellation import Constellations
 from descriptors.errors import DescriptorError
-from tests.descriptors.constellations import VOCABULARY, scattered
+from tests.descriptors.constellations import VOCABULARY, gathered, scattered
 
 RADIUS_M = 15.0
 
@@ -19,7 +19,7 @@ def neighbours_of(constellations: Constellations, i: int) -> list[tuple[float, .
 
 def test_neighbours_are_those_that_brute_force_finds():
     positions, labels = scattered(80, seed=0)
-    found = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+    found = gathered(positions, labels, RADIUS_M)
     assert len(found) == 80
     assert found.vocabulary == VOCABULARY
     np.testing.assert_array_equal(found.centre_labels, labels)
@@ -36,7 +36,7 @@ def test_neighbours_are_those_that_brute_force_finds():
 @pytest.mark.parametrize(("count", "centres"), [(0, None), (5, np.zeros(0, int)), (1, None)])
 def test_no_object_no_centre_and_one_object_alone(count, centres):
     positions, labels = scattered(count, seed=0)
-    found = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M, centres=centres)
+    found = gathered(positions, labels, RADIUS_M, centres)
     assert len(found) == (count if centres is None else 0)
     assert found.positions.shape == (0, 3)
     np.testing.assert_array_equal(found.offsets, np.zeros(len(found) + 1))
@@ -47,7 +47,7 @@ def test_positions_that_are_not_finite_are_refused(bad):
     positions, labels = scattered(5, seed=0)
     positions[3, 2] = bad
     with pytest.raises(DescriptorError, match="object 3"):
-        gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+        gathered(positions, labels, RADIUS_M)
 
 
 @pytest.mark.parametrize("bad", [-1, len(VOCABULARY)])
@@ -55,17 +55,16 @@ def test_labels_outside_the_vocabulary_are_refused(bad):
     positions, labels = scattered(5, seed=0)
     labels[2] = bad
     with pytest.raises(DescriptorError, match=f"vocabulary of {len(VOCABULARY)} classes"):
-        gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+        gathered(positions, labels, RADIUS_M)
 
 
 @pytest.mark.parametrize("rows", [[40, 2, 17], [5, 5, 0], []])
 def test_chosen_centres_come_in_that_order_with_their_neighbours(rows):
     positions, labels = scattered(50, seed=6)
     positions[0, 0] += 1000.0  # without neighbours
-    everything = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+    everything = gathered(positions, labels, RADIUS_M)
     numbers = np.array(rows, int)
-    gathered = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M, centres=numbers)
-    for chosen in (everything[numbers], gathered):
+    for chosen in (everything[numbers], gathered(positions, labels, RADIUS_M, numbers)):
         assert chosen.vocabulary == VOCABULARY
         assert chosen.offsets.dtype == chosen.labels.dtype == np.int64
         np.testing.assert_array_equal(chosen.centre_labels, labels[numbers])

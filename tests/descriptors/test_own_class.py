@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
 from descriptors.learned.networks import default_architecture
 from descriptors.registry import make_descriptor, make_index
-from descriptors.training import trainer
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.trainer import Recipe, train
-from tests.descriptors.constellations import VOCABULARY, scattered
+from tests.descriptors.constellations import describe, found_again, gathered, scattered
+from tests.helpers.trainings import short_trainings
 
 PAGE = Path(__file__).parents[2] / "docs" / "descriptors.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
@@ -33,20 +32,13 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def described(name: str) -> np.ndarray:
-    descriptor = make_descriptor(name)
-    positions, labels = scattered(20, seed=3)
-    return descriptor.describe(gather_constellations(positions, labels, VOCABULARY, radius_m=descriptor.radius_m))
+    return describe(make_descriptor(name), *scattered(20, seed=3))
 
 
 @pytest.mark.usefixtures("mine")
 def test_example_of_the_page_is_found_in_the_current_folder_and_finds_objects() -> None:
     assert all(len(code.strip().splitlines()) <= 20 for code in EXAMPLES)
-    index = make_index("mine:Rings")
-    assert isinstance(index, VectorIndex)
-    positions, labels = scattered(60, seed=1)
-    constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
-    index.add(constellations)
-    matches = index.search(constellations, 1, np.ones(60, bool))
+    matches = found_again(make_index("mine:Rings"), *scattered(60, seed=1))
     assert np.mean(matches.entries == np.arange(60)) > 0.9
 
 
@@ -78,18 +70,15 @@ def test_vectors_whose_length_changes_are_refused(mine: Path) -> None:
     )
     index = make_index("mine:Bad")
     assert isinstance(index, VectorIndex)
-    for count in (5, 6):
-        positions, labels = scattered(count, seed=1)
-        constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=20.0)
-        if count == 5:
-            index.add(constellations)
+    index.add(gathered(*scattered(5, seed=1), radius_m=20.0))
     with pytest.raises(DescriptorError, match=r"mine:Bad: .* length 6, before of length 5"):
-        index.add(constellations)
+        index.add(gathered(*scattered(6, seed=1), radius_m=20.0))
 
 
 @pytest.fixture(autouse=True)
-def _short_epochs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
+def _short_trainings() -> Iterator[None]:
+    with short_trainings():
+        yield
 
 
 def small_training() -> Recipe:

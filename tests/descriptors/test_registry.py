@@ -5,12 +5,9 @@ import sys
 import numpy as np
 import pytest
 
-from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
-from descriptors.index import Matches, VectorIndex
 from descriptors.registry import DESCRIPTOR_NAMES, make_descriptor, make_index
-from slam.common.arrays import FloatArray, IntArray
-from tests.descriptors.constellations import VOCABULARY, describe, scattered
+from tests.descriptors.constellations import describe, found_again, scattered
 from tests.tools.runs import run_python
 
 # Of these, the vectors of unlike objects may be as near as those of like ones.
@@ -20,22 +17,10 @@ VECTORS = tuple(name for name in DESCRIPTOR_NAMES if name != "descriptellation_l
 every_name = pytest.mark.parametrize("name", VECTORS)
 
 
-def added(index: VectorIndex, positions: FloatArray, labels: IntArray) -> None:
-    index.add(gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m))
-
-
-def searched(index: VectorIndex, positions: FloatArray, labels: IntArray, k: int) -> Matches:
-    constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
-    return index.search(constellations, k, np.ones(len(index), bool))
-
-
 @every_name
 def test_index_finds_the_objects_of_a_scattered_map_again(name):
     positions, labels = scattered(60, seed=1)
-    index = make_index(name)
-    assert len(searched(index, positions, labels, 3).queries) == 0
-    added(index, positions, labels)
-    matches = searched(index, positions, labels, 1)
+    matches = found_again(make_index(name), positions, labels)
     np.testing.assert_array_equal(matches.queries, np.arange(60))
     np.testing.assert_array_equal(labels[matches.entries], labels)
     if name not in VAGUE:

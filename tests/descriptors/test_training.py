@@ -16,6 +16,7 @@ from descriptors.training import trainer
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.maps import TrainingMap
 from descriptors.training.trainer import CURVES, WEIGHTS, Epoch, Recipe, best_of, train
+from tests.helpers.trainings import short_trainings
 
 LIKELIHOOD = ContrastTraining(epochs=2, validation_maps=2, objects_per_map=30, views=1)
 NETWORK = replace(
@@ -25,14 +26,9 @@ MakeRecipe = Callable[..., Recipe]
 
 
 @pytest.fixture(autouse=True, scope="module")
-def short_trainings() -> Iterator[None]:
-    """A training sets threads and determinism for the whole process."""
-    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trainer, "STEPS_PER_EPOCH", 2)
+def _short_trainings() -> Iterator[None]:
+    with short_trainings():
         yield
-    torch.set_num_threads(threads)
-    torch.use_deterministic_algorithms(deterministic)
 
 
 @pytest.fixture(scope="module", params=[NETWORK, LIKELIHOOD], ids=["network", "likelihood"])

@@ -13,9 +13,8 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.final_map import FinalMap
 from slam.object_map.map_io import SavedMap, load_map, save_map
-from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.system import Slam
-from tests.helpers.loop_drives import one_block, with_objects
+from tests.helpers.loop_drives import SLOW, emptier, one_block
 from tests.helpers.scaled_settings import scaled_config
 from tests.helpers.short_drives import Entry, drive
 
@@ -68,7 +67,7 @@ def mapped(entries: Iterable[Entry], scale: float, prior_map: SavedMap | None = 
 @pytest.fixture(scope="module")
 def entries() -> list[Entry]:
     """Around a block and one street of it again, with the default noise."""
-    return drive(SimulationConfig(drive=DriveConfig(rate_hz=5.0)), world=one_block())
+    return drive(SLOW, world=one_block())
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +95,7 @@ def maps(results, tmp_path_factory) -> dict[float, SavedMap]:
 @pytest.mark.parametrize(("scale", "extend"), [(0.05, True), (20.0, False)])
 def test_a_robot_finds_itself_in_a_scaled_map(maps, scale, extend):
     """Some objects are gone, so that what is expected in view is not all seen."""
-    world = one_block()
-    fewer = with_objects(world, [row for row in range(len(world.labels)) if row % 5])
-    again = drive(SimulationConfig(drive=DriveConfig(rate_hz=5.0)), seed=2, world=fewer)
+    again = drive(SLOW, seed=2, world=emptier(one_block()))
     expected = mapped(again, 1.0, maps[1.0], extend=extend)
     assert expected.final.status.counters["relocalizations"] > 0
     _assert_alike(mapped(again, scale, maps[scale], extend=extend), expected, scale)

@@ -1,5 +1,6 @@
 """Localization of single scans: found in a street by what is seen alone; where that is not enough, it is said."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +43,11 @@ def scan_of(street: tuple[LabelledMap, FloatArray], query: LocalQuery) -> Object
     return detections_of(query.positions, labels)
 
 
+@pytest.fixture(scope="module")
+def localize(street, localizer) -> Callable[[LocalQuery], ScanLocalization]:
+    return lambda query: localizer.localize(scan_of(street, query))
+
+
 def part(query: LocalQuery, kept: np.ndarray) -> LocalQuery:
     return LocalQuery(query.positions[kept], query.labels[kept], query.objects[kept], query.T_map_query_gt)
 
@@ -52,9 +58,9 @@ def error_m(found: ScanLocalization, query: LocalQuery) -> float:
     return np.inf if T_map_scan is None else float(np.linalg.norm((T_map_scan - query.T_map_query_gt)[:3, 3]))
 
 
-def test_an_exact_scan_is_found_to_a_centimetre_with_every_object(street, localizer, queries):
+def test_an_exact_scan_is_found_to_a_centimetre_with_every_object(localize, queries):
     for query in queries:
-        found = localizer.localize(scan_of(street, query))
+        found = localize(query)
         assert error_m(found, query) < 0.01
         assert abs(yaw_rad(invert(query.T_map_query_gt) @ found.T_reference_query)) < 1e-3
         assert found.pairs.tolist() == [[place, which] for place, which in enumerate(query.objects)]
@@ -62,7 +68,7 @@ def test_an_exact_scan_is_found_to_a_centimetre_with_every_object(street, locali
         assert found.reason == ""
 
 
-def test_objects_that_are_missing_added_or_of_another_class_are_tolerated(street, localizer, queries):
+def test_objects_that_are_missing_added_or_of_another_class_are_tolerated(street, localize, queries):
     classes = len(street[0].vocabulary)
     rng = np.random.default_rng(2)
     for query in queries:
@@ -70,7 +76,7 @@ def test_objects_that_are_missing_added_or_of_another_class_are_tolerated(street
         labels = some.labels.copy()
         wrong = rng.permutation(len(some.labels))[: len(some.labels) // 5]
         labels[wrong] = (labels[wrong] + rng.integers(1, classes, len(wrong))) % classes
-        found = localizer.localize(scan_of(street, replace(some, labels=labels)))
+        found = localize(replace(some, labels=labels))
         assert error_m(found, query) < 0.05
         assert set(np.setdiff1d(np.arange(len(some.labels)), wrong)) <= set(found.pairs[:, 0])
 
@@ -89,18 +95,18 @@ def test_objects_of_classes_that_the_map_lacks_are_left_out_and_pairs_count_all(
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_a_scan_of_too_few_objects_has_a_reason_and_no_pose(street, localizer, queries, count):
-    found = localizer.localize(scan_of(street, part(queries[0], np.arange(count))))
+def test_a_scan_of_too_few_objects_has_a_reason_and_no_pose(localize, queries, count):
+    found = localize(part(queries[0], np.arange(count)))
     assert not found.found
     assert found.reason == f"{count} objects of classes of the map, a pose needs 2"
     assert found.pairs.shape == (0, 2)
 
 
-def test_what_several_places_may_be_is_not_accepted(street, localizer, queries):
+def test_what_several_places_may_be_is_not_accepted(localize, queries):
     """Three objects fit in many places; the pose is one of them, and is wrong too often."""
     query = queries[0]
     nearest = np.argsort(np.linalg.norm(query.positions, axis=1))[:3]
-    found = localizer.localize(scan_of(street, part(query, nearest)))
+    found = localize(part(query, nearest))
     assert not found.found
     assert "wrong with probability" in found.reason
 

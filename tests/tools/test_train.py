@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation_lr.pair_index import PairIndex
@@ -14,6 +13,7 @@ from descriptors.registry import make_index
 from descriptors.training import contrast, trainer
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.trainer import WEIGHTS, Epoch, Recipe
+from tests.helpers.trainings import short_trainings
 from tests.tools.runs import Run, assert_refused, assert_well
 
 Called = dict[str, Any]
@@ -38,16 +38,12 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Called:
 
 
 @pytest.fixture
-def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Trainings on a few constellations; torch's settings, which are the process's, are put back."""
-    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
-    monkeypatch.setattr(
-        contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=1, objects_per_map=20, views=1)
-    )
-    yield
-    torch.set_num_threads(threads)
-    torch.use_deterministic_algorithms(deterministic)
+def tiny() -> Iterator[None]:
+    """Trainings on a few constellations."""
+    made = partial(ContrastTraining, validation_maps=1, objects_per_map=20, views=1)
+    with short_trainings() as patch:
+        patch.setattr(contrast, "ContrastTraining", made)
+        yield
 
 
 def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, called: Called, tmp_path: Path) -> None:

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
-from descriptors.index import VectorIndex
 from descriptors.learned.networks import BATCH, LearnedDescriptor, load_network, make_network, pad_constellations
 from descriptors.learned.weights import Weights, read_weights, save_weights
 from descriptors.registry import make_index, shipped_weights
 from descriptors.training.contrast import ContrastTraining
 from descriptors.training.trainer import Recipe
-from tests.descriptors.constellations import VOCABULARY, scattered
+from tests.descriptors.constellations import found_again, gathered, scattered
 
 pytestmark = pytest.mark.slow
 
@@ -39,7 +38,7 @@ def constellations() -> Constellations:
     positions, labels = scattered(BATCH + 60, seed=1, side_m=150.0)
     positions[:40, :2] *= 0.2
     positions[-5:, 0] += 1000.0 * np.arange(1, 6)
-    return gather_constellations(positions, labels, VOCABULARY, radius_m=30.0)
+    return gathered(positions, labels, 30.0)
 
 
 def assert_alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> None:
@@ -82,12 +81,7 @@ def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descr
 
 
 def test_candidates_of_the_paper_s_network_are_of_any_class():
-    positions, labels = scattered(30, seed=2)
-    index = make_index("descriptellation")
-    assert isinstance(index, VectorIndex)
-    entries = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
-    index.add(entries)
-    matches = index.search(entries, 30, np.ones(30, bool))
+    matches = found_again(make_index("descriptellation"), *scattered(30, seed=2), k=30)
     assert len(matches.queries) == 900
 
 

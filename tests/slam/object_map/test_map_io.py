@@ -13,6 +13,7 @@ from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
+from tests.helpers.loop_drives import emptier
 from tests.helpers.short_drives import Entry, block_world, drive, map_in_memory, write_log, write_map
 
 pytestmark = pytest.mark.slow
@@ -92,15 +93,7 @@ def test_a_map_that_is_not_extended_stays_exactly_as_it_was(known: SavedMap, kep
 
 @pytest.mark.parametrize("extend", [True, False])
 def test_what_is_gone_is_retired_from_a_map_that_is_extended_and_from_no_other(known: SavedMap, extend: bool) -> None:
-    world = block_world()
-    there = np.arange(len(world.labels)) % 5 > 0
-    emptier = replace(
-        world,
-        object_ids=tuple(np.array(world.object_ids)[there].tolist()),
-        positions=world.positions[there],
-        labels=tuple(np.array(world.labels)[there].tolist()),
-    )
-    _, final = mapped(drive(SimulationConfig(), seed=2, world=emptier), known, extend=extend)
+    _, final = mapped(drive(SimulationConfig(), seed=2, world=emptier(block_world())), known, extend=extend)
     gone = final.object_map.reasons.count("gone")
     assert gone >= 3 if extend else gone == 0
 

@@ -10,13 +10,11 @@ import pytest
 from logs.messages import GroundTruthPose
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
-from slam.simulation.config import DriveConfig, SimulationConfig
-from tests.helpers.loop_drives import furnished
+from tests.helpers.loop_drives import SLOW, furnished
 from tests.helpers.poses import pose_at
 from tests.helpers.short_drives import Entry, drive, write_log
 from tools.lab.relocalization.kidnappings import RECOVERED_WITHIN_M, benchmark_relocalization, deviation, figures
 
-SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
 GIVEN = Config.model_validate({"calibrate": False})
 BLOCK_M = 60
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
-from slam.simulation.config import DriveConfig, SimulationConfig
-from tests.helpers.loop_drives import furnished
+from tests.helpers.loop_drives import SLOW, furnished
 from tests.helpers.poses import pose_at
 from tests.helpers.short_drives import drive, write_log
 from tools.lab.retrieval.labelled_map import is_right
@@ -20,8 +19,7 @@ def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> N
     """Of one class: with several, random vectors find places in so small a map, too."""
     block = furnished([(0, 0), (60, 0), (60, 60), (0, 60)] * 3, seed=11)
     world = replace(block, labels=("tree",) * len(block.labels))
-    simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
-    log = write_log(tmp_path / "town.mcap", drive(simulation, seed=4, world=world))
+    log = write_log(tmp_path / "town.mcap", drive(SLOW, seed=4, world=world))
     good, random = measure_revisits(log, ["descriptellation_lr", "random"], Config())
     assert (good["drive"], good["descriptor"], random["descriptor"]) == ("town", "descriptellation_lr", "random")
     assert good["queries"] == random["queries"] >= 3
