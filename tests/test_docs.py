@@ -3,8 +3,6 @@
 import re
 import runpy
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -18,7 +16,7 @@ from typer.main import get_command
 from slam.common.config import Config
 from slam.common.config_tree import load_tree
 from slam.simulation.config import SimulationConfig
-from tests.tools.runs import ROOT
+from tests.tools.runs import ROOT, run_python, text_of
 from tools.cli import make_app
 
 PAGES = [
@@ -36,7 +34,7 @@ ENDS = {";", "&&", "|", "||", "&", "(", ")", "do", "done", "then", "else"}
 
 def anchors(page: Path) -> set[str]:
     """As GitHub and mkdocs make them of headings."""
-    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(r"```.*?```", "", text_of(page), flags=re.DOTALL)
     headings = re.findall(r"^#+ +(.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
@@ -44,7 +42,7 @@ def anchors(page: Path) -> set[str]:
 @pytest.mark.parametrize("name", NAMES)
 def test_links_lead_to_files_and_headings(name: str) -> None:
     page = ROOT / name
-    for target in LINK.findall(page.read_text(encoding="utf-8")):
+    for target in LINK.findall(text_of(page)):
         if "://" in target:
             continue
         path, _, anchor = target.partition("#")
@@ -56,14 +54,14 @@ def test_links_lead_to_files_and_headings(name: str) -> None:
 
 
 def reader_questions() -> list[str]:
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    text = text_of("CONTRIBUTING.md")
     section = text.split("## Where to look\n")[1].split("\n## ")[0]
     return [line for line in section.splitlines()[3:] if line.startswith("|")]
 
 
 @pytest.mark.parametrize("row", reader_questions(), ids=lambda row: row.split("|")[1].strip())
 def test_answer_is_in_at_most_three_files(row: str) -> None:
-    files = [(ROOT / target).read_text(encoding="utf-8") for target in LINK.findall(row)]
+    files = [text_of(target) for target in LINK.findall(row)]
     assert 1 <= len(files) <= 3
     for name in re.findall(r"`(\w+)`", row):
         assert re.search(rf"^ *(?:def|class) {name}\b", "\n".join(files), re.MULTILINE), name
@@ -71,7 +69,7 @@ def test_answer_is_in_at_most_three_files(row: str) -> None:
 
 def blocks_of(name: str) -> list[str]:
     """The fenced blocks of a page that are of no other language than shell."""
-    text = (ROOT / name).read_text(encoding="utf-8")
+    text = text_of(name)
     return [block for language, block in FENCE.findall(text) if language in SHELLS]
 
 
@@ -116,10 +114,13 @@ def test_commands_are_those_of_the_program(name: str) -> None:
             load_tree(SimulationConfig if arguments[0] == "simulate" else Config, None, settings)
 
 
+RUNNER = str(ROOT / "docs" / "run_results.py")
+
+
 @pytest.fixture
 def results(tmp_path: Path) -> dict[str, Any]:
     """The runner of docs/results, on pages of its own."""
-    runner = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
+    runner = runpy.run_path(RUNNER)
     (tmp_path / "drives.md").write_text(
         "```\nno output\n```\n\n```\necho $D\n```\n\n<!-- output of a -->\n<!-- end -->\ntext\n", encoding="utf-8"
     )
@@ -133,7 +134,7 @@ def test_results_stand_below_the_commands_that_print_them(results: dict[str, Any
     results["write_output"](block, results["run"](block, tmp_path, tmp_path / "data"))
     (written,) = results["read_blocks"](page)
     assert re.fullmatch(rf"Version \S+, [\d-]+:\n\n```text\n{tmp_path}/data\n```\n", written.output)
-    assert page.read_text(encoding="utf-8").endswith("<!-- end -->\ntext\n")
+    assert text_of(page).endswith("<!-- end -->\ntext\n")
     assert results["run"](replace(block, commands="false\n"), tmp_path, tmp_path) is None
 
 
@@ -159,15 +160,15 @@ def test_changes_of_one_day_are_one(results: dict[str, Any], tmp_path: Path) -> 
         output = f"Version 0.1.0, {last}:\n\n```text\nATE 0.086 m\n```\n"
         page.write_text(f"```\nx\n```\n\n<!-- output of demo -->\n{output}<!-- end -->\n", encoding="utf-8")
         results["write_output"](results["Block"](page, "demo", "x\n", output), "ATE 0.186 m")
-        assert f", {today}, before {before}:\n\n```text\nATE 0.186 m" in page.read_text(encoding="utf-8")
+        assert f", {today}, before {before}:\n\n```text\nATE 0.186 m" in text_of(page)
 
 
 def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
-    results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
+    results = runpy.run_path(RUNNER)
     blocks = {block.name: block for block in results["all_blocks"]()}
     rows = list(results["figure_rows"](blocks))
     assert len(rows) == 2 + sum(bool(blocks[figure.block].output) for figure in results["FIGURES"]) > 2
-    assert "\n".join(rows) in (ROOT / "docs/results/README.md").read_text(encoding="utf-8")
+    assert "\n".join(rows) in text_of("docs/results/README.md")
     copies = "| drive | ATE m | least to greatest |\n| --- | ---: | ---: |\n| hamburg | 0.5 ± 0.1 | 0.4 to 0.6 |"
     with_copies = results["figure_rows"](blocks | {"copies": replace(blocks["copies"], output=copies)})
     assert next(row for row in with_copies if "| 0.5 ± 0.1 (0.4 to 0.6) |" in row).startswith("| hamburg | ATE |")
@@ -188,7 +189,6 @@ def test_reference_pages_hold_every_command_setting_and_key() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("mkdocs") is None, reason="mkdocs is not installed: pip install '.[docs]'")
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    assert "dslam relocalize" in (tmp_path / "site/reference/commands/index.html").read_text(encoding="utf-8")
+    result = run_python("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site")
+    assert result.code == 0, result.err
+    assert "dslam relocalize" in text_of(tmp_path / "site/reference/commands/index.html")

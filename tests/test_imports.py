@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.runs import ROOT, run_python
+from tests.tools.runs import ROOT, loaded_by, text_of
 
 OURS = ("descriptors", "logs", "slam", "tools")
 
@@ -19,7 +19,7 @@ def sources(*folders: str) -> list[Path]:
 @cache
 def nodes_of(path: Path) -> tuple[ast.AST, ...]:
     """All nodes of a file."""
-    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    return tuple(ast.walk(ast.parse(text_of(path))))
 
 
 @cache
@@ -162,5 +162,4 @@ def test_descriptors_alone_import_torch() -> None:
     ids=["command line", "info"],
 )
 def test_what_is_started_loads_only_what_it_needs(started: str, heavy: str) -> None:
-    code = f"import sys; {started}; print([m for m in {heavy.split()!r} if m in sys.modules])"
-    assert run_python(code).out.splitlines()[-1] == "[]"
+    assert loaded_by(started, heavy) == ""

@@ -9,11 +9,11 @@ import pytest
 import dslam
 from dslam import ImportedMap, InputDataError, landmark_table, load_map, read_map, read_trajectory, save_map
 from slam.place_recognition.imported_map import make_imported_map
-from tests.tools.runs import ROOT, SAMPLE
+from tests.tools.runs import SAMPLE, text_of
 
 
 def test_every_public_name_is_typed_and_found() -> None:
-    tree = ast.parse((ROOT / "dslam.py").read_text(encoding="utf-8"))
+    tree = ast.parse(text_of("dslam.py"))
     typed = {
         name.asname or name.name
         for block in tree.body

@@ -16,9 +16,9 @@ from descriptors.training.contrast import ContrastTraining
 from descriptors.training.trainer import Recipe, train
 from tests.descriptors.constellations import describe, found_again, gathered, scattered
 from tests.helpers.trainings import short_trainings
+from tests.tools.runs import text_of
 
-PAGE = Path(__file__).parents[2] / "docs" / "descriptors.md"
-EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+EXAMPLES = re.findall(r"```python\n(.*?)```", text_of("docs/descriptors.md"), re.DOTALL)
 
 
 @pytest.fixture

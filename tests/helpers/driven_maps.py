@@ -4,10 +4,11 @@ import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw, travelled_m
 from slam.object_map.map_io import SavedMap
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
+from tests.helpers.landmarks import spheres
 
 STEP_M, RANGE_M, NOISE_M = 2.0, 30.0, 0.05
 
@@ -18,7 +19,7 @@ def town(seed: int = 1) -> World:
 
 def drive_poses(world: World, from_m: float, to_m: float) -> FloatArray:
     """True poses (K, 4, 4) on a part of the tour, driven backwards if it ends before it begins."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(world.tour, axis=0), axis=1)))
+    along = travelled_m(world.tour)
     at = np.arange(from_m, to_m, STEP_M if to_m > from_m else -STEP_M)
     xy = np.column_stack([np.interp(at, along, world.tour[:, axis]) for axis in (0, 1)])
     steps = np.gradient(xy, axis=0)
@@ -57,6 +58,6 @@ def driven_map(world: World, from_m: float, to_m: float, *, seed: int = 0) -> Sa
         observation_keyframe_ids=keyframes,
         observation_landmark_ids=tuple(world.object_ids[row] for row in objects.tolist()),
         observation_positions=positions,
-        observation_covariances=np.tile(0.1**2 * np.eye(3), (len(objects), 1, 1)),
+        observation_covariances=spheres(0.1, len(objects)),
     )
     return SavedMap(record, graph)

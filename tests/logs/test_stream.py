@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from logs.errors import UnreadableLogError
-from logs.messages import ObjectDetections, Odometry, StatusRecord, Transform
+from logs.messages import Odometry, StatusRecord, Transform
 from logs.storage.stream import read_stream
+from tests.helpers.landmarks import detections_of
 from tests.helpers.short_drives import stream_of
 
-SEEN = ObjectDetections(5, "lidar", np.array([[1.0, 2.0, 3.0]]), ("tree",), np.array([0.5]))
+SEEN = detections_of([1.0, 2.0, 3.0], stamp_ns=5)
 
 
 def test_records_come_back_from_a_stream() -> None:

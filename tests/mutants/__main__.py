@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.mutants.mutant import ROOT, Mutant, sample_mutants
+from tests.mutants.mutant import Mutant, sample_mutants
 from tests.mutants.trial import Verdict, copy_repository, run_tests
 
 MIN_CAUGHT = 0.9
@@ -45,8 +45,7 @@ def _run(mutants: list[Mutant], repository: Path) -> int:
 
 
 def _difference(mutant: Mutant) -> str:
-    before = (ROOT / mutant.file).read_text(encoding="utf-8").splitlines()
-    lines = list(difflib.unified_diff(before, mutant.source().splitlines(), n=0, lineterm=""))
+    lines = list(difflib.unified_diff(mutant.original.splitlines(), mutant.source().splitlines(), n=0, lineterm=""))
     return "\n".join(f"    {line}" for line in lines[2:])
 
 

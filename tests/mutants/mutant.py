@@ -39,16 +39,20 @@ class Mutant:
         candidates = (path.with_name(f"test_{path.name}"), path.parent)
         return tuple(str(each) for each in candidates if (ROOT / each).exists())
 
+    @property
+    def original(self) -> str:
+        return (ROOT / self.file).read_text(encoding="utf-8")
+
     def source(self) -> str:
         """The text of the file with the change."""
-        text = (ROOT / self.file).read_text(encoding="utf-8")
-        return str(mutate_code(text, get_operator(self.operator)(), self.occurrence) or text)
+        changed = mutate_code(self.original, get_operator(self.operator)(), self.occurrence)
+        return str(changed or self.original)
 
     @property
     def is_equivalent(self) -> bool:
         """Whether it changes nothing but annotations, docstrings or layout, or is no Python, as ``a & not b``."""
         try:
-            return _meaning(self.source()) == _meaning((ROOT / self.file).read_text(encoding="utf-8"))
+            return _meaning(self.source()) == _meaning(self.original)
         except SyntaxError:
             return True
 

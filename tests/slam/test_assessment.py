@@ -13,6 +13,7 @@ from slam.backend.edge_kind import EdgeKind
 from slam.common.calibration import Calibration
 from slam.common.geometry import relative, transform_from_xyz_yaw
 from slam.trajectory_check.judgement import TrajectoryCheck
+from tests.slam.evaluation.drives import straight_path
 
 KEYFRAMES = 101
 CALIBRATION = Calibration().with_values({"detection.sensor_range_m": 20.0})
@@ -22,8 +23,7 @@ UNDECIDED = TrajectoryCheck()
 def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGraphRecord:
     """A straight drive, in which each keyframe of ``seen`` observes so many landmarks."""
     ids = np.arange(10, 10 + KEYFRAMES)
-    T = np.tile(np.eye(4), (KEYFRAMES, 1, 1))
-    T[:, 0, 3] = step_m * np.arange(KEYFRAMES)
+    T = straight_path(KEYFRAMES, step_m)
     observers = np.repeat(ids[list(seen)], landmarks)
     count = len(observers)
     return FactorGraphRecord(

@@ -11,6 +11,7 @@ from slam.common.config import Config, load_config
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.replay import replay
+from tests.helpers.landmarks import spheres
 from tests.helpers.short_drives import Entry, change, final_status, keep_until, records_of, write_log
 
 pytestmark = pytest.mark.slow
@@ -58,7 +59,7 @@ def test_huge_coordinates_give_the_same_map_elsewhere(entries, output):
 @pytest.mark.parametrize("sigma_m", [1e-9, 1e9])
 def test_covariances_that_are_absurd_do_not_break_the_solver(entries, output, sigma_m):
     def claim(i: int, detections: ObjectDetections) -> ObjectDetections:
-        return replace(detections, covariances=np.tile(sigma_m**2 * np.eye(3), (len(detections.labels), 1, 1)))
+        return replace(detections, covariances=spheres(sigma_m, len(detections.labels)))
 
     assert mapped(change(entries, ObjectDetections, claim), output)["detections_used"] == 80
 

@@ -70,11 +70,8 @@ def street(*landmarks_m: float) -> ObjectMap:
 @pytest.mark.parametrize(("x_m", "is_passed"), [(109.9, False), (110.1, True), (114.9, True), (115.1, False)])
 def test_find_passed_counts_six_keyframes_in_reach(x_m: float, is_passed: bool) -> None:
     assert find_passed(street(x_m), 0, PATH, 15.0).tolist() == ([0] if is_passed else [])
-    assert find_passed(street(x_m), 0, PATH[1:], 15.0).tolist() == []
-
-
-def test_find_passed_without_keyframes() -> None:
-    assert find_passed(street(110.0), 0, PATH[:0], 15.0).tolist() == []
+    for too_short in (PATH[1:], PATH[:0]):
+        assert find_passed(street(x_m), 0, too_short, 15.0).tolist() == []
 
 
 def test_find_passed_leaves_out_landmarks_of_the_drive_and_retired_ones() -> None:

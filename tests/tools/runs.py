@@ -47,10 +47,21 @@ def run_well(*arguments: object) -> str:
     return out.getvalue()
 
 
-def run_python(code: str) -> Result:
-    """What another interpreter says that runs ``code`` in the repository."""
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+def run_python(*arguments: object, folder: Path = ROOT) -> Result:
+    """What another interpreter says that is started in ``folder``."""
+    done = subprocess.run([sys.executable, *map(str, arguments)], cwd=folder, capture_output=True, text=True)
     return Result(done.returncode, done.stdout, done.stderr)
+
+
+def loaded_by(code: str, modules: str) -> str:
+    """Those of some modules that another interpreter has loaded after ``code``."""
+    told = f"print(*(name for name in {modules.split()!r} if name in sys.modules))"
+    return run_python("-c", f"import sys; {code}; {told}").out.splitlines()[-1]
+
+
+def text_of(path: Path | str) -> str:
+    """What stands in a file of the repository, or in any."""
+    return (ROOT / path).read_text(encoding="utf-8")
 
 
 def assert_well(result: Result) -> Result:

@@ -10,7 +10,7 @@ from logs.writer import LogWriter
 from slam.library import read_map
 from slam.object_map.map_io import METADATA, POINTS_TOPIC
 from tests.helpers.short_drives import raw_messages, records_of
-from tests.tools.runs import Run, assert_refused, assert_well, run_python, run_well
+from tests.tools.runs import Run, assert_refused, assert_well, loaded_by, run_well
 
 pytestmark = pytest.mark.slow
 
@@ -103,12 +103,8 @@ def test_every_kind_of_map_is_shown_viewed_and_exported(dslam: Run, town: Path, 
 
 
 def test_no_solver_is_loaded_to_look_into_a_map(town: Path) -> None:
-    heavy = ("gtsam", "scipy", "torch", "matplotlib", "slam.localization", "slam.common.config")
-    code = (
-        f"import sys; from tools.cli import run; run(['info', {str(town)!r}]); "
-        f"print([m for m in {heavy!r} if m in sys.modules])"
-    )
-    assert run_python(code).out.splitlines()[-1] == "[]"
+    heavy = "gtsam scipy torch matplotlib slam.localization slam.common.config"
+    assert loaded_by(f"from tools.cli import run; run(['info', {str(town)!r}])", heavy) == ""
 
 
 def rewritten(path: Path, source: Path, metadata: dict[str, str]) -> Path:

@@ -109,5 +109,5 @@ def test_signal_while_importing_is_one_line() -> None:
         "sys.meta_path.insert(0, Finder())\n"
         "tools.main()"
     )
-    result = run_python(code)
+    result = run_python("-c", code)
     assert (result.code, result.err) == (130, "dslam: interrupted\n")

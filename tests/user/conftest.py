@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.runs import ROOT
+from tests.tools.runs import ROOT, run_python
 
 
 def build(kind: str, source: Path, folder: Path) -> Path:
     """By the setuptools of this environment, without network."""
     call = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(folder)!r}))"
-    result = subprocess.run([sys.executable, "-c", call], cwd=source, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr[-2000:]
-    return folder / result.stdout.splitlines()[-1]
+    result = run_python("-c", call, folder=source)
+    assert result.code == 0, result.err[-2000:]
+    return folder / result.out.splitlines()[-1]
 
 
 @pytest.fixture(scope="session")

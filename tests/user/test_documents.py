@@ -18,7 +18,7 @@ from logs.topics import RecordKind
 from tests.helpers.loop_drives import one_block
 from tests.helpers.ros2_logs import header, ros2_messages, vector, write_bag
 from tests.test_docs import blocks_of, commands
-from tests.tools.runs import ROOT, Run, run_well
+from tests.tools.runs import ROOT, Run, run_well, text_of
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ COMMANDS = {page: [each for block in blocks_of(page) for each in commands(block)
 CODE = {
     f"{Path(page).stem}-{number}": block
     for page in PAGES
-    for number, block in enumerate(re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL))
+    for number, block in enumerate(re.findall(r"```python\n(.*?)```", text_of(page), re.DOTALL))
 }
 SHORTER = {
     "simulate": ("--length", "120"),

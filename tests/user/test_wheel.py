@@ -1,14 +1,12 @@
 """Wheel and source distribution: built, installed beside packages of our folders' names, and used."""
 
-import subprocess
-import sys
 import tarfile
 import zipfile
 from pathlib import Path
 
 import pytest
 
-from tests.tools.runs import SAMPLE
+from tests.tools.runs import SAMPLE, run_python
 from tests.user.installed import run
 
 pytestmark = pytest.mark.slow
@@ -54,7 +52,7 @@ def test_a_drive_is_mapped_and_evaluated_in_a_fresh_environment(home: Path) -> N
 def test_the_library_is_typed(home: Path) -> None:
     example = home / "example.py"
     example.write_text(EXAMPLE, encoding="utf-8")
-    options = f"--strict --python-executable {home}/bin/python example.py".split()
-    result = subprocess.run([sys.executable, "-m", "mypy", *options], cwd=home, capture_output=True, text=True)
-    assert 'Revealed type is "dslam.slam.evaluation.metrics.trajectory.TrajectoryErrors"' in result.stdout
-    assert result.returncode == 0, result.stdout
+    options = f"-m mypy --strict --python-executable {home}/bin/python example.py".split()
+    result = run_python(*options, folder=home)
+    assert 'Revealed type is "dslam.slam.evaluation.metrics.trajectory.TrajectoryErrors"' in result.out
+    assert result.code == 0, result.out

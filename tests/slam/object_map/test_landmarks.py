@@ -5,6 +5,7 @@ import pytest
 
 from slam.common.calibration import ObjectCalibration
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from tests.helpers.landmarks import spheres
 
 SECOND_NS = 1_000_000_000
 CONFIG = ObjectCalibration(label_accuracy=0.8)
@@ -20,8 +21,7 @@ def new_map(vocabulary: str = "abc", count: int = 1) -> ObjectMap:
 
 def see_new(object_map: ObjectMap, positions, label: int = 0):
     count = len(positions)
-    P = np.tile(np.eye(3), (count, 1, 1))
-    return object_map.add(positions, P, np.full(count, label), stamp_ns=0, scan=1, travel_m=0.0)
+    return object_map.add(positions, spheres(1.0, count), np.full(count, label), stamp_ns=0, scan=1, travel_m=0.0)
 
 
 def see(

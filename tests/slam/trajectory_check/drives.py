@@ -3,7 +3,7 @@
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw, travelled_m
 from slam.trajectory_check.prediction import SampledScan
 
 RANGE_M = 20.0
@@ -30,7 +30,7 @@ def scans_of(T_true: FloatArray, *, T_body_sensor: FloatArray | None = None) -> 
     rng = np.random.default_rng(5)
     objects = np.column_stack([rng.uniform(-130.0, 130.0, (800, 2)), rng.uniform(0.0, 0.5, 800)])
     labels = rng.integers(0, 3, len(objects))
-    travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T_true[:, :3, 3], axis=0), axis=1))])
+    travel_m = travelled_m(T_true[:, :3, 3])
     scans = []
     for k, T in enumerate(T_true):
         seen = apply(invert(T), objects)

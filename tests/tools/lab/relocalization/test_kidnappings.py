@@ -10,6 +10,7 @@ import pytest
 from logs.messages import GroundTruthPose
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
+from slam.common.geometry import travelled_m
 from tests.helpers.loop_drives import SLOW, furnished
 from tests.helpers.poses import pose_at
 from tests.helpers.short_drives import Entry, drive, write_log
@@ -29,8 +30,8 @@ def entries() -> list[Entry]:
 def first_round_s(entries: list[Entry]) -> float:
     """When the robot is back where it began, for the first time."""
     truth = [record for _, _, record in entries if isinstance(record, GroundTruthPose)]
-    travelled_m = np.cumsum([0.0, *(np.linalg.norm(np.diff([p.T_world_body[:2, 3] for p in truth], axis=0), axis=1))])
-    row = int(np.searchsorted(travelled_m, 4 * BLOCK_M))
+    along_m = travelled_m(np.array([pose.T_world_body[:2, 3] for pose in truth]))
+    row = int(np.searchsorted(along_m, 4 * BLOCK_M))
     return (truth[row].stamp_ns - truth[0].stamp_ns) * 1e-9
 
 
