@@ -1,5 +1,8 @@
 """Mutations that know nothing of a format, and the values that numbers are set to."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 INTEGERS = (0, 1, -1, 2**7, 2**8 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31, -(2**31), 2**32 - 1, 2**32, 2**53 + 1, 2**60,
@@ -9,6 +12,10 @@ FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-300, 5e-324, 1e9, 1e15, 1e30, 1e100, 1e154, 1
 TEXTS = ("", "\x00", "/", "[red]x[/red]", "[/]", "[link=file:///etc/passwd]x", "\x1b[2J\x1b]0;x\x07", "\u202egpj",
          "ä" * 3, "\ud7ff\U0001f980", "a" * 300, "A" * 100_000, "nan", "1e999", "<script>alert(1)</script>",
          "$\\frac{1}{$", "a\nb", "/slam/pose", "/tf", "odom", "base_link", "map", "{}", "%s%n", "../../x")  # fmt: skip
+
+
+def one_of(values: Sequence[object], rng: np.random.Generator) -> Any:
+    return rng.choice(np.array(values, dtype=object))
 
 
 def mutate_bytes(content: bytes, rng: np.random.Generator) -> bytes:
@@ -32,7 +39,7 @@ def mutate_bytes(content: bytes, rng: np.random.Generator) -> bytes:
                 source = int(rng.integers(len(data)))
                 data[place : place + length] = data[source : source + length]
             case 5:
-                value = int(rng.choice(np.array(INTEGERS, dtype=object)))
+                value = int(one_of(INTEGERS, rng))
                 size = int(rng.choice([1, 2, 4, 8]))
                 data[place : place + size] = (value % 256**size).to_bytes(size, "little")
             case 6:
@@ -76,9 +83,9 @@ def _odd_word(rng: np.random.Generator) -> str:
         case 0:
             return repr(float(rng.choice(FLOATS)))
         case 1:
-            return str(rng.choice(np.array(INTEGERS, dtype=object)))
+            return str(one_of(INTEGERS, rng))
         case 2:
-            return str(rng.choice(np.array(TEXTS, dtype=object)))
+            return str(one_of(TEXTS, rng))
         case 3:
             return "9" * int(rng.choice([20, 400, 5000]))
         case 4:

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
-from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
+from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text, one_of
 from tests.fuzz.log_mutations import mutate_json, mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
@@ -148,7 +148,7 @@ def _mutated_weights(content: bytes, rng: np.random.Generator) -> bytes:
 def _setting(seeds: Seeds, folder: Path, rng: np.random.Generator) -> list[str]:
     """One setting at a limit, with a drive that is as it should be."""
     (folder / "drive.mcap").write_bytes(_intact("drive", seeds))
-    value = str(rng.choice(np.array([*FLOATS, *INTEGERS, "true", "none", *TEXTS[:8], "[" * 3000], dtype=object)))
+    value = str(one_of([*FLOATS, *INTEGERS, "true", "none", *TEXTS[:8], "[" * 3000], rng))
     return ["replay", "drive.mcap", "-o", "out.mcap", "--set", f"{rng.choice(_SETTINGS)}={value}"]
 
 

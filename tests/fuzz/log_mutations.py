@@ -10,7 +10,7 @@ from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
 from google.protobuf.message import DecodeError
 
 from logs.decoders.protobuf import DECODERS
-from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes
+from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, one_of
 from tests.fuzz.mcap_file import McapFile, odd_layout, write_file
 
 _WORDS = (*TEXTS, "protobuf", "cdr", "json", "ros2msg", "ros2idl", "jsonschema")
@@ -42,7 +42,7 @@ def _change_messages(file: McapFile, rng: np.random.Generator) -> None:
     some = [file.messages[i] for i in rows]
     match int(rng.integers(6)):
         case 0:
-            time_ns, shift_ns = int(rng.choice(np.array(_TIMES, dtype=object))), int(rng.integers(-(10**10), 10**10))
+            time_ns, shift_ns = int(one_of(_TIMES, rng)), int(rng.integers(-(10**10), 10**10))
             is_shift = rng.random() < 0.5
             times_ns = [min(max(each.log_time_ns + shift_ns, 0), 2**64 - 1) if is_shift else time_ns for each in some]
             some = [replace(each, log_time_ns=at_ns) for each, at_ns in zip(some, times_ns, strict=True)]

@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from logs.reader import LogReader
 from logs.topics import Schema
+from tests.fuzz.byte_mutations import one_of
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def odd_layout(rng: np.random.Generator) -> Layout:
     sizes, times = (0, 1, 2**30, 2**60, 2**64 - 1), (0, 5, 2**62, 2**63 - 1)
     chunk, footer = dict[str, int](), dict[str, int]()
     if rng.random() < 0.1:
-        chunk["uncompressed_size"] = int(rng.choice(np.array(sizes, dtype=object)))
+        chunk["uncompressed_size"] = int(one_of(sizes, rng))
     if rng.random() < 0.1:
         chunk |= {f"message_{name}_time": int(rng.choice(times)) for name in ("start", "end")}
     if rng.random() < 0.03:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.fuzz.byte_mutations import one_of
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.seeds import Seeds
 from tests.helpers.forked_commands import write_files
@@ -59,7 +60,7 @@ def make_odd_paths(seeds: Seeds, folder: Path) -> list[str]:
 
 def odd_arguments(names: list[str], rng: np.random.Generator) -> list[str]:
     """A command line that reads or writes one of ``names``; devices are not written to."""
-    odd = str(rng.choice(np.array(names, dtype=object)))
+    odd = str(one_of(names, rng))
     commands = _READING if odd.startswith("/") or rng.random() < 0.7 else _WRITING
     words = commands[int(rng.integers(len(commands)))].split()
     return [word.replace(_ODD, odd) for word in words]

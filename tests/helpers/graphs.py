@@ -1,8 +1,12 @@
 """Factor graphs of drives whose truth is known."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
+
+from logs.messages import FactorGraphRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray, IntArray
@@ -10,6 +14,13 @@ from slam.common.geometry import apply, invert, relative
 
 PLAIN = 1e6
 """Width of a kernel that gives every factor its full weight."""
+
+
+def with_edges(graph: FactorGraphRecord, kept: IntArray | slice) -> FactorGraphRecord:
+    """The record with those of its edges alone."""
+    names = ("edge_keyframe_ids", "edge_transforms", "edge_covariances")
+    kinds = tuple(np.array(graph.edge_kinds)[kept].tolist())
+    return replace(graph, edge_kinds=kinds, **{name: getattr(graph, name)[kept] for name in names})
 
 
 def odometry_edges(T: FloatArray, covariance: FloatArray) -> list[Edge]:

@@ -120,9 +120,10 @@ def stream_of(entries: Iterable[Entry]) -> BytesIO:
     return stream
 
 
-def raw_messages(path: Path) -> list[RawMessage]:
+def raw_messages(path: Path, *topics: str) -> list[RawMessage]:
+    """Of all topics unless some are named."""
     with LogReader(path) as reader:
-        return list(reader.messages())
+        return list(reader.messages(topics or None))
 
 
 def metadata_of(path: Path) -> dict[str, dict[str, str]]:

@@ -61,8 +61,8 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
 def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):
     rng = np.random.default_rng(7)
     times = rng.permutation(6000)
-    entries = (("/odom", time_ns, m.Odometry(1_000_000 + time_ns, np.eye(4))) for time_ns in times.tolist())
-    write_log(tmp_path / "log.mcap", entries)
+    written = (("/odom", time_ns, m.Odometry(1_000_000 + time_ns, np.eye(4))) for time_ns in times.tolist())
+    write_log(tmp_path / "log.mcap", written)
     with LogReader(tmp_path / "log.mcap") as reader:
         assert len(reader._open[0].blocks) > 1  # type: ignore[attr-defined]
         entries = list(reader.records(Selection.of({"/odom": "odometry"})))

@@ -6,17 +6,13 @@ import pytest
 
 from logs import messages as m
 from logs.errors import InvalidRecordError, LogError, UnreadableLogError, UnwritableLogError
-from logs.reader import LogReader
-from logs.selection import Selection
 from logs.storage.placement import put_in_place
 from logs.writer import LogWriter
-
-ODOMETRY = Selection.of({"/odom": "odometry"})
+from tests.helpers.short_drives import records_of
 
 
 def stamps_in(path):
-    with LogReader(path) as reader:
-        return [entry.record.stamp_ns for entry in reader.records(ODOMETRY)]
+    return [record.stamp_ns for record in records_of(path, "/odom")]
 
 
 def test_final_name_appears_only_when_log_is_whole(tmp_path):

@@ -13,6 +13,7 @@ from slam.backend.edge_kind import EdgeKind
 from slam.common.calibration import Calibration
 from slam.common.geometry import relative, transform_from_xyz_yaw
 from slam.trajectory_check.judgement import TrajectoryCheck
+from tests.helpers.graphs import with_edges
 from tests.slam.evaluation.drives import straight_path
 
 KEYFRAMES = 101
@@ -113,15 +114,7 @@ def test_a_kidnapping_is_no_way_without_landmarks() -> None:
 def test_keyframes_of_a_fixed_prior_map_are_no_way_without_landmarks() -> None:
     graph = drive(seen=range(60, KEYFRAMES))
     assert "of the way" in doubts(graph)
-    of_drive = slice(60, None)
-    localized = replace(
-        graph,
-        edge_keyframe_ids=graph.edge_keyframe_ids[of_drive],
-        edge_transforms=graph.edge_transforms[of_drive],
-        edge_covariances=graph.edge_covariances[of_drive],
-        edge_kinds=graph.edge_kinds[of_drive],
-    )
-    assert doubts(localized) == ""
+    assert doubts(with_edges(graph, slice(60, None))) == ""
 
 
 @pytest.mark.parametrize(("moving", "told"), [(3, False), (4, True)])

@@ -1,6 +1,5 @@
 """No library with a licence that would pass on to this package is imported."""
 
-import ast
 import sys
 from importlib.metadata import packages_distributions
 
@@ -8,23 +7,17 @@ import pytest
 from packaging.utils import canonicalize_name
 
 from tests.supply_chain.dependencies import find_dependencies, is_permitted, licence_of
+from tests.test_imports import OURS, imports, sources
 from tests.tools.runs import ROOT
 
 DEPENDENCIES = find_dependencies()
-OWN = {"slam", "logs", "tools", "descriptors", "dslam", "tests"}
+OWN = {*OURS, "dslam", "tests"}
 
 
 def imported_names() -> dict[str, str]:
     """The top-level modules that any file imports, with one such file."""
-    found: dict[str, str] = {}
-    for folder in ("slam", "logs", "tools", "descriptors", "tests", "docs"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-                if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-                    names = [node.module]
-                found.update((name.split(".")[0], str(path.relative_to(ROOT))) for name in names)
-    return found
+    paths = sources(*OURS, "tests", "docs")
+    return {name.split(".")[0]: str(path.relative_to(ROOT)) for path in paths for name in imports(path)}
 
 
 def test_the_dependencies_are_found_down_to_those_of_others():

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
-from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.library import read_map
 from slam.object_map.map_io import METADATA, POINTS_TOPIC
@@ -96,8 +95,7 @@ def test_every_kind_of_map_is_shown_viewed_and_exported(dslam: Run, town: Path, 
     assert len(table.read_text().splitlines()) == count + 1
     assert dslam("view", map_log, "--save", picture).code == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
-    with LogReader(map_log) as reader:
-        (points,) = reader.messages([POINTS_TOPIC])
+    (points,) = raw_messages(map_log, POINTS_TOPIC)
     cloud = PointCloud.FromString(points.data)
     assert len(cloud.data) == count * cloud.point_stride
 

@@ -13,10 +13,10 @@ from rosbags.typesys import get_types_from_msg
 from logs.decoders.ros2_types import TYPES
 from logs.messages import ObjectDetections
 from logs.reader import LogReader
-from logs.selection import Selection, select_topics
-from logs.topics import RecordKind
+from logs.selection import select_topics
 from tests.helpers.loop_drives import one_block
 from tests.helpers.ros2_logs import header, ros2_messages, vector, write_bag
+from tests.helpers.short_drives import records_of
 from tests.test_docs import blocks_of, commands
 from tests.tools.runs import ROOT, Run, run_well, text_of
 
@@ -81,28 +81,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_well(*export, "--of", "odometry", "--tum", folder / "odometry.tum")
     run_well(*export, "--geojson", folder / "trees.geojson", "--origin", "60.17,24.94")
     (folder / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n", encoding="utf-8")
-    write_objects(folder / "objects.csv", folder / "map.mcap")
+    run_well(*export, "--csv", folder / "objects.csv")
     write_detections(folder / "detections.csv", drive)
     write_bags(folder, drive)
     (folder / "out").mkdir()
     return folder
 
 
-def write_objects(path: Path, mapped: Path) -> None:
-    """The landmarks of a map as a table of places."""
-    from dslam import landmark_table, read_map
-
-    table = landmark_table(read_map(mapped))
-    rows = zip(table["x_m"], table["y_m"], table["label"], table["id"], strict=True)
-    write_table(path, ["x_m", "y_m", "class", "id"], rows)
-
-
 def write_detections(path: Path, drive: Path) -> None:
-    with LogReader(drive) as log:
-        scans = [entry.record for entry in log.records(Selection.of({"/detections": RecordKind.DETECTIONS}))]
     rows = (
         [scan.stamp_ns, *at, label]
-        for scan in scans
+        for scan in records_of(drive, "/detections")
         if isinstance(scan, ObjectDetections)
         for at, label in zip(scan.positions.tolist(), scan.labels, strict=True)
     )

@@ -117,10 +117,9 @@ def test_arrays_make_the_same_index_and_those_of_another_version_are_refused() -
     first, second = (search(each, seen, labels[rows]) for each in (index, again))
     np.testing.assert_array_equal(first.entries, second.entries)
     assert len(again) == len(index)
-    with pytest.raises(ValueError, match="another version"):
-        PairIndex.of(shipped_likelihood(), 1.0, index.words[:-1], *arrays[1:])
-    with pytest.raises(ValueError, match="another version"):
-        PairIndex.of(shipped_likelihood(), 1.0, index.words, index.ends[:-1], *arrays[2:])
+    for others in ((index.words[:-1], *arrays[1:]), (index.words, index.ends[:-1], *arrays[2:])):
+        with pytest.raises(ValueError, match="another version"):
+            PairIndex.of(shipped_likelihood(), 1.0, *others)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

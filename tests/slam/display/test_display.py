@@ -5,10 +5,10 @@ import pytest
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from logs.reader import LogReader
 from slam.display.map_topics import CLOSURES, LANDMARK_POINTS, LANDMARKS, PATH, SUBMAP
 from slam.library import read_map
 from tests.helpers.loop_drives import one_block, replay_drive
+from tests.helpers.short_drives import raw_messages
 
 
 def points_of(cloud: PointCloud) -> np.ndarray:
@@ -20,15 +20,14 @@ def points_of(cloud: PointCloud) -> np.ndarray:
 @pytest.mark.slow
 def test_viewer_holds_more_of_the_map_as_the_drive_goes_and_all_at_the_end(tmp_path):
     outcome = replay_drive(tmp_path, one_block())
-    with LogReader(outcome.path) as reader:
-        clouds, submaps = (
-            [points_of(PointCloud.FromString(raw.data)) for raw in reader.messages([topic])]
-            for topic in (LANDMARK_POINTS, SUBMAP)
-        )
-        paths, closures, (markers,) = (
-            [SceneUpdate.FromString(raw.data).entities for raw in reader.messages([topic])]
-            for topic in (PATH, CLOSURES, LANDMARKS)
-        )
+    clouds, submaps = (
+        [points_of(PointCloud.FromString(raw.data)) for raw in raw_messages(outcome.path, topic)]
+        for topic in (LANDMARK_POINTS, SUBMAP)
+    )
+    paths, closures, (markers,) = (
+        [SceneUpdate.FromString(raw.data).entities for raw in raw_messages(outcome.path, topic)]
+        for topic in (PATH, CLOSURES, LANDMARKS)
+    )
     final = read_map(outcome.path)
     confirmed = final.positions[[state == "confirmed" for state in final.states]]
     assert len(clouds) > 10

@@ -8,6 +8,10 @@ MONTHS_NS = np.arange(8) * 30 * DAY_NS
 SEEN = 0.9
 
 
+STEADY = [[1] * 8] * 20
+"""Twenty landmarks that each session sees."""
+
+
 def presence(seen: list[list[int]], passed: list[list[int]] | None = None):  # type: ignore[no-untyped-def]
     sightings = np.array(seen, bool)
     probabilities = np.where(np.ones_like(sightings) if passed is None else np.array(passed, bool), SEEN, 0.0)
@@ -21,8 +25,7 @@ def test_what_is_always_seen_neither_appeared_nor_went() -> None:
 
 
 def test_what_is_missed_from_a_month_on_is_gone_and_that_month_is_told() -> None:
-    steady = [[1] * 8] * 20
-    result = presence([*steady, [1, 1, 1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1, 1, 1]])
+    result = presence([*STEADY, [1, 1, 1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1, 1, 1]])
     assert result.gone[20] > 0.95
     assert result.changed[20, :, 1].argmax() == 3
     assert result.appeared[21] > 0.95
@@ -31,9 +34,8 @@ def test_what_is_missed_from_a_month_on_is_gone_and_that_month_is_told() -> None
 
 
 def test_a_session_that_did_not_pass_says_nothing() -> None:
-    steady = [[1] * 8] * 20
     seen = [1, 1, 1, 1, 0, 0, 0, 0]
-    result = presence([*steady, seen], [*[[1] * 8] * 20, seen])
+    result = presence([*STEADY, seen], [*STEADY, seen])
     assert result.gone[20] < 0.5
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from tests.helpers.landmarks import spheres
@@ -17,6 +18,11 @@ def new_map(vocabulary: str = "abc", count: int = 1) -> ObjectMap:
     object_map.labels.indices(tuple(vocabulary))
     see_new(object_map, np.zeros((count, 3)))
     return object_map
+
+
+def belief(object_map: ObjectMap) -> FloatArray:
+    """Probabilities of the classes of the first landmark."""
+    return object_map.labels.beliefs(np.array([0]))[0]
 
 
 def see_new(object_map: ObjectMap, positions, label: int = 0):
@@ -56,7 +62,7 @@ def test_the_belief_is_bayes_rule_applied_label_by_label(sightings):
     for seen in sightings:
         posterior = posterior * [0.8 if name == seen else 0.1 for name in "abc"]
         posterior /= posterior.sum()
-    np.testing.assert_allclose(object_map.labels.beliefs(np.array([0]))[0], posterior, atol=1e-12)
+    np.testing.assert_allclose(belief(object_map), posterior, atol=1e-12)
 
 
 def test_of_one_class_no_label_lies_beyond_the_limit():
@@ -137,9 +143,7 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     together = new_map(count=1)
     for label in (0, 1, 0, 0):
         see(together, 0, label)
-    np.testing.assert_allclose(
-        record.class_probabilities[2, :2], together.labels.beliefs(np.array([0]))[0, :2], rtol=1e-6
-    )
+    np.testing.assert_allclose(record.class_probabilities[2, :2], belief(together)[:2], rtol=1e-6)
 
 
 def test_merges_are_of_the_landmarks_given():
@@ -183,7 +187,6 @@ def test_the_vocabulary_grows_and_old_labels_keep_their_index():
     see(object_map, 0, label=20)
     assert object_map.labels.indices((names[3], *names)).tolist() == [4, *range(1, 41)]
     assert object_map.labels.vocabulary == ("a", *names)
-    beliefs = object_map.labels.beliefs(np.array([0]))[0]
-    assert beliefs.shape == (41,)
-    assert np.flatnonzero(beliefs > 0.3).tolist() == [0, 20]
+    assert belief(object_map).shape == (41,)
+    assert np.flatnonzero(belief(object_map) > 0.3).tolist() == [0, 20]
     assert object_map.labels.indices(()).shape == (0,)

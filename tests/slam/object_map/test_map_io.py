@@ -13,6 +13,7 @@ from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
+from tests.helpers.graphs import with_edges
 from tests.helpers.loop_drives import emptier
 from tests.helpers.short_drives import Entry, block_world, drive, map_in_memory, write_log, write_map
 
@@ -142,15 +143,7 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
 def test_a_discontinuity_is_known_by_its_kind_and_not_by_its_covariance(
     first: FinalMap, tmp_path: Path, kind: str, scale: float, left_out: int
 ) -> None:
-    graph = first.graph
-    kept = np.flatnonzero(np.array(graph.edge_kinds) != "closure")
-    graph = replace(
-        graph,
-        edge_kinds=tuple(graph.edge_kinds[edge] for edge in kept),
-        edge_keyframe_ids=graph.edge_keyframe_ids[kept],
-        edge_transforms=graph.edge_transforms[kept],
-        edge_covariances=graph.edge_covariances[kept],
-    )
+    graph = with_edges(first.graph, np.flatnonzero(np.array(first.graph.edge_kinds) != "closure"))
     ids, row = graph.keyframe_ids, len(graph.keyframe_ids) - 4
     assert graph.edge_keyframe_ids[row].tolist() == [ids[-4], ids[-3]]
     kinds = (*graph.edge_kinds[:row], kind, *graph.edge_kinds[row + 1 :])

@@ -131,23 +131,13 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
     assert places.found_m(400.0, seed=2) == [400.0]
 
 
-class _Batches:
-    """An index that keeps what it is given."""
-
-    def __init__(self) -> None:
-        self.added: list[Batch] = []
-
-    def enter(self, batch: Batch) -> None:
-        self.added.append(batch)
-
-
 def test_landmarks_are_indexed_among_those_of_their_traversal(places, monkeypatch):
-    index = _Batches()
-    monkeypatch.setattr(places.retriever, "_pairs", index)
+    added = list[Batch]()
+    monkeypatch.setattr(places.retriever, "_pairs", SimpleNamespace(enter=added.append))
     for seed, travel_m in enumerate((0.0, 500.0, 510.0)):
         places.add(0.0, travel_m, seed=seed)
         places.index(travel_m + 200.0)
-    assert [(len(batch.centres), len(batch.positions)) for batch in index.added] == [
+    assert [(len(batch.centres), len(batch.positions)) for batch in added] == [
         (COUNT, COUNT),
         (COUNT, COUNT),
         (COUNT, 2 * COUNT),
@@ -155,13 +145,13 @@ def test_landmarks_are_indexed_among_those_of_their_traversal(places, monkeypatc
 
 
 def test_landmarks_of_an_imported_map_are_not_indexed_again(places, monkeypatch):
-    index = _Batches()
+    added = list[Batch]()
     retriever = PlaceRetriever(CONFIG, places.map, SimpleNamespace())
-    monkeypatch.setattr(retriever, "_pairs", index)
+    monkeypatch.setattr(retriever, "_pairs", SimpleNamespace(enter=added.append))
     places.add(0.0, 0.0, segment=SEGMENT)
     places.add(50.0, 0.0, segment=SEGMENT + 1, seed=2)
     retriever.index_inactive_landmarks(OdometryPose(0, np.eye(4), 200.0, 0, 0.0))
-    assert [batch.segment for batch in index.added] == [SEGMENT + 1]
+    assert [batch.segment for batch in added] == [SEGMENT + 1]
 
 
 class _Recorded:

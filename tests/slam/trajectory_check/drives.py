@@ -9,6 +9,7 @@ from slam.trajectory_check.prediction import SampledScan
 RANGE_M = 20.0
 SIGMA_M = 0.2
 SCANS = 240
+UPRIGHT = np.eye(4)
 
 
 def circle(*, rounds: float = 2.0) -> FloatArray:
@@ -25,7 +26,7 @@ def drifting(T_true: FloatArray, drift_m: float) -> FloatArray:
     return T
 
 
-def scans_of(T_true: FloatArray, *, T_body_sensor: FloatArray | None = None) -> tuple[SampledScan, ...]:
+def scans_of(T_true: FloatArray, *, T_body_sensor: FloatArray = UPRIGHT) -> tuple[SampledScan, ...]:
     """What a body sees of objects at random, with noise, in axes that ``T_body_sensor`` (4, 4) turns."""
     rng = np.random.default_rng(5)
     objects = np.column_stack([rng.uniform(-130.0, 130.0, (800, 2)), rng.uniform(0.0, 0.5, 800)])
@@ -36,7 +37,6 @@ def scans_of(T_true: FloatArray, *, T_body_sensor: FloatArray | None = None) -> 
         seen = apply(invert(T), objects)
         near = np.linalg.norm(seen, axis=1) < RANGE_M
         positions = seen[near] + rng.normal(0.0, SIGMA_M, (int(near.sum()), 3))
-        if T_body_sensor is not None:
-            positions = apply(invert(T_body_sensor), positions)
+        positions = apply(invert(T_body_sensor), positions)
         scans.append(SampledScan(k, positions, labels[near], float(travel_m[k]), T, T))
     return tuple(scans)

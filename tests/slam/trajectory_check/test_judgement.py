@@ -5,12 +5,17 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.trajectory_check.judgement import TrajectoryCheck, check_trajectories
-from tests.slam.trajectory_check.drives import RANGE_M, SIGMA_M, circle, drifting, scans_of
+from tests.slam.trajectory_check.drives import RANGE_M, SIGMA_M, UPRIGHT, circle, drifting, scans_of
 
 
-def check(T_true: FloatArray, odometry: FloatArray, online: FloatArray, final: FloatArray) -> TrajectoryCheck:
-    trajectories = {"odometry": odometry, "online": online, "final": final}
-    return check_trajectories(scans_of(T_true), trajectories, sensor_range_m=RANGE_M, sigma_m=SIGMA_M)
+def check(
+    T_true: FloatArray, odometry: FloatArray, online: FloatArray, final: FloatArray, T_body_sensor: FloatArray = UPRIGHT
+) -> TrajectoryCheck:
+    """Of trajectories of the sensor, whose axes ``T_body_sensor`` turns."""
+    found = {"odometry": odometry, "online": online, "final": final}
+    trajectories = {name: T @ T_body_sensor for name, T in found.items()}
+    scans = scans_of(T_true, T_body_sensor=T_body_sensor)
+    return check_trajectories(scans, trajectories, sensor_range_m=RANGE_M, sigma_m=SIGMA_M)
 
 
 def with_wrong_associations(T: FloatArray) -> FloatArray:
@@ -51,10 +56,6 @@ def test_drive_without_revisits_cannot_be_judged() -> None:
 
 def test_axes_of_the_body_do_not_matter() -> None:
     """A camera looks along its z axis, and may be what the odometry calls the body."""
-    T = TRUE
     optical = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    upright = check(T, drifting(T, 2.0), T, T)
-    scans = scans_of(T, T_body_sensor=optical)
-    trajectories = {"odometry": drifting(T, 2.0) @ optical, "online": T @ optical, "final": T @ optical}
-    turned = check_trajectories(scans, trajectories, sensor_range_m=RANGE_M, sigma_m=SIGMA_M)
+    upright, turned = (check(TRUE, drifting(TRUE, 2.0), TRUE, TRUE, axes) for axes in (UPRIGHT, optical))
     assert turned.gains == pytest.approx(upright.gains, abs=0.15)

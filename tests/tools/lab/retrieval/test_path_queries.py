@@ -4,7 +4,7 @@ import pytest
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply
 from tools.lab.retrieval.labelled_map import LabelledMap
-from tools.lab.retrieval.path_queries import Scenario, draw_path_queries
+from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
 
 
 def forest(count: int, extent_m: float) -> np.ndarray:
@@ -12,17 +12,16 @@ def forest(count: int, extent_m: float) -> np.ndarray:
     return np.column_stack([xy, np.zeros(count)])
 
 
-def map_of(positions: np.ndarray) -> LabelledMap:
-    return LabelledMap(positions, np.zeros(len(positions), np.int64), ("tree",))
+def drawn(positions: np.ndarray, count: int, **scenario: float) -> list[PathQuery]:
+    trees = LabelledMap(positions, np.zeros(len(positions), np.int64), ("tree",))
+    return draw_path_queries(trees, count, Scenario(**scenario), rng=np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("clutter", [0.0, 0.3])
 def test_observed_objects_are_those_of_the_map_but_for_clutter(clutter: float) -> None:
     positions = forest(600, 300.0)
-    scenario = Scenario(clutter=clutter, noise_m=0.05)
-    queries = draw_path_queries(map_of(positions), 20, scenario, rng=np.random.default_rng(0))
     of_map = []
-    for query in queries:
+    for query in drawn(positions, 20, clutter=clutter, noise_m=0.05):
         placed = apply(query.T_map_query_gt, query.submap.positions)
         nearest_m = np.hypot(*(placed[:, None, :2] - positions[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
         of_map.append(np.mean(nearest_m < 0.25))
@@ -31,10 +30,7 @@ def test_observed_objects_are_those_of_the_map_but_for_clutter(clutter: float) -
 
 def test_robot_drives_until_it_has_seen_as_many_objects_as_the_scenario_has() -> None:
     positions = forest(600, 600.0)
-    few, many = (
-        draw_path_queries(map_of(positions), 5, Scenario(objects=count), rng=np.random.default_rng(0))
-        for count in (10, 40)
-    )
+    few, many = (drawn(positions, 5, objects=count) for count in (10, 40))
     assert {len(query.submap) for query in few} == {10}
     assert {len(query.submap) for query in many} == {40}
     assert all(np.hypot(*query.submap.positions[:, :2].T).max() < 100.0 for query in few)
@@ -42,16 +38,10 @@ def test_robot_drives_until_it_has_seen_as_many_objects_as_the_scenario_has() ->
 
 def test_missing_objects_are_not_observed() -> None:
     positions = forest(3000, 500.0)
-    counts = [
-        np.mean([len(q.submap) for q in draw_path_queries(map_of(positions), 20, scenario, rng=rng)])
-        for rng, scenario in (
-            (np.random.default_rng(0), Scenario(missing=0.0)),
-            (np.random.default_rng(0), Scenario(missing=0.5)),
-        )
-    ]
+    counts = [np.mean([len(query.submap) for query in drawn(positions, 20, missing=missing)]) for missing in (0.0, 0.5)]
     assert counts[1] / counts[0] == pytest.approx(0.5, abs=0.1)
 
 
 def test_map_too_sparse_for_queries_is_refused() -> None:
     with pytest.raises(SimulationError, match="denser"):
-        draw_path_queries(map_of(forest(50, 5000.0)), 2, Scenario(), rng=np.random.default_rng(0))
+        drawn(forest(50, 5000.0), 2)
