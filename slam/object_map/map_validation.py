@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
@@ -36,9 +34,14 @@ def parts(keyframes: IntArray, edges: IntArray) -> IntArray:
     in the order of their first keyframes.
     """
     order = np.argsort(keyframes)
-    start, end = order[np.searchsorted(keyframes, edges.T, sorter=order)]
-    joined = sparse.coo_array((np.ones(len(edges)), (start, end)), shape=(len(order), len(order)))
-    return connected_components(joined, directed=False)[1].astype(np.int64)
+    ends = order[np.searchsorted(keyframes, edges.T, sorter=order)]
+    part = np.arange(len(order))  # SciPy would take longer to load than a map to describe
+    while (part[ends[0]] != part[ends[1]]).any():
+        least = part[ends].min(axis=0)
+        for end in ends:  # the parts of both ends are joined, so that a chain takes few rounds
+            np.minimum.at(part, part[end], least)
+        part = part[part]
+    return np.unique(part, return_inverse=True)[1]
 
 
 def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
