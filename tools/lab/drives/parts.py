@@ -26,10 +26,9 @@ class Part:
     replaced: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _uniform_clutter(query: Any, reference: Any, offsets: Any, distances: Any, *rest: Any) -> Any:
+def _uniform_clutter(distances: Any, is_other: Any, alike: Any, *rest: Any) -> Any:
     """The clutter density of the whole reference, the same for all objects of a class."""
-    area_m2 = np.prod(np.ptp(reference.positions[:, :2], axis=0) + 1.0)
-    return (0.5 + np.sum(reference.labels[:, None] == query.labels[None, :], axis=0)) / area_m2
+    return (0.5 + np.sum(alike, axis=0)) / (np.pi * (0.5 * np.max(distances)) ** 2)
 
 
 _ADD_OBSERVATIONS = EditableGraph.add_observations
@@ -65,7 +64,10 @@ PARTS: dict[str, Part] = {
         }
     ),
     "clutter around each object": Part(
-        replaced={"slam.loop_closure.likelihood_ratio._clutter_densities": _uniform_clutter}
+        replaced={
+            "slam.loop_closure.likelihood_ratio._disc_densities": _uniform_clutter,
+            "slam.loop_closure.likelihood_ratio._row_densities": lambda offsets, *rest: np.zeros(offsets.shape[1]),
+        }
     ),
     "robust back end": Part(replaced={"slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6}),
     "kidnappings noticed by landmarks": Part(
