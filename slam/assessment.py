@@ -1,5 +1,5 @@
 """Reasons to doubt a finished map, for people: a way without landmarks, an odometry that tells little of the motion,
-parts of the drive that nothing joins, and moving objects.
+parts of the drive that nothing joins, moving objects, and labels that may be identities but have several landmarks.
 """
 
 from collections.abc import Mapping
@@ -39,6 +39,7 @@ def assess(
         *_unexplained(graph, calibration.detection.sensor_range_m),
         _parted(graph),
         moving if share >= 0.25 else "",
+        _doubled(object_map, calibration),
         explain(check, share, counters, calibration),
     )
     return tuple(filter(None, doubts))
@@ -116,6 +117,20 @@ def _parted(graph: FactorGraphRecord) -> str:
     if count < 2:
         return ""
     return f"the drive is in {count} parts: the odometry broke off, and neither closures nor landmarks join them"
+
+
+def _doubled(object_map: ObjectMapRecord, calibration: Calibration) -> str:
+    """Labels that have several landmarks although no scan has two objects of one label, or empty."""
+    if calibration.objects.spacing_m <= 2.0 * calibration.detection.farthest_m:  # so far apart are objects of a scan
+        return ""
+    _, counts = np.unique(object_map.classes[object_map.is_confirmed], return_counts=True)
+    doubled = np.count_nonzero(counts > 1)
+    if doubled < 0.25 * max(len(counts), 1):
+        return ""
+    return (
+        f"{doubled} of {len(counts)} labels have several landmarks, but no scan has two objects of one: if labels are "
+        "identities, the robot was lost"
+    )
 
 
 def _travel_m(graph: FactorGraphRecord) -> FloatArray:

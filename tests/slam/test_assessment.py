@@ -117,6 +117,22 @@ def test_keyframes_of_a_fixed_prior_map_are_no_way_without_landmarks() -> None:
     assert doubts(with_edges(graph, slice(60, None))) == ""
 
 
+@pytest.mark.parametrize(
+    ("spacing_m", "classes", "said"),
+    [
+        (61.0, [0, 1, 1, 2, 3], "1 of 4 labels have several landmarks"),
+        (61.0, [0, 1, 1, 2, 3, 4], None),
+        (59.0, [0, 0, 1, 1], None),
+    ],
+)
+def test_labels_with_several_landmarks(spacing_m: float, classes: list[int], said: str | None) -> None:
+    ids, places = tuple(map(str, range(len(classes)))), np.zeros((len(classes), 3))
+    object_map = ObjectMapRecord.of_objects(ids, places, classes, tuple("abcde"))
+    calibration = CALIBRATION.with_values({"objects.spacing_m": spacing_m, "detection.farthest_m": 30.0})
+    found = assess(drive(seen=range(KEYFRAMES)), object_map, calibration, {}, UNDECIDED)
+    assert [each.partition(",")[0] for each in found] == ([said] if said else [])
+
+
 @pytest.mark.parametrize(("moving", "told"), [(3, False), (4, True)])
 def test_many_moving_objects_are_told(moving: int, told: bool) -> None:
     said = doubts(drive(seen=range(KEYFRAMES)), landmarks(moving=moving))
