@@ -38,7 +38,7 @@ class RetirementReason(StrEnum):
 LANDMARK = np.dtype(
     [
         ("state", np.int8),
-        ("reason", "U13"),  # why it was retired, empty before
+        ("reason", f"U{max(map(len, RetirementReason))}"),  # why it was retired, empty before
         ("observations", np.int64),  # detections assigned to it
         ("log_likelihood_ratio", np.float64),  # of all of them but the first, against none of them
         ("first_scan", np.int64),  # numbers of the first and the last scan that saw it
