@@ -34,6 +34,12 @@ def odometry_jumps(log: Recording, count: Number = 10, distance_m: Metres = 1.5,
         log.redirect(row, _shift(distance_m, angle_rad))
 
 
+def odometry_not_level(log: Recording, roll_deg: Degrees = -90.0, pitch_deg: Degrees = 0.0) -> None:
+    """Its frame is turned, as that of a camera whose first pose is the origin: by DEG of roll, then of pitch."""
+    R = Rotation.from_euler("xy", (roll_deg, pitch_deg), degrees=True).as_matrix()
+    log.poses = make_transform(R, np.zeros(3)) @ log.poses
+
+
 def odometry_wild(log: Recording, distance_m: Metres = 1000.0, *, rng: np.random.Generator) -> None:
     """One message at half time is M away and turned at random; the next one is right again."""
     direction_rad, turn_rad = rng.uniform(-np.pi, np.pi, 2).tolist()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import invert, rotation_angle_rad, transform_from_xyz_yaw, yaw_rad
 from tests.slam.simulation.faults.streams import COUNT, drive, faulty
 
@@ -45,6 +46,12 @@ def test_fault_changes_these_steps(fault: str) -> None:
     expected = drive().steps
     expected[rows] = change(expected[rows])
     np.testing.assert_allclose(faulty(fault).steps, expected, atol=1e-9)
+
+
+def test_odometry_not_level_is_made_level_by_the_inverse() -> None:
+    found = faulty("odometry_not_level=-90:10")
+    level = OdometryCalibration(pitch_deg=-10.0).T_level_odom, OdometryCalibration(roll_deg=90.0).T_level_odom
+    np.testing.assert_allclose(level[1] @ level[0] @ found.poses, drive().poses, atol=1e-9)
 
 
 def test_pitch_jumps_once() -> None:
