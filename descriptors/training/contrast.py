@@ -79,7 +79,7 @@ class Sample:
 @frozen
 class PairSample:
     """Pairs ``known`` of a map, and ``queries``, pairs of views of it with the noise of each in spacings; ``objects``
-    (Q,): which of the map each is; ``is_compared`` (Q, P): the centres that it is compared with, itself included.
+    (Q,): which of the map each is; ``is_compared`` (Q, P): the pairs that it is compared with, itself included.
 
     These are all pairs of the map of nearly the same length. The index compares pairs of the same classes only, which
     are fewer in a map of this size.
