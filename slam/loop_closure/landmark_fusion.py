@@ -65,20 +65,24 @@ def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibra
     # Those of one class, by distances along the ground.
     apart = np.column_stack([positions[:, :2], 2.0 * reach_m * classes])
     pairs = cKDTree(apart).query_pairs(reach_m, output_type="ndarray")
+    d, pairs = np.subtract(*positions[pairs.T]), rows[pairs]
+    unseen = missed * (1 - np.array([len(observers[a] & observers[b]) for a, b in pairs.tolist()]))
+    # An offset errs by a landmark's noise across its direction, at least, and by its length along it, at the likeliest.
+    noise_m = config.landmark_sigma_m
+    most = unseen - log_density - np.log(2.0 * np.pi * noise_m * np.maximum(np.hypot(d[:, 0], d[:, 1]), noise_m))
+    d, pairs, unseen = (each[most > LEAST_LOG_ODDS] for each in (d, pairs, unseen))
     if not len(pairs):
         return []
-    d, pairs = np.subtract(*positions[pairs.T]), rows[pairs]
     try:
         covariances = graph.relative_covariances(pairs)
     except FactorGraphError as error:
         logger.info("duplicate landmarks are not merged: %s", error)
         return []
     height_m = np.hypot(config.landmark_sigma_m, config.landmark_height_sigma_m)
-    S = covariances + np.diag([config.landmark_sigma_m, config.landmark_sigma_m, height_m]) ** 2
-    together = np.array([len(observers[a] & observers[b]) for a, b in pairs.tolist()])
+    S = covariances + np.diag([noise_m, noise_m, height_m]) ** 2
     tail = (FREEDOM + 3.0) * np.log1p(squared_mahalanobis(d, S) / FREEDOM)
     log_area = np.log((2.0 * np.pi) ** 2 * np.linalg.det(S[:, :2, :2]))
-    ratios = -0.5 * (tail + log_area) - log_density + missed * (1 - together)
+    ratios = -0.5 * (tail + log_area) - log_density + unseen
     likely = ratios > LEAST_LOG_ODDS
     return _sure(dict(zip(map(tuple, pairs[likely].tolist()), ratios[likely].tolist(), strict=True)), observers)
 
