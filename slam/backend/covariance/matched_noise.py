@@ -5,11 +5,13 @@ covariances of the steps predict. Its variance is estimated from the drive: over
 all steps are added up, axis by axis. The variance of closures is estimated likewise.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 
 import gtsam
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import SuperLU
 from scipy.special import chdtr
 
 from slam.backend.covariance.marginals import factorize, linearize
@@ -38,6 +40,7 @@ def matched_covariances(
     sizes = np.array([factor.dim() for factor in factors.values()])
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
     jacobian, residuals = linearize(factors.values(), values)
+    information = cache(partial(factorize, jacobian))
     matched = dict[int, FloatArray]()
     for is_closure in (False, True):
         edges = {
@@ -48,13 +51,15 @@ def matched_covariances(
             and (each.kind == EdgeKind.LOOP_CLOSURE) is is_closure
         }
         rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
-        found = variance_factors(jacobian, residuals, rows, 1 if is_closure else STRETCH_STEPS)
+        found = variance_factors(jacobian, residuals, rows, 1 if is_closure else STRETCH_STEPS, information)
         if (found != 1.0).any():
             matched |= {number: _scaled(each.covariance, found) for number, each in edges.items()}
     return matched
 
 
-def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray, length: int) -> FloatArray:
+def variance_factors(
+    jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray, length: int, information: Callable[[], SuperLU]
+) -> FloatArray:
     """Factors (6,) on the variances of edges, axis by axis.
 
     It is 1 where a drive has too few of them to tell, or where chance may explain the difference: the global test of
@@ -70,6 +75,7 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
         residuals: (N,), likewise.
         rows: (E, 6) of the edges, one after another, rotation first.
         length: edges of a stretch.
+        information: the factors of that of all variables, which takes long.
 
     Raises:
         RuntimeError: the graph does not determine all variables.
@@ -81,7 +87,7 @@ def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: In
     sums = _sums_of(samples[spread], len(residuals))
     columns = (sums @ jacobian).toarray().T
     errors = (sums @ residuals).reshape(-1, 6)
-    posterior = np.einsum("ni,ni->i", columns, factorize(jacobian).solve(columns)).reshape(-1, 6)
+    posterior = np.einsum("ni,ni->i", columns, information().solve(columns)).reshape(-1, 6)
     # Information that other factors add to that of the row itself; less than a hundredth of it is taken to be none.
     measured = 1.0 / posterior - 1.0
     measured = np.where(measured < 0.01, 0.0, measured)
