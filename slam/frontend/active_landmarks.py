@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray, median
 from slam.common.config import Config
 from slam.common.geometry import covariance_in_axes, invert, make_transform, relative, rigid, rotation_of, view_change
 from slam.frontend.data_association import squared_distances
@@ -190,7 +190,7 @@ class ActiveLandmarks:
         if len(rows):
             positions, covariances = self._local.predict(indices)
             distances, _ = squared_distances(seen.positions - positions, covariances + seen.covariances)
-            self._detections_innovation_ratio = float(np.median(distances)) / GATE
+            self._detections_innovation_ratio = median(distances) / GATE
         corrects = landmarks["state"] == LandmarkState.CONFIRMED
         if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
@@ -241,8 +241,9 @@ class ActiveLandmarks:
 
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
-        self._local.remove(rows)
-        self._map.assign(rows, is_active=False)
+        if len(rows):
+            self._local.remove(rows)
+            self._map.assign(rows, is_active=False)
 
     def surplus(self) -> BoolArray:
         """(A,) which landmarks are too far to be seen again soon, or too many to keep: the longest unseen ones."""

@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import chdtri
 
 from logs.records import frozen
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray, median
 from slam.common.calibration import ObjectCalibration
 
 NEW, AMBIGUOUS = -1, -2
@@ -134,7 +134,7 @@ def associate(
     np.maximum.at(likeliest, detection[inside], likelihood[inside])
     alike = inside[likelihood[inside] > EXCLUDED_RATIO * likeliest[detection[inside]]]
     of_landmarks, of_detections = (
-        np.median(np.einsum("nii->n", each)) for each in (landmark_covariances[landmark], covariances[detection])
+        median(np.einsum("nii->n", each)) for each in (landmark_covariances[landmark], covariances[detection])
     )
     # What is near a landmark and yet outside its gate is as far off as the gate, at least.
     ambiguous = int(np.count_nonzero(rows == AMBIGUOUS))
@@ -143,7 +143,7 @@ def associate(
         rows,
         ratios,
         is_contested=bool(_is_contested(detection[alike], landmark[alike]).any()),
-        is_uncertain=bool(of_landmarks > 2.0 * of_detections),
+        is_uncertain=of_landmarks > 2.0 * of_detections,
         is_inconsistent=squares > 3.0 * count + INCONSISTENT_SIGMAS * np.sqrt(6.0 * count),
     )
 

@@ -48,7 +48,7 @@ class LocalMap:
         """Restart at a pose, without landmarks, as after a discontinuity of the odometry."""
         # Positions inside are relative to the start, so that lever arms stay short wherever the odometry begins.
         self._origin = T_odom_body[:3, 3].copy()
-        self._T = make_transform(T_odom_body[:3, :3], np.zeros(3))
+        self._place(make_transform(T_odom_body[:3, :3], np.zeros(3)))
         self._P = np.zeros((POSE, POSE))
         self.ids = np.zeros(0, dtype=np.int64)
         """Ids (L,) of the landmarks held, ascending; another array once they change."""
@@ -59,10 +59,10 @@ class LocalMap:
         """Positions (L, 3) m of all landmarks held, local frame."""
         return self._positions + self._origin
 
-    @property
-    def T_local_body(self) -> FloatArray:
-        """Pose (4, 4) of the body."""
-        return make_transform(self._T[:3, :3], self._T[:3, 3] + self._origin)
+    def _place(self, T_start_body: FloatArray) -> None:
+        self._T = T_start_body
+        self.T_local_body = make_transform(T_start_body[:3, :3], T_start_body[:3, 3] + self._origin)
+        """Pose (4, 4) of the body; another array once it changes."""
 
     def slots(self, ids: IntArray) -> IntArray:
         """Where ids (K,), all of them held, stand in the state."""
@@ -72,7 +72,7 @@ class LocalMap:
         """Move the body by a step (4, 4) of the odometry with its covariance (6, 6), rotation [rad] before translation
         [m], in the axes of the body after it.
         """
-        self._T = self._T @ T_before_after
+        self._place(self._T @ T_before_after)
         R = self._T[:3, :3]
         # Jacobian of the error by the noise, with its lever arms to all positions.
         G = np.zeros((len(self._P), POSE))
@@ -101,7 +101,7 @@ class LocalMap:
         columns = _columns(slots).ravel()
         cross = np.tile(self._P[3:POSE][:, columns], (len(slots), 1))
         of_pose = np.tile(self._P[3:POSE, 3:POSE], (len(slots), len(slots)))
-        return self._P[np.ix_(columns, columns)] + of_pose - cross - cross.T
+        return self._P.take(columns, axis=0).take(columns, axis=1) + of_pose - cross - cross.T
 
     def step_effects(self, slots: IntArray) -> FloatArray:
         """(3 K, 3): by how much an error of the last step in heading, x and y moves the offsets of landmarks from the
@@ -194,14 +194,14 @@ class LocalMap:
         if len(kept) == len(self.ids):
             return
         columns = np.append(np.arange(POSE), _columns(kept))
-        self._P = self._P[np.ix_(columns, columns)]
+        self._P = self._P.take(columns, axis=0).take(columns, axis=1)  # faster than by np.ix_
         self._positions = self._positions[kept]
         self.ids = self.ids[kept]
 
     def _apply(self, change: FloatArray) -> None:
         R, V = rotation_of(change[:3]), left_jacobian(change[:3])
         shifts = change[3:].reshape(-1, 3) @ V.T
-        self._T = make_transform(R @ self._T[:3, :3], R @ self._T[:3, 3] + shifts[0])
+        self._place(make_transform(R @ self._T[:3, :3], R @ self._T[:3, 3] + shifts[0]))
         self._positions = self._positions @ R.T + shifts[1:]
 
 

@@ -111,7 +111,7 @@ class Mapper:
         in_keyframe = scan.seen_from(relative(self.keyframes[-1].T_local_body, self._active.T_local_body))
         rows = tracked.landmark_rows
         # Keyframes since then may have made landmarks inactive.
-        rows = np.where(np.isin(rows, self._active.rows) | (rows == NEW), rows, AMBIGUOUS)
+        rows = np.where((rows[:, None] == self._active.rows).any(axis=1) | (rows == NEW), rows, AMBIGUOUS)
         known, new = rows >= 0, rows == NEW
         self._map.record_observations(
             rows[known],

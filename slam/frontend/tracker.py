@@ -60,8 +60,9 @@ class Tracked:
     @property
     def landmark_rows(self) -> IntArray:
         """(D,) row in the object map of each detection's landmark; negative where it has none."""
-        indices = self.assignment.landmark_rows
-        return np.where(indices >= 0, np.append(self.active, 0)[indices], indices)
+        rows, matched = self.assignment.landmark_rows.copy(), self.assignment.matched
+        rows[matched] = self.active[rows[matched]]
+        return rows
 
 
 class _Path(deque[tuple[int, FloatArray]]):
