@@ -141,7 +141,10 @@ class OutputLog:
             if update.child_frame_id != update.parent_frame_id:  # as of an odometry in the frame of the map
                 self._frames[update.child_frame_id] = update
             if all(each.parent_frame_id != update.child_frame_id for each in self._frames.values()):  # the body
-                frames = tuple(replace(each, stamp_ns=update.stamp_ns) for each in self._frames.values())
+                frames = tuple(
+                    each if each.stamp_ns == update.stamp_ns else replace(each, stamp_ns=update.stamp_ns)
+                    for each in self._frames.values()
+                )
                 yield FRAMES, FrameTree(update.stamp_ns, frames)
         elif isinstance(update, StatusRecord):
             if update.state == State.LOST:

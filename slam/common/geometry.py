@@ -15,7 +15,7 @@ from slam.common.arrays import FloatArray, IntArray
 
 def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Stack ``rotation`` (..., 3, 3) and ``translation`` (..., 3) into transforms (..., 4, 4)."""
-    T = np.zeros((*np.broadcast(rotation[..., 0], translation).shape[:-1], 4, 4))
+    T = np.zeros((*(translation.shape[:-1] or rotation.shape[:-2]), 4, 4))
     T[..., :3, :3] = rotation
     T[..., :3, 3] = translation
     T[..., 3, 3] = 1.0
@@ -35,13 +35,15 @@ def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> Floa
 
 def invert(T_a_b: FloatArray) -> FloatArray:
     """``T_b_a`` of ``T_a_b`` (..., 4, 4), by transposing the rotation."""
-    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
-    return make_transform(R_b_a, -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3]))
+    R_b_a, T_b_a = T_a_b[..., :3, :3].swapaxes(-1, -2), T_a_b.copy()
+    T_b_a[..., :3, :3] = R_b_a
+    T_b_a[..., :3, 3] = -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3])
+    return T_b_a
 
 
 def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     """Points (N, 3) of frame b, in frames a: (..., N, 3); N = 0 gives (..., 0, 3)."""
-    return points_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3]
+    return points_b @ T_a_b[..., :3, :3].swapaxes(-1, -2) + T_a_b[..., None, :3, 3]
 
 
 def apply_each(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:

@@ -34,6 +34,8 @@ class CalibratedOdometry:
 
     def correct(self, odometry: Odometry) -> Odometry:
         """The next message with stamp, lengths and turns corrected; a repeated pose is repeated to the last digit."""
+        if self._is_right and not self._offset_ns:
+            return odometry
         T_odom_body = odometry.T_odom_body if self._is_right else self._scaled(odometry)
         return replace(odometry, stamp_ns=odometry.stamp_ns + self._offset_ns, T_odom_body=T_odom_body)
 

@@ -1,5 +1,6 @@
 """Keyframes: the poses of the odometry that the factor graph estimates."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,12 +41,18 @@ def is_keyframe_due(last: Keyframe, pose: OdometryPose, T_local_body: FloatArray
         T_local_body: (4, 4), where landmarks and odometry have the body now.
         config: with the distance from one keyframe to the next.
     """
-    T_steps = relative(
-        np.array([last.T_local_body, last.odometry.T_odom_body]), np.array([T_local_body, pose.T_odom_body])
-    )
-    turns_rad, moved_m = rotation_angle_rad(T_steps), np.linalg.norm(T_steps[:, :3, 3], axis=1)
-    # With less motion the robot stands still; by an eighteenth of a circle the view changes.
-    has_moved = bool(np.any((moved_m >= 0.1 / 30.0 * config.sensor_range_m) | (turns_rad >= 0.02)))
-    has_turned = turns_rad[0] >= np.deg2rad(20.0)
-    is_late = pose.stamp_ns - last.odometry.stamp_ns >= INTERVAL_S * 1e9
-    return bool(moved_m[0] >= config.keyframe_distance_m or has_turned or (is_late and has_moved))
+    step = _motion(last.T_local_body, T_local_body)
+    # By an eighteenth of a circle the view changes.
+    if step[0] >= config.keyframe_distance_m or step[1] >= np.deg2rad(20.0):
+        return True
+    if pose.stamp_ns - last.odometry.stamp_ns < INTERVAL_S * 1e9:
+        return False
+    steps = step, _motion(last.odometry.T_odom_body, pose.T_odom_body)
+    # With less motion the robot stands still.
+    return any(moved_m >= 0.1 / 30.0 * config.sensor_range_m or turned_rad >= 0.02 for moved_m, turned_rad in steps)
+
+
+def _motion(T_from: FloatArray, T_to: FloatArray) -> tuple[float, float]:
+    """Length [m] and angle [rad] of the step from a pose (4, 4) to another."""
+    T = relative(T_from, T_to)
+    return math.hypot(*T[:3, 3]), float(rotation_angle_rad(T))

@@ -92,7 +92,7 @@ class OdometryTrack:
         elif last is None or self._comes_late(odometry, last.stamp_ns) or self._is_beyond(self._poses, odometry):
             self._waiting = odometry
         else:
-            added.append(self._append(odometry))
+            added.append(self._append(odometry, is_near=True))
         return added
 
     def break_after(self, travel_m: float, *, before_ns: int) -> int:
@@ -175,19 +175,20 @@ class OdometryTrack:
         """Whether no body can have made the step from the last of ``poses`` to a message: over a silence, or a jump."""
         last, T_odom_body = poses[-1], self._T_odom_reported @ odometry.T_odom_body
         seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-        step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
+        step_m = math.dist(T_odom_body[:3, 3], last.T_odom_body[:3, 3])
         speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
         # Accelerations are at most 5 m/s^2 of a car whose sensor sees 30 m, and messages are wrong by up to 2 m there.
         reachable_mps = speed_mps + self._sensor_range_m / 6.0 * seconds
         farthest_m = min(reachable_mps, self._max_speed_mps) * seconds + 2.0 / 30.0 * self._sensor_range_m
         return seconds > MAX_GAP_S or step_m > farthest_m
 
-    def _append(self, odometry: Odometry) -> OdometryPose:
+    def _append(self, odometry: Odometry, *, is_near: bool = False) -> OdometryPose:
+        """``is_near``: a body can have come there."""
         last, T_odom_body = self.latest, self._T_odom_reported @ odometry.T_odom_body
         xyz_m, travel_m, segment, speed_mps = T_odom_body[:3, 3], 0.0, self._first_segment, self._max_speed_mps
         if last is None:
             self._counted_xyz_m = xyz_m
-        elif self._is_beyond(self._poses, odometry):
+        elif not is_near and self._is_beyond(self._poses, odometry):
             self._counted_xyz_m, travel_m, segment = xyz_m, last.travel_m, last.segment + 1
         else:
             travel_m, segment = last.travel_m, last.segment

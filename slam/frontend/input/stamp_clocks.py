@@ -195,8 +195,11 @@ class _TopicClock:
         if len(self._delays) < MIN_MESSAGES:
             self._delays.append(delay_ns)
             return [self._corrected(record)], 0
-        usual_ns = median_low(self._delays)
-        tolerance_ns = median_low(self._intervals) + max(self._delays) - min(self._delays)
+        least_ns, most_ns = min(self._delays), max(self._delays)
+        usual_ns, tolerance_ns = delay_ns, 0
+        if not least_ns <= delay_ns <= most_ns:  # else it is within any tolerance
+            usual_ns = median_low(self._delays)
+            tolerance_ns = median_low(self._intervals) + most_ns - least_ns
         if abs(delay_ns - usual_ns) <= 2.0 * tolerance_ns:
             self._delays.append(delay_ns)
             return [*self.release(), self._corrected(record)], 0
