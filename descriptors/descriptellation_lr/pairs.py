@@ -85,9 +85,10 @@ class Pairs:
 
 def spacing_m(positions: FloatArray) -> float:
     """Median distance [m] of an object (N, 2+) to its nearest neighbour elsewhere; 1 if there are fewer than two."""
-    plane = np.unique(positions[:, :2], axis=0)
-    if len(plane) < 2:
+    distinct = np.unique(positions[:, 0] + 1j * positions[:, 1])  # much faster than by rows
+    if len(distinct) < 2:
         return 1.0
+    plane = np.column_stack([distinct.real, distinct.imag])
     return float(np.median(cKDTree(plane).query(plane, k=[2])[0]))
 
 
