@@ -110,8 +110,8 @@ def associate(
     if len(detection) == 0:
         return Assignment(rows, ratios)
     innovation = positions[detection] - landmark_positions[landmark]
-    S = covariances[detection] + landmark_covariances[landmark]
-    distance_squared, determinant = squared_distances(innovation, S)
+    own, expected = covariances[detection], landmark_covariances[landmark]
+    distance_squared, determinant = squared_distances(innovation, own + expected)
     classes = landmark_beliefs.shape[1]
     belief = landmark_beliefs[landmark, labels[detection]]
     likelihood = label_likelihood(belief, classes, config)
@@ -133,9 +133,7 @@ def associate(
     likeliest = np.zeros(len(positions))
     np.maximum.at(likeliest, detection[inside], likelihood[inside])
     alike = inside[likelihood[inside] > EXCLUDED_RATIO * likeliest[detection[inside]]]
-    of_landmarks, of_detections = (
-        median(np.einsum("nii->n", each)) for each in (landmark_covariances[landmark], covariances[detection])
-    )
+    of_landmarks, of_detections = (median(np.einsum("nii->n", each)) for each in (expected, own))
     # What is near a landmark and yet outside its gate is as far off as the gate, at least.
     ambiguous = int(np.count_nonzero(rows == AMBIGUOUS))
     count, squares = len(taken) + ambiguous, distance_squared[taken].sum() + MATCH_GATE * ambiguous

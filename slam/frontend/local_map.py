@@ -141,10 +141,11 @@ class LocalMap:
         known = np.column_stack([HP, innovations.ravel(), effects])
         root = np.linalg.cholesky(S)
         whitened = solve_triangular(root, known, lower=True, check_finite=False, overwrite_b=True)
-        gain, innovation, effects = np.split(whitened, [len(self._P), len(self._P) + 1], axis=1)
+        size = len(self._P)
+        gain, innovation = whitened[:, :size], whitened[:, size]
         self._P -= gain.T @ gain
-        self._apply(innovation[:, 0] @ gain)
-        return innovation[:, 0], effects
+        self._apply(innovation @ gain)
+        return innovation, whitened[:, size + 1 :]
 
     def update_landmarks(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
         """Correct landmarks by one scan, but not the pose of the body.

@@ -2,7 +2,6 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -85,7 +84,7 @@ class PendingObservations:
         if is_guessed:
             covariance = covariance + self._detection.common_sigma_m**2 * np.eye(3)
             inflation = self._detection.covariance_inflation
-        return replace(summed, covariance=covariance, covariance_inflation=inflation)
+        return Observation(summed.keyframe, summed.landmark, summed.position, covariance, inflation)
 
 
 class ObservationGroup:

@@ -7,6 +7,7 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
+from operator import attrgetter
 
 import numpy as np
 
@@ -144,14 +145,14 @@ class OdometryTrack:
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
-        after = None
-        for pose in reversed(self._poses):
-            if pose.stamp_ns == stamp_ns:
-                return pose
-            if pose.stamp_ns < stamp_ns:
-                return None if after is None or after.segment != pose.segment else _between(pose, after, stamp_ns)
-            after = pose
-        return None
+        row = bisect_left(self._poses, stamp_ns, key=attrgetter("stamp_ns"))
+        if row == len(self._poses):
+            return None
+        after = self._poses[row]
+        if after.stamp_ns == stamp_ns:
+            return after
+        is_between = row and self._poses[row - 1].segment == after.segment
+        return _between(self._poses[row - 1], after, stamp_ns) if is_between else None
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""

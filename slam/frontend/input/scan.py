@@ -134,16 +134,17 @@ def with_expected_noise(scan: Scan, ranges: FloatArray, config: DetectionCalibra
     With the noise by its own range, a detection that is too near would seem more precise than one that is too far, and
     the map would shrink.
     """
-    measured = np.linalg.norm(scan.positions, axis=1)
-    change = _covariances_by_range(scan.positions, ranges, config)
-    change -= _covariances_by_range(scan.positions, measured, config)
+    both = np.stack([ranges, np.linalg.norm(scan.positions, axis=1)])
+    change = np.subtract(*_covariances_by_range(scan.positions, both, config))
     change[scan.has_own_covariance] = 0.0
     return replace(scan, covariances=scan.covariances + change)
 
 
 def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: DetectionCalibration) -> FloatArray:
-    """(N, 3, 3) m^2 of detections in the directions of (N, 3) m, at ``ranges`` (N,) m, whose message gives none."""
+    """(..., N, 3, 3) m^2 of detections in the directions of (N, 3) m, at ``ranges`` (..., N) m, whose message gives
+    none.
+    """
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges
     sights = unit_vectors(positions)
     along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
-    return sigmas[:, None, None] ** 2 * (np.eye(3) + along)
+    return sigmas[..., None, None] ** 2 * (np.eye(3) + along)
