@@ -78,7 +78,6 @@ class ActiveLandmarks:
         self._pose = pose or self._pose
         self._variances, self._has_slipped = np.zeros(3), False
         self._local.start(self.T_odom_body)
-        self._map.assign(slice(None), is_active=False)
 
     def advance(self, pose: OdometryPose, *, is_guess: bool = False) -> FloatArray:
         """Follow the odometry, or a guess, to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""
@@ -237,13 +236,11 @@ class ActiveLandmarks:
         """Make landmarks active; they are tentative until they are confirmed."""
         landmarks = self._map.rows[rows]
         self._local.insert(rows, landmarks["position_local"] - self.T_local_body[:3, 3], landmarks["covariance_local"])
-        self._map.assign(rows, is_active=True)
 
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
         if len(rows):
             self._local.remove(rows)
-            self._map.assign(rows, is_active=False)
 
     def surplus(self) -> BoolArray:
         """(A,) which landmarks are too far to be seen again soon, or too many to keep: the longest unseen ones."""

@@ -20,6 +20,7 @@ from scipy.special import chdtri
 from logs.records import frozen
 from slam.common.arrays import BoolArray, FloatArray, IntArray, median
 from slam.common.calibration import ObjectCalibration
+from slam.object_map.landmarks import shares_but_one
 
 NEW, AMBIGUOUS = -1, -2
 MATCH_GATE = float(chdtri(3, 1.0 - 0.9995))
@@ -220,13 +221,10 @@ def label_likelihood(belief_in_label: FloatArray, classes: int, config: ObjectCa
 def other_shares(labels: IntArray, landmarks: IntArray, beliefs: FloatArray) -> FloatArray:
     """Share (P,) of the objects but one that have a label, for pairs of a label (P,) and the landmark (P,) left out.
 
-    ``beliefs`` (L, C) are class probabilities of the landmarks. The prior has the weight of one object (Perks 1947), so
-    that a label that only one landmark has hardly is another object's. One that none has is as likely as any.
+    ``beliefs`` (L, C) are class probabilities of the landmarks.
     """
-    count, classes = beliefs.shape
     totals = beliefs.sum(axis=0)[labels]
-    others = np.maximum(totals - beliefs[landmarks, labels], 0.0)
-    return (others + 1.0 / classes) / count + np.maximum(1.0 - totals, 0.0) / classes
+    return shares_but_one(totals, totals - beliefs[landmarks, labels], beliefs.shape)
 
 
 def _near_pairs(

@@ -38,7 +38,7 @@ ALONG_TRACK_RANGES, CROSS_TRACK_RANGES = 1.5, 0.7 / 30.0
 PRIOR_OBJECTS, GRID = 10.0, 200
 """Weight, in objects, of the prior of P_D of a single place, and steps of the integral over it."""
 LEAST_COUNT = 0.01
-"""Least density of a class: so many objects in a square with sides of ``COVERAGE_RANGES`` sensor ranges."""
+"""Least density of objects: so many in a square with sides of ``COVERAGE_RANGES`` sensor ranges."""
 
 
 def compute_log_likelihood_ratios(
@@ -107,7 +107,7 @@ def _disc_densities(
     area = np.full(distances.shape[1], disc_area)
     if shares is not None:
         density = np.sum(is_other & (distances < coverage_m), axis=0) / (np.pi * coverage_m**2)
-        area += 0.5 / np.maximum(density * shares, LEAST_COUNT / coverage_m**2)
+        area += 0.5 / (np.maximum(density, LEAST_COUNT / coverage_m**2) * shares)
     return np.maximum(in_disc, 0.5 / area)
 
 

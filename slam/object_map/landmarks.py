@@ -47,7 +47,6 @@ LANDMARK = np.dtype(
         ("last_seen_ns", np.int64),
         ("first_seen_travel_m", np.float64),
         ("last_seen_travel_m", np.float64),
-        ("is_active", np.bool_),  # data association may find it
         ("segment", np.int64),  # of the odometry: positions of one segment have nothing to do with those of another
         # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
         ("position_local", np.float64, 3),
@@ -360,3 +359,14 @@ class ObjectMap:
             first_seen_ns=first[kept],
             last_seen_ns=last[kept],
         )
+
+
+def shares_but_one(totals: FloatArray, others: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Shares (...) of classes among L objects but one, of C classes, ``shape`` (L, C).
+
+    ``totals`` (...): objects of the classes; ``others`` (...): the same without the one. The prior has the weight of
+    one object (Perks 1947), so that a class that only one object has hardly is another's. One that none has is as
+    likely as any.
+    """
+    count, classes = shape
+    return (np.maximum(others, 0.0) + 1.0 / classes) / count + np.maximum(1.0 - totals, 0.0) / classes

@@ -11,7 +11,7 @@ from descriptors.descriptellation_lr.pairs import spacing_m
 from descriptors.registry import shipped_likelihood
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.landmarks import LandmarkState, ObjectMap, shares_but_one
 from slam.object_map.submap import Submap, make_submap
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
@@ -84,12 +84,13 @@ class PlaceRetriever:
         self._search = None
 
     def class_shares(self) -> FloatArray:
-        """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
-        imported = self._imported
-        known = np.bincount(self._map.labels.classes(self._rows)) if imported is None else imported.class_counts
-        counts = np.ones(len(self._map.labels.vocabulary))
-        counts[: len(known)] += known
-        return counts / counts.sum()
+        """Share (C,) of each class among the objects of the index or of the imported map but one of that class."""
+        counts, imported = np.zeros(len(self._map.labels.vocabulary)), self._imported
+        if imported is not None:
+            counts[: len(imported.class_counts)] = imported.class_counts
+        else:
+            np.add.at(counts, self._map.labels.classes(np.unique(self._map.canonical[self._rows])), 1.0)
+        return shares_but_one(counts, counts - 1.0, (max(int(counts.sum()), 1), len(counts)))
 
     def propose(self, query: Submap, *, before_m: float) -> list[Place]:
         """The best places of a query, given in its gravity frame: ``max_candidates`` of each index.
@@ -97,8 +98,7 @@ class PlaceRetriever:
         Those by descriptors, among landmarks seen before that travel, come first, then those in the imported map.
         """
         landmarks = self._map.rows
-        usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
-        usable &= ~landmarks["is_active"]
+        usable = (landmarks["last_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
         places = self._places(query, usable[self._rows])
         return places if self._imported is None else places + self._imported.propose(query, count=self._count)
 
@@ -155,9 +155,9 @@ class PlaceRetriever:
         return search.find_poses(query, map_sigma_m=sigma_m, count=self._count + 1)
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
-        """The inactive landmarks around a place from its traversal, in the odometry frame.
+        """The landmarks around a place from its traversal that were not seen since ``before_m``, odometry frame.
 
-        Active ones have moved with the robot since the traversal, and data association compares what is seen with them.
+        Those that were have moved with the robot, and data association compares what is seen with them.
         """
         centre = place.T_local_query[:3, 3]
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
@@ -167,10 +167,10 @@ class PlaceRetriever:
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
             (landmarks["last_seen_travel_m"] > place.travel_m - self._extent_m)
-            & (landmarks["first_seen_travel_m"] < min(place.travel_m + self._extent_m, before_m))
+            & (landmarks["first_seen_travel_m"] < place.travel_m + self._extent_m)
+            & (landmarks["last_seen_travel_m"] < before_m)
             & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)
-            & ~landmarks["is_active"]
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
         return make_submap(self._map, rows, landmarks["position_local"][rows], centre, self._calibration)

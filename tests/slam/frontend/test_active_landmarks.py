@@ -140,15 +140,6 @@ def test_useless_odometry_errs_by_the_sensor_range_or_half_a_turn_over_that_trav
     np.testing.assert_allclose(variances, np.square([range_m, np.pi]))
 
 
-def test_map_tells_which_landmarks_are_active() -> None:
-    bench = Bench()
-    rows = bench.add([[5.0, 2.0, 0.0], [9.0, 2.0, 0.0]])
-    bench.active.drop(rows[:1])
-    assert bench.map.rows["is_active"][rows].tolist() == [False, True]
-    bench.active.restart()
-    assert not bench.map.rows["is_active"].any()
-
-
 def test_moving_landmark_is_expected_where_its_velocity_takes_it() -> None:
     bench = Bench()
     bench.add(AHEAD, confirmed=False)

@@ -270,7 +270,7 @@ def test_what_others_were_merged_into_is_not_gone(young):
     bench.map.merge(0, 1)
     bench.mapper.retire_gone(np.array([0, 2]))
     assert bench.states()[::2] == [LandmarkState.CONFIRMED, LandmarkState.RETIRED]
-    assert not bench.map.rows["is_active"][2]
+    assert 2 not in bench.mapper.tracker.active.rows
 
 
 def test_keyframe_begins_where_odometry_and_landmarks_have_it(monkeypatch):

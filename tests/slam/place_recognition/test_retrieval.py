@@ -90,12 +90,13 @@ def test_not_among_retired_landmarks(places):
     assert places.found_m(50.0) != [50.0]
 
 
-def test_not_among_landmarks_that_are_still_active(places):
+def test_not_among_landmarks_that_this_traversal_has_seen_again(places):
     rows = places.add(50.0, 100.0)
     assert len(places.reference(100.0)) == COUNT
-    places.map.assign(rows, is_active=True)
+    places.map.assign(rows, last_seen_travel_m=BEFORE_M + 1.0)
     assert places.reference(100.0) == []
-    assert places.found_m(50.0) == []
+    places.index(2.0 * NOW_M)
+    assert places.propose(50.0) == []
 
 
 def test_landmarks_are_left_behind_after_some_travel(places):
@@ -218,9 +219,18 @@ def test_landmarks_are_indexed_again_when_their_spacing_has_changed(places):
     assert places.found_m(50.0) == [50.0]
 
 
-def test_class_shares_are_those_of_what_is_indexed(places):
+def test_class_shares_are_those_of_all_indexed_objects_but_one(places):
     rows = places.add(50.0, 100.0)
+    places.add_again(rows, 50.0, 200.0)
     places.index()
-    shares = places.retriever.class_shares()
-    counts = 1.0 + np.bincount(places.map.labels.classes(rows), minlength=len(places.map.labels.vocabulary))
-    np.testing.assert_allclose(shares, counts / (COUNT + len(counts)))
+    counts = np.bincount(places.map.labels.classes(rows), minlength=4)
+    np.testing.assert_allclose(places.retriever.class_shares(), (counts - 0.75) / COUNT)
+
+
+def test_class_that_one_landmark_has_is_hardly_another_object_s(places):
+    names = [f"tag {number}" for number in range(20)]
+    add_landmarks(places.map, np.arange(60.0).reshape(20, 3), names, travel_m=0.0)
+    places.index()
+    tree, tag = places.retriever.class_shares()[[0, 4]]
+    assert tag == pytest.approx(1.0 / 24.0 / 20.0)
+    assert tree == pytest.approx(tag + 1.0 / 24.0)
