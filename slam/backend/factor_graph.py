@@ -39,6 +39,9 @@ from slam.common.geometry import invert, relative
 
 logger = logging.getLogger(__name__)
 
+ROUGHLY = 0.5
+"""Decrease of the cost [nats] below which a step moves all variables together by less than a standard deviation."""
+
 
 class EditableGraph:
     """Factors by numbers that never change, each as a record and as a factor of the solver in use.
@@ -280,7 +283,7 @@ class FactorGraph(EditableGraph):
             values = self._moved_estimate(edge, away)
             joint = self._attached.edge(edge)
             number = self._number(joint)
-            self._replace_edges({**self._relaxed_breaks(away, values), number: joint}, values)
+            self.replace_edges({**self._relaxed_breaks(away, values), number: joint}, values)
         self.update()
         return number
 
@@ -323,21 +326,31 @@ class FactorGraph(EditableGraph):
         self.add_observations(observations)
         self.update()
 
-    def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
-        """Give the edges of these numbers other covariances (6, 6)."""
-        changed = {
-            number: replace(edge, covariance=covariances[number])
-            for number, edge in self.factors.items()
-            if number in covariances and isinstance(edge, Edge)
-        }
-        self._replace_edges(changed, self._solver.values_with_new())
-
-    def _replace_edges(self, edges: Mapping[int, Edge], values: gtsam.Values) -> None:
-        """Put edges in the place of those of their numbers; the next update solves all from ``values``."""
+    def replace_edges(self, edges: Mapping[int, Edge], values: gtsam.Values | None = None) -> None:
+        """Put edges in the place of those of their numbers; the next update solves all from the current estimate, or
+        from ``values``.
+        """
         self.factors |= edges
         fixed = self._fixed_poses
         changed = {number: between_factor(edge, fixed.get(edge.from_keyframe)) for number, edge in edges.items()}
-        self._solver.restart(changed, values)
+        self._solver.restart(changed, values or self._solver.values_with_new())
+
+    def settle(self, closure: int) -> None:
+        """Solve the whole graph anew if its estimate contradicts a new closure, given by its number, and take what
+        contradicts fewer closures: the odometry was weighed against each when it was accepted.
+        """
+        self.update()
+        if self._solver.outliers([closure]):
+            self._solver.optimize_anew(ROUGHLY, self.edges(EdgeKind.LOOP_CLOSURE))
+
+    def assume_gaussian_odometry(self) -> None:
+        """Solve the whole graph, and take the errors of all steps of the odometry but outliers for Gaussian."""
+        self.optimize(roughly=True)
+        steps = self.edges(EdgeKind.ODOMETRY)
+        outliers = self._solver.outliers(steps)
+        self.replace_edges(
+            {number: replace(each, is_gaussian=number not in outliers) for number, each in steps.items()}
+        )
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
         """Solve the whole graph at once, from the current estimate.
@@ -345,16 +358,24 @@ class FactorGraph(EditableGraph):
         It ends where the next step would move all variables together by a tenth of a standard deviation, or ``roughly``
         by one: the steps that follow are short ones, on which no fusion of landmarks depends.
         """
-        return self._solver.optimize(0.5 if roughly else 0.005)
+        return self._solver.optimize(ROUGHLY if roughly else 0.01 * ROUGHLY)
 
     def match_noise(self) -> Optimization:
         """Solve the whole graph with the noise of odometry and closures that their residuals show, at the optimum."""
         solver = self._solver
         try:
             with gtsam_errors("the estimation of the noise"):
-                self.replace_covariances(matched_covariances(self.factors, solver.factors, solver.values()))
+                found = matched_covariances(self.factors, solver.factors, solver.values())
         except FactorGraphError as error:
             logger.info("the noise stays as it is configured: %s", error)
+            found = {}
+        edges = {number: each for number, each in self.factors.items() if isinstance(each, Edge)}
+        self.replace_edges(
+            {
+                number: replace(each, covariance=found.get(number, each.covariance), is_gaussian=False)
+                for number, each in edges.items()
+            }
+        )
         return self.optimize()
 
     def log_determinant(self) -> float:

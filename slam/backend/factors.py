@@ -21,20 +21,27 @@ from slam.common.geometry import adjoint, invert
 EARTH = -1
 """The frame of fixes, upright, from which edges lead as from a keyframe."""
 PRIOR_SIGMA_RAD = 1e-4
-CLOSURE_KERNEL_WIDTH = 1.0
 OBSERVATION_KERNEL_WIDTH = 1.5
-"""Widths of the Cauchy kernels, in standard deviations."""
+KERNEL_WIDTHS = {EdgeKind.LOOP_CLOSURE: 1.0, EdgeKind.GNSS: 1.0, EdgeKind.ODOMETRY: 4.0}
+"""Widths of the Cauchy kernels, in standard deviations. A step of the odometry, which has 6 coordinates, so has
+Student's t-distribution with 4^2 - 6 = 10 degrees of freedom (Lange et al. 1989): a jump is rare, but possible.
+"""
 
 
 @frozen
 class Edge:
-    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
+    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``.
+
+    ``is_gaussian``: whether its error is taken to be Gaussian, as tests need it, instead of having the heavy tails of
+    its kind.
+    """
 
     from_keyframe: int
     to_keyframe: int
     T_from_to: FloatArray
     covariance: FloatArray
     kind: EdgeKind
+    is_gaussian: bool = False
 
 
 @frozen
@@ -72,15 +79,16 @@ def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatAr
 
 
 def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge; those of closures and of fixes are robust, the others are not.
+    """The GTSAM factor of an edge.
 
     ``T_map_from`` (4, 4): of a keyframe that is a constant.
     """
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     _check_covariances(edge.covariance[None], lambda _: what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-    if edge.kind in (EdgeKind.LOOP_CLOSURE, EdgeKind.GNSS):
-        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
+    if edge.kind in KERNEL_WIDTHS and not edge.is_gaussian:
+        width = KERNEL_WIDTHS[edge.kind]
+        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(width), noise)
     pose = checked_pose(edge.T_from_to, what)
     if T_map_from is not None:
         return gtsam.PriorFactorPose3(X(edge.to_keyframe), gtsam.Pose3(T_map_from).compose(pose), noise)
@@ -229,7 +237,13 @@ class AttachedKeyframes:
             Ad = adjoint(self.transforms[end])
             covariance = Ad @ covariance @ Ad.T
             T_from_to = T_from_to @ invert(self.transforms[end])
-        return Edge(self.anchors.get(start, start), self.anchors.get(end, end), T_from_to, covariance, edge.kind)
+        return replace(
+            edge,
+            from_keyframe=self.anchors.get(start, start),
+            to_keyframe=self.anchors.get(end, end),
+            T_from_to=T_from_to,
+            covariance=covariance,
+        )
 
     def observation(self, observation: Observation) -> Observation:
         """The same observation from the anchor."""

@@ -3,7 +3,7 @@
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 import gtsam
@@ -131,16 +131,28 @@ class Solver:
         """Solve to the end, which a step is that lowers the cost by less than ``min_decrease`` nats."""
         if self._isam is not None:
             self.update()
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(50)
-        parameters.setAbsoluteErrorTol(min_decrease)
         graph = self._graph()
         with gtsam_errors("the batch optimisation"):
-            values = _values_of(graph, self.values_with_new())
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-            self._begin(None, optimizer.optimize())
-        iterations = optimizer.iterations()
-        return Optimization(iterations < parameters.getMaxIterations(), iterations, optimizer.error())
+            values, found = _optimum(graph, _values_of(graph, self.values_with_new()), min_decrease)
+            self._begin(None, values)
+        return found
+
+    def outliers(self, numbers: Iterable[int], values: gtsam.Values | None = None) -> set[int]:
+        """Those of the factors of these numbers that the current estimate, or ``values``, all but leave out."""
+        return {each for each in numbers if is_outlier(self.factors[each], values or self.values())}
+
+    def optimize_anew(self, min_decrease: float, numbers: Collection[int]) -> None:
+        """Solve again from where the factors of these numbers count in full, if then fewer of them are outliers than at
+        the current estimate.
+        """
+        graph = self._graph()
+        plain = graph_of(
+            without_kernel(each) if number in numbers else each for number, each in sorted(self.factors.items())
+        )
+        with gtsam_errors("the batch optimisation"):
+            values, _ = _optimum(graph, _optimum(plain, self.values(), min_decrease)[0], min_decrease)
+        if len(self.outliers(numbers, values)) < len(self.outliers(numbers)):
+            self._begin(None, values)
 
     def log_determinant(self) -> float:
         """Of the information of all variables together."""
@@ -175,6 +187,31 @@ class Solver:
         result = isam.update(graph, _values_of(graph, values))
         self._slots = dict(zip(sorted(self.factors), result.getNewFactorsIndices(), strict=True))
         self._begin(isam, None)
+
+
+def without_kernel(factor: gtsam.NonlinearFactor) -> gtsam.NonlinearFactor:
+    """A factor that counts in full, however large its error is."""
+    if isinstance(factor, gtsam.NoiseModelFactor) and isinstance(noise := factor.noiseModel(), gtsam.noiseModel.Robust):
+        return factor.cloneWithNewNoiseModel(noise.noise())
+    return factor
+
+
+def is_outlier(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> bool:
+    """Whether its kernel gives a factor less than a tenth of its weight, as one in 1000 observations without faults."""
+    if isinstance(factor, gtsam.NoiseModelFactor) and isinstance(noise := factor.noiseModel(), gtsam.noiseModel.Robust):
+        return bool(noise.weight(factor.cloneWithNewNoiseModel(noise.noise()).whitenedError(values)) < 0.1)
+    return False
+
+
+def _optimum(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, min_decrease: float
+) -> tuple[gtsam.Values, Optimization]:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(50)
+    parameters.setAbsoluteErrorTol(min_decrease)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+    values, iterations = optimizer.optimize(), optimizer.iterations()
+    return values, Optimization(iterations < parameters.getMaxIterations(), iterations, optimizer.error())
 
 
 def _values_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:

@@ -13,13 +13,13 @@ least one that is not contradicted is used, so that a drive near the level of si
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
@@ -32,39 +32,39 @@ FACTORS = 10.0 ** np.array([-1.0, -0.75, -0.5])
 
 def hold_tilt(graph: FactorGraph) -> None:
     """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
+    graph.assume_gaussian_odometry()
     free = graph.optimize(roughly=True)
     steps = graph.edges(EdgeKind.ODOMETRY)
     if not steps:
         return
-    configured = {number: each.covariance for number, each in steps.items()}
     try:
         freedom = _effective_freedom(graph, steps)
     except FactorGraphError as error:
         logger.info("the noise of the tilt stays as it is configured: %s", error)
-        graph.replace_covariances(configured)
+        graph.replace_edges(steps)
         return
     for factor in FACTORS:
-        graph.replace_covariances(_scaled(graph, steps, factor))
+        graph.replace_edges(_scaled(graph, steps, factor))
         held = graph.optimize(roughly=True)
         # A tilt that gravity holds is freed in one drive of a hundred.
         if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > 0.01:
             return
-    graph.replace_covariances(configured)
+    graph.replace_edges(steps)
     graph.optimize(roughly=True)
 
 
 def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:
     """Degrees of freedom of the tilts of the steps that the rest of the graph determines."""
     before = graph.log_determinant()
-    graph.replace_covariances(_scaled(graph, steps, DIFFERENCE))
+    graph.replace_edges(_scaled(graph, steps, DIFFERENCE))
     slope = (graph.log_determinant() - before) / np.log(DIFFERENCE)
     return float(max(2 * len(steps) + 0.5 * slope, 0.0))
 
 
-def _scaled(graph: FactorGraph, steps: Mapping[int, Edge], factor: float) -> dict[int, FloatArray]:
-    """Covariances (6, 6) of steps, axes of the body, with the standard deviations of roll and pitch scaled."""
+def _scaled(graph: FactorGraph, steps: Mapping[int, Edge], factor: float) -> dict[int, Edge]:
+    """The steps with the standard deviations of roll and pitch scaled."""
     R = graph.poses(each.to_keyframe for each in steps.values())[:, :3, :3]
     S = np.tile(np.eye(6), (len(R), 1, 1))
     S[:, :3, :3] = np.swapaxes(R, 1, 2) @ np.diag([factor, factor, 1.0]) @ R
     covariances = S @ np.array([each.covariance for each in steps.values()]) @ np.swapaxes(S, 1, 2)
-    return dict(zip(steps, covariances, strict=True))
+    return {number: replace(each, covariance=C) for (number, each), C in zip(steps.items(), covariances, strict=True)}

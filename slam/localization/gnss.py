@@ -85,6 +85,7 @@ def tie_to_fixes(
         trajectory: of the drive, by the graph as it is now.
         fixes: of satellites.
     """
+    graph.assume_gaussian_odometry()
     variance, used = np.inf, 0
     stamps_ns = np.array([keyframe.odometry.stamp_ns for keyframe in keyframes])
     while (laid := _lay(trajectory(), fixes)) is not None:
@@ -205,7 +206,8 @@ def _fit(xy: np.ndarray, arms: np.ndarray, places: np.ndarray, sigmas_m: FloatAr
 
     guesses = map(guess, np.linspace(-np.pi, np.pi, 72, endpoint=False))
     start = min(guesses, key=lambda motion: np.log1p(residuals(motion) ** 2).sum())
-    best = least_squares(residuals, start, loss="cauchy")
+    # What the fixes claim tells their relative weights only.
+    best = least_squares(residuals, start, loss="cauchy", f_scale=max(float(np.median(np.abs(residuals(start)))), 1e-9))
     others, own = np.split(np.asarray(best.jac), [3], axis=1)
     own = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
     return best.x, own.T @ own

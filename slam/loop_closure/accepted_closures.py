@@ -136,6 +136,7 @@ class AcceptedClosures:
             if self._may_merge(query, reference):
                 self._map.merge(reference, query, closure=factor)
         self._graph.alias_landmarks(self._map.aliases)
+        self._graph.settle(factor)
         return factor
 
     def _remove(self, revoked: Sequence[Accepted]) -> None:

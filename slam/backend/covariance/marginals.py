@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from slam.backend.solver import graph_of
+from slam.backend.solver import graph_of, is_outlier, without_kernel
 from slam.common.arrays import FloatArray, IntArray
 
 
@@ -105,11 +105,4 @@ def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Valu
 
 
 def _without_kernel(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:
-    if not isinstance(factor, gtsam.NoiseModelFactor):
-        return factor
-    noise = factor.noiseModel()
-    if not isinstance(noise, gtsam.noiseModel.Robust):
-        return factor
-    plain = factor.cloneWithNewNoiseModel(noise.noise())
-    # Less weight than a tenth have outliers, and 1 in 1000 observations without faults.
-    return plain if noise.weight(plain.whitenedError(values)) >= 0.1 else factor
+    return factor if is_outlier(factor, values) else without_kernel(factor)

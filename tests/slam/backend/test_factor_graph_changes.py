@@ -9,7 +9,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.graph_record import observations_of
 from slam.common.geometry import apply, invert, relative
-from tests.helpers.graphs import PLAIN, chained
+from tests.helpers.graphs import PLAIN, chained, odometry_edges
 from tests.helpers.poses import pose_at
 from tests.slam.backend.graphs import (
     KEYFRAMES,
@@ -75,7 +75,7 @@ def test_a_removed_landmark_may_be_seen_again(graph, update_between):
 
 
 def test_a_removed_edge_is_in_force_no_longer(graph):
-    tight = Edge(0, 6, np.eye(4), 1e-6 * np.eye(6), "odometry")
+    tight = Edge(0, 6, np.eye(4), 1e-6 * np.eye(6), "condensed")
     number = graph.add_edge(tight)
     graph.optimize()
     with pytest.raises(AssertionError):
@@ -162,13 +162,13 @@ def test_a_break_leaves_the_later_keyframes_to_the_odometry_after_it(graph):
 
 
 def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
-    first, second = (Edge(0, 1, pose_at(x_m), 0.01 * np.eye(6), "odometry") for x_m in (1.0, 2.0))
+    first, second = (Edge(0, 1, pose_at(x_m), 0.01 * np.eye(6), "condensed") for x_m in (1.0, 2.0))
     graph = chained(np.eye(4), [first])
     graph.add_edge(second)
     graph.optimize()
     assert graph.pose(1)[0, 3] == pytest.approx(1.5, abs=1e-3)
     number = min(number for number, each in graph.factors.items() if isinstance(each, Edge))
-    graph.replace_covariances({number: 0.03 * np.eye(6)})
+    graph.replace_edges({number: replace(first, covariance=0.03 * np.eye(6))})
     graph.optimize()
     assert graph.pose(1)[0, 3] == pytest.approx(1.75, abs=1e-3)
     assert graph.factors[number].covariance[0, 0] == 0.03
@@ -199,3 +199,34 @@ def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> 
     np.testing.assert_allclose([graph.pose(1), graph.poses()[1]], [T[1], T[1]], atol=1e-9)
     graph.update()
     np.testing.assert_allclose(graph.pose(1), T[0] @ noisy_edges()[0].T_from_to, atol=1e-4)
+
+
+def test_closure_that_contradicts_the_odometry_is_kept():
+    T = true_poses()
+    edges = odometry_edges(T, 1e-4 * np.eye(6))
+    edges[6] = replace(edges[6], T_from_to=edges[6].T_from_to @ pose_at(1.0, yaw=np.pi / 2.0))
+    graph, errors_m = chained(T[0], edges), list[float]()
+    closure = graph.add_edge(Edge(2, 9, relative(T[2], T[9]), 1e-3 * np.eye(6), EdgeKind.LOOP_CLOSURE))
+    for solve in (graph.update, lambda: graph.settle(closure)):
+        solve()
+        errors_m.append(float(np.linalg.norm((graph.poses() - T)[9:, :3, 3], axis=1).max()))
+    assert errors_m[0] > 5.0
+    assert errors_m[1] < 0.5
+
+
+def test_closure_that_agrees_leaves_the_incremental_estimate(monkeypatch):
+    T = true_poses()
+    graph = chained(T[0], odometry_edges(T, 1e-4 * np.eye(6)))
+    monkeypatch.setattr("slam.backend.solver.Solver.optimize_anew", None)
+    graph.settle(graph.add_edge(Edge(0, 11, relative(T[0], T[11]), 1e-2 * np.eye(6), EdgeKind.LOOP_CLOSURE)))
+
+
+def test_a_step_that_the_landmarks_contradict_is_no_gaussian_one():
+    edges = noisy_edges()
+    edges[6] = replace(edges[6], T_from_to=edges[6].T_from_to @ pose_at(1.0, yaw=np.pi / 2.0))
+    graph = build(edges, sightings())
+    graph.assume_gaussian_odometry()
+    assert [each.is_gaussian for each in graph.edges(EdgeKind.ODOMETRY).values()] == [k != 6 for k in range(11)]
+    graph.match_noise()
+    assert_is_true(graph)
+    assert not any(each.is_gaussian for each in graph.edges(EdgeKind.ODOMETRY).values())

@@ -26,9 +26,9 @@ def values(pose: FloatArray, point: FloatArray = FAR) -> gtsam.Values:
     return found
 
 
-def edge(kind: str, **changed: FloatArray) -> Edge:
+def edge(kind: str, *, is_gaussian: bool = False, **changed: FloatArray) -> Edge:
     parts = {"T_from_to": np.eye(4), "covariance": SIGMA_M**2 * np.eye(6)} | changed
-    return Edge(0, 1, parts["T_from_to"], parts["covariance"], kind)
+    return Edge(0, 1, parts["T_from_to"], parts["covariance"], kind, is_gaussian)
 
 
 def observed(position: FloatArray = FAR, inflation: float = 1.0) -> Observation:
@@ -39,9 +39,15 @@ def error(kind: str, off_m: float) -> float:
     return float(between_factor(edge(kind)).error(values(pose_at(off_m))))
 
 
-@pytest.mark.parametrize("kind", ["odometry", "discontinuity"])
-def test_an_edge_of_the_odometry_counts_in_full(kind):
-    assert error(kind, 2.0) == pytest.approx(0.5 * 100.0)
+def test_a_step_of_the_odometry_has_the_tails_of_students_t_distribution():
+    squares, degrees = 100.0, 10.0
+    # By the density of t of 6 coordinates whose information at zero is that of the Gaussian.
+    assert error("odometry", 2.0) == pytest.approx(0.5 * (degrees + 6.0) * np.log1p(squares / (degrees + 6.0)))
+
+
+@pytest.mark.parametrize("one", [edge("odometry", is_gaussian=True), edge("discontinuity"), edge("condensed")])
+def test_a_gaussian_edge_counts_in_full(one):
+    assert between_factor(one).error(values(pose_at(2.0))) == pytest.approx(0.5 * 100.0)
 
 
 def test_a_closure_that_is_far_off_counts_less_and_less():

@@ -52,6 +52,7 @@ def seed(request: pytest.FixtureRequest) -> int:
 def poses_free_and_held(drift_rad: float, seed: int) -> tuple[FloatArray, FloatArray]:
     """Of such a drive, without and with its tilt being held, (K, 4, 4) each."""
     graph = drive(drift_rad, seed)
+    graph.assume_gaussian_odometry()
     graph.optimize()
     free = graph.poses()
     hold_tilt(graph)

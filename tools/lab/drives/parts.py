@@ -69,7 +69,7 @@ PARTS: dict[str, Part] = {
             "slam.loop_closure.likelihood_ratio._row_densities": lambda offsets, *rest: np.zeros(offsets.shape[1]),
         }
     ),
-    "robust back end": Part(replaced={"slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6}),
+    "robust back end": Part(replaced={"slam.backend.factors.KERNEL_WIDTHS": {}}),
     "kidnappings noticed by landmarks": Part(
         replaced={
             "slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, object_map: None
