@@ -199,6 +199,10 @@ class EditableGraph:
         """Bring the incremental estimate up to date with all that was added and removed."""
         self._solver.update()
 
+    def estimate(self) -> gtsam.Values:
+        """The estimate of all variables as of the last update."""
+        return self._solver.values()
+
     def pose(self, keyframe: int, values: gtsam.Values | None = None) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe; ``values``: of the variables, instead of their current estimates."""
         anchor = self._attached.anchors.get(keyframe)

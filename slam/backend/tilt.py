@@ -33,7 +33,7 @@ FACTORS = 10.0 ** np.array([-1.0, -0.75, -0.5])
 def hold_tilt(graph: FactorGraph) -> None:
     """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
     graph.assume_gaussian_odometry()
-    free = graph.optimize(roughly=True)
+    free, estimate = graph.optimize(roughly=True), graph.estimate()
     steps = graph.edges(EdgeKind.ODOMETRY)
     if not steps:
         return
@@ -41,7 +41,7 @@ def hold_tilt(graph: FactorGraph) -> None:
         freedom = _effective_freedom(graph, steps)
     except FactorGraphError as error:
         logger.info("the noise of the tilt stays as it is configured: %s", error)
-        graph.replace_edges(steps)
+        graph.replace_edges(steps, estimate)
         return
     for factor in FACTORS:
         graph.replace_edges(_scaled(graph, steps, factor))
@@ -49,8 +49,7 @@ def hold_tilt(graph: FactorGraph) -> None:
         # A tilt that gravity holds is freed in one drive of a hundred.
         if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > 0.01:
             return
-    graph.replace_edges(steps)
-    graph.optimize(roughly=True)
+    graph.replace_edges(steps, estimate)
 
 
 def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:

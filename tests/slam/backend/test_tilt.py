@@ -1,5 +1,6 @@
 """The tilt of the odometry is held where the whole graph does not contradict it."""
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -78,6 +79,19 @@ def test_tilt_that_drifts_less_than_configured_is_held_less_firmly(seed):
 def test_drifting_tilt_is_estimated(seed):
     free, held = poses_free_and_held(TILT_RAD, seed)
     np.testing.assert_allclose(held, free, atol=1e-3)
+
+
+def test_drive_whose_tilt_is_not_held_stays_where_it_was_before(monkeypatch):
+    graph, before = drive(TILT_RAD, seed=0), list[FloatArray]()
+    estimate = graph.estimate
+
+    def recorded() -> gtsam.Values:
+        before.append(graph.poses())
+        return estimate()
+
+    monkeypatch.setattr(graph, "estimate", recorded)
+    hold_tilt(graph)
+    np.testing.assert_array_equal(graph.poses(), before[0])
 
 
 def test_graph_without_odometry_is_optimised():
