@@ -15,7 +15,7 @@ from logs.messages import Odometry
 from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
-from slam.common.geometry import blend, rigid
+from slam.common.geometry import blend, invert, relative, rigid, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
 RECENT_STEPS = 10
@@ -43,7 +43,8 @@ class Correction:
 class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
-    A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
+    A step that no body can have made between two successive messages is an error: the body went on as before. Over a
+    silence it begins a new segment, until the detections show that it does not: ``correct``.
     ``counters``: of unusable messages. The frame of the track is that of the messages, made level.
     """
 
@@ -186,6 +187,7 @@ class OdometryTrack:
     def _append(self, odometry: Odometry, *, is_near: bool = False) -> OdometryPose:
         """``is_near``: a body can have come there."""
         last, T_odom_body = self.latest, self._T_odom_reported @ odometry.T_odom_body
+        is_late = last is not None and self._comes_late(odometry, last.stamp_ns)
         xyz_m, travel_m, segment, speed_mps = T_odom_body[:3, 3], 0.0, self._first_segment, self._max_speed_mps
         if last is None:
             self._counted_xyz_m = xyz_m
@@ -201,7 +203,20 @@ class OdometryTrack:
             odometry.stamp_ns, T_odom_body, travel_m, segment, speed_mps, self._T_odom_reported, self._corrected
         )
         self._poses.append(pose)
-        return pose
+        if last is None or segment == last.segment or is_late:
+            return pose
+        self.correct(pose.stamp_ns, self._as_before(), segment=last.segment)
+        return self._poses[-1]
+
+    def _as_before(self) -> Correction:
+        """The correction of the last pose, to which no body can have come, if the body has gone on as before it."""
+        *_, last, pose = self._poses
+        first = self._poses[max(len(self._poses) - 2 - RECENT_STEPS, 0)]
+        share = (pose.stamp_ns - last.stamp_ns) / max(last.stamp_ns - first.stamp_ns, 1)
+        step = blend(np.eye(4), relative(first.T_odom_body, last.T_odom_body), share)
+        way_m2, turn_rad2 = float(step[:3, 3] @ step[:3, 3]), float(rotation_angle_rad(step)) ** 2
+        variances = np.array([way_m2, 0.01 * turn_rad2, turn_rad2]) + 1e-8
+        return Correction(rigid(last.T_odom_body @ step @ invert(pose.T_odom_body)), variances)
 
 
 def _between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:

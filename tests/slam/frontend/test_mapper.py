@@ -283,7 +283,7 @@ def test_keyframe_begins_where_odometry_and_landmarks_have_it(monkeypatch):
 
     monkeypatch.setattr(bench.graph, "add_next_keyframe", added)
     bench.drive(5)
-    bench.move(1.0, 5000.0)
+    bench.move(9.0, 5000.0)
     first, second, _ = bench.mapper.keyframes
     np.testing.assert_allclose(steps[0], relative(first.T_local_body, second.T_local_body))
     assert steps[1] is None
@@ -292,10 +292,10 @@ def test_keyframe_begins_where_odometry_and_landmarks_have_it(monkeypatch):
 def test_new_segment_of_the_odometry_drops_the_landmarks_in_view():
     bench = Bench()
     bench.drive(10)
-    keyframe = bench.move(1.0, 5000.0)
+    keyframe = bench.move(9.0, 5000.0)
     assert keyframe is not None
     assert LandmarkState.TENTATIVE not in bench.states()
-    assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
+    assert bench.see(9.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     record = bench.graph_record()
     sigmas = np.repeat([BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES * bench.config.sensor_range_m], 3)

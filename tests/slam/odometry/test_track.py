@@ -59,8 +59,8 @@ def test_track_has_no_pose_outside_its_time():
     assert x_at(made, 1 + 1e-9) is None
 
 
-@pytest.mark.parametrize(("seconds", "x"), [(1.1, 200.0), (30.0, 1.0), (1.1, -100.0)])
-def test_jump_or_silence_begins_a_segment(seconds, x):
+@pytest.mark.parametrize(("seconds", "x"), [(9.0, 1000.0), (30.0, 1.0), (9.0, -1000.0)])
+def test_silence_and_a_jump_over_one_begin_a_segment(seconds, x):
     made = track((0, 0), (1, 1), (seconds, x), (seconds + 1, x + 1))
     assert made.latest.segment == 1
     assert made.latest.travel_m == pytest.approx(2.0)
@@ -89,8 +89,9 @@ def test_oldest_poses_are_dropped():
 def test_limit_of_a_step_scales_with_the_sensor_range(sensor_range_m, step, breaks):
     """At once an acceleration, after a while two sensor ranges per second."""
     known = ((0.1 * step, 0.1 * step) for step in range(20))  # the speed before the first step is not
-    made = track(*known, step, sensor_range_m=sensor_range_m)
-    assert made.latest.segment == breaks
+    counters = Counter[str]()
+    made = track(*known, step, counters=counters, sensor_range_m=sensor_range_m)
+    assert made.latest.segment + counters["odometry_corrected"] == breaks
 
 
 @pytest.mark.parametrize(("sensor_range_m", "travel_m"), [(30.0, 0.0), (1.5, 0.05)])
@@ -166,22 +167,16 @@ def jumped(T_jump: FloatArray, *, until: int = 108) -> tuple[OdometryTrack, Coun
     return made, counters
 
 
-@pytest.mark.parametrize(
-    ("T_jump", "first"),
-    [(jump(yaw=0.5), 106), (jump(y=1.0), 107), (jump(y=100.0), JUMP_STEP)],
-    ids=["turn", "shift", "break"],
-)
-def test_correction_moves_the_track_from_its_time_or_from_a_break_before_it(T_jump: FloatArray, first: int) -> None:
+@pytest.mark.parametrize(("T_jump", "first"), [(jump(yaw=0.5), 106), (jump(y=1.0), 107)], ids=["turn", "shift"])
+def test_correction_moves_the_track_from_its_time(T_jump: FloatArray, first: int) -> None:
     made, counters = jumped(T_jump)
-    made.correct(stamp_ns(max(first, 106) - 0.5), Correction(invert(T_jump), VARIANCES), segment=0)
+    made.correct(stamp_ns(first - 0.5), Correction(invert(T_jump), VARIANCES), segment=0)
     straight, as_it_was = jumped(np.eye(4))[0], jumped(T_jump)[0]
     for step in (99, 102, 103, 105, 106, 107):
         found, expected = made.at(stamp_ns(step)), (straight if step >= first else as_it_was).at(stamp_ns(step))
         np.testing.assert_allclose(found.T_odom_body, expected.T_odom_body, atol=1e-9)
         assert found.segment == 0
         np.testing.assert_array_equal(found.corrected, VARIANCES if step >= first else np.zeros(3))
-    if first == JUMP_STEP:
-        assert made.latest.travel_m == pytest.approx(straight.latest.travel_m)
     assert counters["odometry_corrected"] == 1
 
 
@@ -197,12 +192,18 @@ def test_messages_after_a_correction_are_corrected_as_well() -> None:
     assert pose.segment == 0
 
 
-def test_break_after_the_corrected_one_stays() -> None:
-    made, _ = jumped(jump(y=100.0))
-    for step in range(108, 112):
-        made.add(message(step, jump(y=300.0)))
-    made.correct(stamp_ns(105.5), Correction(invert(jump(y=100.0)), VARIANCES), segment=0)
-    assert [made.at(stamp_ns(step)).segment for step in (102, 103, 107, 108, 111)] == [0, 0, 0, 1, 1]
+def test_correction_moves_the_track_from_a_break_before_it_and_the_next_break_stays() -> None:
+    """The messages are silent for 2 s twice, and jump."""
+    made, _ = jumped(np.eye(4), until=JUMP_STEP)
+    for step in range(JUMP_STEP, JUMP_STEP + 9):
+        silences, y = (1, 100.0) if step < JUMP_STEP + 5 else (2, 300.0)
+        made.add(Odometry(stamp_ns(step + 20 * silences), message(step, jump(y)).T_odom_body))
+    assert made.latest.segment == 2
+    made.correct(stamp_ns(JUMP_STEP + 22.5), Correction(invert(jump(y=100.0)), VARIANCES), segment=0)
+    poses = [made.at(stamp_ns(step)) for step in (JUMP_STEP - 1, JUMP_STEP + 20, JUMP_STEP + 24, JUMP_STEP + 45)]
+    assert [pose.segment for pose in poses] == [0, 0, 0, 1]
+    np.testing.assert_allclose(poses[1].T_odom_body, message(JUMP_STEP).T_odom_body, atol=1e-9)
+    assert poses[2].travel_m == pytest.approx(jumped(np.eye(4))[0].latest.travel_m)
 
 
 @pytest.mark.parametrize("before", [1, JUMP_STEP])
@@ -215,18 +216,24 @@ def test_single_wild_message_is_dropped(before: int) -> None:
     assert counters == {"odometry_wild": 1}
 
 
-def test_two_messages_far_off_are_a_jump() -> None:
+def test_body_goes_on_as_before_where_two_messages_are_far_off() -> None:
     made, counters = jumped(np.eye(4), until=JUMP_STEP)
-    assert made.add(message(JUMP_STEP, jump(y=1000.0))) == []
-    assert [pose.segment for pose in made.add(message(JUMP_STEP + 1, jump(y=1000.0)))] == [1, 1]
-    assert not counters
+    T_jump = jump(y=1000.0, yaw=2.0)
+    assert made.add(message(JUMP_STEP, T_jump)) == []
+    poses = made.add(message(JUMP_STEP + 1, T_jump))
+    for step, pose in enumerate(poses):
+        np.testing.assert_allclose(pose.T_odom_body, message(JUMP_STEP + step).T_odom_body, atol=0.02)
+        assert pose.segment == 0
+        np.testing.assert_allclose(pose.corrected, [0.25, 0.0, 0.0], atol=0.01)  # by as much as it moves in a step
+    assert len(poses) == 2
+    assert counters == {"odometry_corrected": 1}
 
 
 def test_last_message_counts_even_if_it_is_far_off() -> None:
     made, _ = jumped(np.eye(4), until=JUMP_STEP)
     made.add(message(JUMP_STEP, jump(y=1000.0)))
     (pose,) = made.finish()
-    assert pose.segment == 1
+    np.testing.assert_allclose(pose.T_odom_body, message(JUMP_STEP).T_odom_body, atol=0.02)
 
 
 @pytest.mark.parametrize(("after", "before"), [(0, 2), (2, 1)], ids=["travel", "time"])
