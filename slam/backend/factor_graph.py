@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
-from itertools import chain, count
+from itertools import count
 
 import gtsam
 import numpy as np
@@ -27,7 +27,6 @@ from slam.backend.factors import (
     observation_factors,
     pose_key,
     prior_factor,
-    stacked,
     summed,
 )
 from slam.backend.graph_record import make_graph_record
@@ -217,14 +216,12 @@ class EditableGraph:
         """Positions (N, 3) m in the map of landmarks by their own observations, without those of landmarks that were
         merged into them, from the poses of the keyframes; NaN for landmarks without any.
         """
-        of_each = [list(self._observations.get(landmark, {}).values()) for landmark in landmarks.tolist()]
-        rows, seen = np.repeat(np.arange(len(of_each)), list(map(len, of_each))), list(chain(*of_each))
-        *_, covariances, inflations = stacked(seen)
-        weights = 1.0 / (inflations * covariances.reshape(-1, 9)[:, ::4].sum(axis=1))
-        in_map = weights[:, None] * self._in_map(seen)
-        sums = np.stack([np.bincount(rows, axis, len(landmarks)) for axis in in_map.T], axis=1)
-        totals = np.bincount(rows, weights, len(landmarks))[:, None]
-        return np.divide(sums, totals, out=np.full(sums.shape, np.nan), where=totals > 0.0)
+        means = np.full((len(landmarks), 3), np.nan)
+        for row, landmark in enumerate(landmarks.tolist()):
+            if seen := [*self._observations.get(landmark, {}).values()]:
+                weights = [1.0 / (each.covariance_inflation * np.trace(each.covariance)) for each in seen]
+                means[row] = np.average(self._in_map(seen), axis=0, weights=weights)
+        return means
 
     def _in_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Positions (N, 3) m in the map of what was observed, from the poses of the keyframes."""
