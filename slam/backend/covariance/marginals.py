@@ -101,8 +101,4 @@ def without_kernels(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Valu
     Kernels weight observations and closures, by about half in the mean where the configured noise is true. These
     weights are not an estimate of the noise: in covariances all but outliers count with the noise that is configured.
     """
-    return graph_of(_without_kernel(factor, values) for factor in factors)
-
-
-def _without_kernel(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:
-    return factor if is_outlier(factor, values) else without_kernel(factor)
+    return graph_of(each if is_outlier(each, values) else without_kernel(each) for each in factors)
