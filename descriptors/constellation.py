@@ -15,7 +15,6 @@ class Constellations:
 
     ``positions`` (P, 3) m: neighbours relative to their centre, axes gravity-aligned, the centre itself left out.
     ``labels`` (P,) and ``centre_labels`` (B,): places in ``vocabulary``. ``offsets`` (B + 1,).
-    ``centres`` (B, 3) m: where the objects themselves are.
     """
 
     positions: FloatArray
@@ -23,7 +22,6 @@ class Constellations:
     centre_labels: IntArray
     offsets: IntArray
     vocabulary: tuple[str, ...]
-    centres: FloatArray
 
     def __len__(self) -> int:
         return len(self.centre_labels)
@@ -39,7 +37,6 @@ class Constellations:
             self.centre_labels[rows],
             offsets,
             self.vocabulary,
-            self.centres[rows],
         )
 
     @property
@@ -87,5 +84,4 @@ def gather_constellations(
         labels[chosen],
         np.searchsorted(owners, np.arange(len(chosen) + 1)),
         tuple(vocabulary),
-        positions[chosen],
     )

@@ -25,7 +25,7 @@ def prepared(vectors: NDArray[np.float32], labels: NDArray[np.int64]) -> Constel
     offsets = 2 * np.arange(len(vectors) + 1)
     positions = vectors.astype(np.float64).reshape(-1, 3)
     zeros = np.zeros(len(positions), int)
-    return Constellations(positions, zeros, labels, offsets, ("a", "b", "c"), positions[::2])
+    return Constellations(positions, zeros, labels, offsets, ("a", "b", "c"))
 
 
 def alike(vector: float, count: int) -> Constellations:
