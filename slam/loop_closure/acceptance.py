@@ -8,7 +8,7 @@ Each candidate k is a pose in an earlier traversal, with the log-likelihood rati
 
 where n_k is the likelihood ratio of "somewhere new" to clutter. A new place looks like clutter, where it is 1, or as
 the map does from an arbitrary pose in its area A, whichever is likelier. The mean of exp(LLR) over those poses is the
-sum over the candidates r that cannot be true together with k,
+sum over the other candidates r,
 
     n_k = max(1, sum_r v_r exp(LLR_r)),
 
@@ -26,7 +26,6 @@ from scipy.special import expit, logit
 from logs.closures import Stage
 from logs.messages import LoopClosureRecord
 from logs.records import frozen
-from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure.candidate import Candidate, Query, Verified, suppress_non_maxima
 from slam.loop_closure.verification import Verifier
@@ -72,30 +71,20 @@ class Acceptance:
             return Decision(refused)
         best, *others = candidates
         rejected = (*refused, *(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others))
-        log_odds, doubt = self._posterior_log_odds(candidates)[0], ""
+        log_odds = _posterior_log_odds(best, others)
         if log_odds >= self._least_log_odds:
             rivals = suppress_non_maxima([*others, *self._verifier.rivals(query, best)], self._sensor_range_m)
-            log_odds = self._posterior_log_odds([best, *rivals])[0]
-            # It may be surer, where it can be true together with two that cannot.
-            doubt = "ambiguous: another pose is likelier, " if rivals and rivals[0].score > best.score else ""
+            log_odds = _posterior_log_odds(best, rivals)
         best = replace(best, posterior_log_odds=log_odds)
-        if log_odds >= self._least_log_odds and not doubt:
+        if log_odds >= self._least_log_odds:
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        reason = f"{doubt}wrong with probability {expit(-log_odds):.2g}"
+        reason = f"wrong with probability {expit(-log_odds):.2g}"
         return Decision((*rejected, best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)))
 
-    def _posterior_log_odds(self, candidates: Sequence[Candidate]) -> FloatArray:
-        """Log odds (K,) of each candidate against "somewhere new" and all that cannot be true together with it; those
-        that can share theirs.
-        """
-        are_together = np.eye(len(candidates), dtype=np.bool_)
-        for i, a in enumerate(candidates):
-            for j, b in enumerate(candidates[:i]):
-                are_together[i, j] = are_together[j, i] = self._verifier.are_consistent(a, b)
-        log_odds = np.array([each.score for each in candidates])
-        log_fits = np.array([each.log_likelihood_ratio - each.unpredicted_penalty for each in candidates])
-        together = np.logaddexp.reduce(np.where(are_together, log_odds, -np.inf), axis=1)
-        others = np.logaddexp.reduce(np.where(are_together, -np.inf, log_odds), axis=1)
-        log_new = np.maximum(np.logaddexp.reduce(np.where(are_together, -np.inf, log_fits), axis=1), 0.0)
-        return np.asarray(together - np.logaddexp(others, log_new))
+
+def _posterior_log_odds(candidate: Candidate, others: Sequence[Candidate]) -> float:
+    """Log odds of a candidate against "somewhere new" and the other candidates of its query."""
+    log_fits = [each.log_likelihood_ratio - each.unpredicted_penalty for each in others]
+    log_new = max(np.logaddexp.reduce(log_fits), 0.0)
+    return float(candidate.score - np.logaddexp.reduce([log_new, *(each.score for each in others)]))

@@ -137,22 +137,6 @@ class Verifier:
         submap = self._retriever.reference_submap(place, before_m=query.before_m)
         return self._ratios(query, submap, place.T_local_query, np.zeros((0, 2), dtype=np.int64))
 
-    def are_consistent(self, a: Candidate, b: Candidate) -> bool:
-        """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
-
-        They are by less than ``GATE_SIGMA`` standard deviations, as two observations of one object are.
-        """
-        first, second = sorted((a, b), key=lambda candidate: candidate.reference.id)
-        T_implied = first.T_reference_query @ invert(second.T_reference_query)
-        ends = first.reference.id, second.reference.id
-        T_start, T_end = map(self._pose, ends)
-        T_error = invert(T_end) @ T_start @ T_implied
-        drift_m, drift_rad = self.track.drift_sigmas(*ends)
-        sigma_m = SLIP_INFLATION * np.hypot(drift_m, self._config.calibration.objects.landmark_sigma_m)
-        sigma_rad = SLIP_INFLATION * np.hypot(drift_rad, CLOSURE_SIGMA_RAD)
-        squares = (np.hypot(*T_error[:2, 3]) / sigma_m) ** 2 + (yaw_rad(T_error) / sigma_rad) ** 2
-        return bool(squares < GATE_SIGMA**2)
-
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects in rows, or in another repeated pattern, would fit as well."""
         reference = candidate.reference.odometry

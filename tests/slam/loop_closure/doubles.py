@@ -35,10 +35,6 @@ class Patterns:
 
     def __init__(self) -> None:
         self.alike: list[Candidate] = []
-        self.passed_twice = False
-
-    def are_consistent(self, a: Candidate, b: Candidate) -> bool:
-        return self.passed_twice
 
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         return self.alike

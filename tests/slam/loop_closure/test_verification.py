@@ -18,7 +18,7 @@ from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place_search import Place
-from slam.registration.registration import GATE_SIGMA, search_radius_m
+from slam.registration.registration import search_radius_m
 from tests.helpers.candidates import make_candidate
 from tests.helpers.poses import keyframe_at, motion_by, pose_at
 from tests.slam.loop_closure.doubles import make_keyframe, make_query, make_submap
@@ -197,29 +197,6 @@ def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_
     R_gravity_body = (invert(gravity_frame(body(QUERY))) @ body(QUERY))[:3, :3]
     expected = covariance_in_axes(upright, R_gravity_body)
     np.testing.assert_allclose(with_shared.covariance - without.covariance, expected, atol=1e-6)
-
-
-def test_candidates_are_consistent_if_the_odometry_relates_their_references():
-    verifier = Scene(scattered()).verifier
-
-    def candidate(reference: int, off_m: float = 0.0) -> Candidate:
-        T = invert(body(reference)) @ pose_at(off_m) @ body(QUERY)
-        return make_candidate(reference=reference, T_reference_query=T)
-
-    assert verifier.are_consistent(candidate(HERE), candidate(HERE + 10))
-    assert verifier.are_consistent(candidate(HERE + 10), candidate(HERE))
-    assert not verifier.are_consistent(candidate(HERE), candidate(HERE + 10, off_m=30.0))
-
-
-def test_candidates_are_consistent_within_the_gate_of_registration():
-    scene = Scene(scattered())
-    for gates, expected in ((1.05, False), (0.95, True)):
-        # Of the closures' common error, which is all that there is between a reference and itself.
-        sigma_m = SLIP_INFLATION * scene.config.calibration.objects.landmark_sigma_m
-        off_m = gates * GATE_SIGMA * sigma_m
-        T = invert(body(HERE)) @ body(QUERY)
-        first, second = (make_candidate(reference=HERE, T_reference_query=pose_at(x) @ T) for x in (0.0, off_m))
-        assert scene.verifier.are_consistent(first, second) == expected
 
 
 def test_the_penalty_is_that_of_the_prior_which_is_uniform_across_a_break():
