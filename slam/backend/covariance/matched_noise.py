@@ -90,8 +90,9 @@ def variance_factors(
     posterior = np.einsum("ni,ni->i", columns, information().solve(columns)).reshape(-1, 6)
     # Information that other factors add to that of the row itself; less than a hundredth of it is taken to be none.
     measured = 1.0 / posterior - 1.0
-    measured = np.where(measured < 0.01, 0.0, measured)
-    return np.where(_differs(errors, posterior, measured), _maximize(errors, posterior, measured), 1.0)
+    is_measured = measured >= 0.01
+    errors, measured = np.where(is_measured, errors, 0.0), np.where(is_measured, measured, 0.0)
+    return np.where(_differs(errors, measured), _maximize(errors, measured), 1.0)
 
 
 def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:
@@ -101,21 +102,20 @@ def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:
     return sparse.csr_array((weights, (sums.ravel(), samples.ravel())), shape=(len(samples) * 6, row_count))
 
 
-def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
-    """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and the information (S, 6) of other factors."""
+def _maximize(residuals: FloatArray, measured: FloatArray) -> FloatArray:
+    """Variance (6,) of errors, from residuals (S, 6) and the information (S, 6) of other factors."""
     variance = np.ones(6)
     for _ in range(10):  # from the configured noise; near none at all the iteration is slow
         left = variance / (1.0 + variance * measured)
-        expected = np.where(measured > 0.0, left / posterior * residuals, 0.0)
+        expected = left * (1.0 + measured) * residuals
         variance = np.clip(np.mean(expected**2 + left, axis=0), 1e-3, 1e2)
     return variance
 
 
-def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> BoolArray:
+def _differs(residuals: FloatArray, measured: FloatArray) -> BoolArray:
     """Whether (6,) the residuals reject a variance of 1 at the level of 5 %, by their sum and the redundancy."""
     redundancy = measured / (1.0 + measured)
-    squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
-    chance = chdtr(np.maximum(redundancy.sum(axis=0), 1e-9), squares.sum(axis=0))
+    chance = chdtr(np.maximum(redundancy.sum(axis=0), 1e-9), np.sum(residuals**2, axis=0))
     return np.minimum(chance, 1.0 - chance) < 0.5 * 0.05
 
 
