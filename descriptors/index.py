@@ -47,9 +47,6 @@ class VectorIndex:
 
         Ties go to the lower number.
         """
-        if not np.any(allowed) or len(constellations) == 0:
-            empty = np.zeros(0, dtype=np.int64)
-            return Matches(empty, empty, np.zeros(0, dtype=np.float32))
         vectors, labels = self._descriptor.describe(constellations), constellations.centre_labels
         squares = vectors @ self._vectors.T
         squares *= -2.0
