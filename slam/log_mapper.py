@@ -75,8 +75,6 @@ class LogMapper:
 
     def latency_s(self) -> dict[str, float]:
         """How long messages took on this machine: the median, the 99th percentile and the longest, in seconds."""
-        if not self._seconds:
-            return {}
         median, most, longest = np.percentile(self._seconds, [50.0, 99.0, 100.0]).round(4).tolist()
         return {"p50": median, "p99": most, "max": longest}
 

@@ -144,8 +144,6 @@ class PairIndex:
         for start in range(0, len(ends), PAIRS_AT_ONCE):
             pairs = gather_pairs(plane, labels, ends[start : start + PAIRS_AT_ONCE], tree, sizes)
             blocks.append(_packed(self.likelihood.bits(pairs).T))
-        if not blocks:
-            return
         if not len(self.ends) and len(ends) > PAIRS_AT_ONCE:
             self._sorted = len(ends)
         filler = -len(ends) % WORD

@@ -105,8 +105,6 @@ def observation_factors(
     factor of bearing and range would not do: the tangent plane of its bearing has axes that jump, so that it cannot
     tell a sure azimuth from an unsure height.)
     """
-    if not observations:
-        return []
     _, _, positions, covariances, inflations = stacked(observations)
     _check_covariances(covariances, lambda row: _name(observations[row]))
     for row in np.flatnonzero(~np.isfinite(positions).all(axis=1)).tolist():
@@ -150,8 +148,6 @@ def sum_observations(
         covariances: (N, 3, 3) m^2, inflated.
         inflations: (N,), of which the covariances are multiples.
     """
-    if not len(keyframes):
-        return []
     pairs, rows = np.unique(np.stack([keyframes, landmarks], axis=1), axis=0, return_inverse=True)
     rows = rows.reshape(-1)
     information = np.linalg.inv(covariances)

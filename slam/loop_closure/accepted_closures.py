@@ -145,8 +145,6 @@ class AcceptedClosures:
             self.closed.pop(each.candidate.query.id, None)
         self._accepted = [each for each in self._accepted if each not in revoked]
         gone = {each.factor for each in revoked if each.inserted}
-        if not gone:
-            return
         self._graph.remove_factors(gone)
         self._map.undo_merges(gone)
         self._graph.alias_landmarks(self._map.aliases)
