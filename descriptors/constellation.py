@@ -32,11 +32,7 @@ class Constellations:
         offsets = np.concatenate([[0], np.cumsum(counts)])
         neighbours = np.arange(offsets[-1]) + np.repeat(self.offsets[rows] - offsets[:-1], counts)
         return Constellations(
-            self.positions[neighbours],
-            self.labels[neighbours],
-            self.centre_labels[rows],
-            offsets,
-            self.vocabulary,
+            self.positions[neighbours], self.labels[neighbours], self.centre_labels[rows], offsets, self.vocabulary
         )
 
     @property

@@ -61,7 +61,6 @@ class GraphCondenser:
             return
         if len(self._anchors()) >= 0.25 * self._variable_count:
             self.fuse_landmarks()
-            self._graph.optimize(roughly=True)
             self._condense(self._anchors())
         self._due_at = max(MIN_KEYFRAMES, 2 * self._variable_count)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from logs.messages import ObjectDetections, Record, StatusRecord, Transform
+from logs.messages import ObjectDetections, Record, Transform
 from logs.storage.regular_file import AnyPath
 from slam.common.calibration import Calibration
 from slam.common.config import Config
@@ -161,10 +161,8 @@ class LiveSlam:
         self._slam, self.calibration, self._successor = successor.slam, successor.calibration, None
         if self._detections >= MAX_DETECTIONS:
             self._is_estimating, self._records = False, []
-        counters = {key: int(value) for key, value in sorted(self.counters.items())}
         message = f"calibrated by {self._surveyed} scans: the map was rebuilt"
-        stamp_ns = successor.slam.latest_ns
-        return [StatusRecord(stamp_ns, self.state.value, "info", message, counters), *successor.updates]
+        return [self._slam.status(self.state, message, level="info"), *successor.updates]
 
 
 def _estimate(given: Config, log: SurveyedLog, delays: LoggingDelays) -> CalibratedLog | None:

@@ -34,7 +34,6 @@ from slam.common.geometry import invert
 from slam.display.map_topics import MAP_FRAME, Message
 from slam.display.snapshot import SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, final_trajectory, find_passed, judge_outcome, known_covariances, place_landmarks
-from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -103,11 +102,6 @@ class Slam:
     def first_stamp_ns(self) -> int:
         """When the drive began."""
         return self._path.first_stamp_ns
-
-    @property
-    def latest_ns(self) -> int:
-        """Stamp of the latest pose; 0 before the first."""
-        return self._frontend.latest_ns
 
     @property
     def state(self) -> State:
@@ -197,14 +191,15 @@ class Slam:
             object_map=object_map,
             graph=graph,
             snapshot=self._snapshot(),
-            status=self._status(self.state, message, level=level),
+            status=self.status(self.state, message, level=level),
             trajectory_check=check,
         )
 
     def _trajectory(self) -> TrajectoryRecord:
         """All poses of the drive, by the graph as it is now."""
         own = slice(self._first_keyframe, None)
-        return final_trajectory(self._path, self._mapper.keyframes[own], self._graph.poses()[own], self.latest_ns)
+        stamp_ns = self._frontend.latest_ns
+        return final_trajectory(self._path, self._mapper.keyframes[own], self._graph.poses()[own], stamp_ns)
 
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._output.follow(odometry)
@@ -226,7 +221,14 @@ class Slam:
         if self._frontend.placed is not None:
             tracked, pose = self._frontend.placed
             self._check.add(tracked, pose, self._output.in_map(pose))
-        return [placed, _localization(placed.stamp_ns, self.state, self._mapper.tracker.active, self._closer)]
+        return [placed, self._certainty(placed.stamp_ns)]
+
+    def _certainty(self, stamp_ns: int) -> LocalizationRecord:
+        """Certainty of the robot's pose at a scan."""
+        active, state = self._mapper.tracker.active, self.state
+        kidnapped = 1.0 if state == State.LOST else self._closer.continuity.kidnapping_probability
+        names, ratios = tuple(active.innovation_ratios), np.array(list(active.innovation_ratios.values()))
+        return LocalizationRecord(stamp_ns, state.value, kidnapped, names, ratios, active.pose_covariance)
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
@@ -252,7 +254,7 @@ class Slam:
         self.counters["keyframes"] += 1
         self.counters.update(_counted(closures, self._first_keyframe))
         if keyframe.id == self._first_keyframe:
-            updates.append(self._status(self.state, "first odometry", level="info"))
+            updates.append(self.status(self.state, "first odometry", level="info"))
         return updates
 
     def _declare_lost(self, keyframe: Keyframe, after_m: float) -> tuple[list[LoopClosureRecord], bool]:
@@ -282,7 +284,7 @@ class Slam:
         changes = self._localization.update(keyframe, is_localized=is_localized, began=began)
         if any(state == State.RELOCALIZED for state, _, _ in changes):
             self.counters["relocalizations"] += 1
-        return [self._status(state, message, level=level) for state, message, level in changes]
+        return [self.status(state, message, level=level) for state, message, level in changes]
 
     def _close_loops(self, keyframe: Keyframe) -> Outcome:
         if not self._config.loop_closure.enabled:
@@ -292,7 +294,8 @@ class Slam:
         self.closing_seconds.append(time.perf_counter() - started)
         return outcome
 
-    def _status(self, state: State, message: str, *, level: str) -> StatusRecord:
+    def status(self, state: State, message: str, *, level: str) -> StatusRecord:
+        """A status with the counters and the numbers of landmarks as they are now."""
         counters = {key: int(value) for key, value in sorted(self.counters.items())}
         counters |= {
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
@@ -353,16 +356,3 @@ def _refused_noises() -> Iterator[None]:
             "the noise of odometry and that of detections differ by too many orders of magnitude; check "
             "calibration.odometry and calibration.detection, and the covariances of detections"
         ) from error
-
-
-def _localization(stamp_ns: int, state: State, active: ActiveLandmarks, closer: LoopCloser) -> LocalizationRecord:
-    """Certainty of the robot's pose at a scan."""
-    ratios = active.innovation_ratios
-    return LocalizationRecord(
-        stamp_ns,
-        state.value,
-        1.0 if state == State.LOST else closer.continuity.kidnapping_probability,
-        tuple(ratios),
-        np.array(list(ratios.values())),
-        active.pose_covariance,
-    )

@@ -225,7 +225,7 @@ class EditableGraph:
 
     def _in_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Positions (N, 3) m in the map of what was observed, from the poses of the keyframes."""
-        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
+        poses = {keyframe: self.pose(keyframe) for keyframe in {each.keyframe for each in observations}}
         T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
         in_body = np.array([each.position for each in observations]).reshape(-1, 3, 1)
         return (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
@@ -291,10 +291,9 @@ class FactorGraph(EditableGraph):
     def _moved_estimate(self, edge: Edge, away: Set[int]) -> gtsam.Values:
         """The estimate, in which the edge puts keyframes ``away`` and the landmarks that only they saw."""
         T_from, T_to = self.pose(edge.from_keyframe), self.pose(edge.to_keyframe)
-        if edge.to_keyframe in away:
-            shift = gtsam.Pose3(T_from @ edge.T_from_to @ invert(T_to))
-        else:
-            shift = gtsam.Pose3(T_to @ invert(edge.T_from_to) @ invert(T_from))
+        shift = gtsam.Pose3(T_from @ edge.T_from_to @ invert(T_to))
+        if edge.from_keyframe in away:
+            shift = shift.inverse()
         values = gtsam.Values(self._solver.values())
         for keyframe in away & set(self.keyframe_variables.tolist()):
             values.update(X(keyframe), shift.compose(values.atPose3(X(keyframe))))
@@ -370,11 +369,11 @@ class FactorGraph(EditableGraph):
         except FactorGraphError as error:
             logger.info("the noise stays as it is configured: %s", error)
             found = {}
-        edges = {number: each for number, each in self.factors.items() if isinstance(each, Edge)}
         self.replace_edges(
             {
                 number: replace(each, covariance=found.get(number, each.covariance), is_gaussian=False)
-                for number, each in edges.items()
+                for number, each in self.factors.items()
+                if isinstance(each, Edge)
             }
         )
         return self.optimize()
