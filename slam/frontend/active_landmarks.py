@@ -122,12 +122,12 @@ class ActiveLandmarks:
             return
         rows = self.rows[slots]
         shifts = landmarks["velocity_local"][rows] * (1e-9 * (after_ns - before_ns))
-        seen_ns = landmarks["last_seen_ns"][rows]
-        earlier_m2, later_m2 = (
-            _swerve_variances(1e-9 * (stamp_ns - seen_ns), self._config.sensor_range_m)
-            for stamp_ns in (before_ns, after_ns)
+        # By so much moving objects leave the way that their velocity takes them.
+        seconds = 1e-9 * (np.array([[before_ns], [after_ns]]) - landmarks["last_seen_ns"][rows])
+        swerves_m = (
+            MOVING_ACCELERATION_RANGES * self._config.sensor_range_m * seconds * np.maximum(seconds, MIN_SWERVE_S)
         )
-        variances = np.maximum(later_m2 - earlier_m2, 0.0)
+        variances = np.maximum(np.diff(swerves_m**2, axis=0)[0], 0.0)
         self._local.move(slots, shifts, variances[:, None])
 
     def predict(self) -> tuple[FloatArray, FloatArray]:
@@ -239,8 +239,7 @@ class ActiveLandmarks:
 
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
-        if len(rows):
-            self._local.remove(rows)
+        self._local.remove(rows)
 
     def surplus(self) -> BoolArray:
         """(A,) which landmarks are too far to be seen again soon, or too many to keep: the longest unseen ones."""
@@ -261,9 +260,3 @@ def _useless(config: Config) -> FloatArray:
     odometry, range_m = config.calibration.odometry, config.sensor_range_m
     sigmas = np.array([odometry.translation_sigma, odometry.yaw_sigma])
     return np.square([range_m, np.pi]) / (sigmas**2 * range_m)
-
-
-def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:
-    """Variances (L,) m^2 by which moving objects leave the way that their velocity takes them."""
-    swerve_m = MOVING_ACCELERATION_RANGES * sensor_range_m * seconds * np.maximum(seconds, MIN_SWERVE_S)
-    return swerve_m**2

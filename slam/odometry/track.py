@@ -152,8 +152,13 @@ class OdometryTrack:
         after = self._poses[row]
         if after.stamp_ns == stamp_ns:
             return after
-        is_between = row and self._poses[row - 1].segment == after.segment
-        return _between(self._poses[row - 1], after, stamp_ns) if is_between else None
+        before = self._poses[row - 1]
+        if not row or before.segment != after.segment:
+            return None
+        fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+        T = blend(before.T_odom_body, after.T_odom_body, fraction)
+        travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
+        return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""
@@ -217,14 +222,6 @@ class OdometryTrack:
         way_m2, turn_rad2 = float(step[:3, 3] @ step[:3, 3]), float(rotation_angle_rad(step)) ** 2
         variances = np.array([way_m2, 0.01 * turn_rad2, turn_rad2]) + 1e-8
         return Correction(rigid(last.T_odom_body @ step @ invert(pose.T_odom_body)), variances)
-
-
-def _between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:
-    """The pose at a time between those of two poses of one segment."""
-    fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-    T = blend(before.T_odom_body, after.T_odom_body, fraction)
-    travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
-    return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)
 
 
 class OdometryPath:
