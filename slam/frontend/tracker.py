@@ -9,12 +9,13 @@ around.
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
@@ -40,7 +41,7 @@ JUMPED = 0.5
 """Probability that a step that no body can have made is wrong."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Tracked:
     """A scan of D detections in the frame of the body, and as ``seen`` in the local frame.
 

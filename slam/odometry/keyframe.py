@@ -1,10 +1,10 @@
 """Keyframes: the poses of the odometry that the factor graph estimates."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import relative, rotation_angle_rad
@@ -14,7 +14,7 @@ INTERVAL_S = 5.0
 """A body that moves at all has a keyframe so often, that a map is published while it creeps."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
 class Keyframe:
     """A pose of the track that the graph knows; ``T_local_body`` (4, 4): where landmarks around have it, see
     :mod:`slam.frontend.local_map`.
