@@ -58,8 +58,6 @@ MAX_PROPOSALS = 200
 SCORED_AT_ONCE = 256
 REFINED_SEEDS = 6
 """Proposed modes that are refined, those with the highest scores."""
-NEGLIGIBLE_NATS = 20.0
-"""Proposed modes whose scores are that far below the best one are not refined."""
 SAME_POSE_GATE = 16.8
 """Chi-squared with 6 degrees of freedom at 99 %."""
 REFINEMENTS = 3
@@ -225,7 +223,6 @@ class ModeSearch:
         scores = np.concatenate([each for each, _ in found]) - 0.5 * _mahalanobis(xi, prior)
         matches = np.concatenate([each for _, each in found])
         order = np.argsort(-scores, kind="stable")
-        order = order[scores[order] > scores[order[0]] - NEGLIGIBLE_NATS]
         _, first = np.unique(matches[order], axis=0, return_index=True)
         return order[np.sort(first)[:REFINED_SEEDS]]
 
