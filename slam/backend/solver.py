@@ -150,7 +150,8 @@ class Solver:
             without_kernel(each) if number in numbers else each for number, each in sorted(self.factors.items())
         )
         with gtsam_errors("the batch optimisation"):
-            values, _ = _optimum(graph, _optimum(plain, self.values(), min_decrease)[0], min_decrease)
+            values, _ = _optimum(plain, _values_of(graph, self.values()), min_decrease)
+            values, _ = _optimum(graph, values, min_decrease)
         if len(self.outliers(numbers, values)) < len(self.outliers(numbers)):
             self._begin(None, values)
 

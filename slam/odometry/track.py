@@ -215,8 +215,8 @@ class OdometryTrack:
 
     def _as_before(self) -> Correction:
         """The correction of the last pose, to which no body can have come, if the body has gone on as before it."""
-        *_, last, pose = self._poses
-        first = self._poses[max(len(self._poses) - 2 - RECENT_STEPS, 0)]
+        *recent, last, pose = list(self._poses)[-2 - RECENT_STEPS :]
+        first = next((each for each in recent if each.segment == last.segment), last)
         share = (pose.stamp_ns - last.stamp_ns) / max(last.stamp_ns - first.stamp_ns, 1)
         step = blend(np.eye(4), relative(first.T_odom_body, last.T_odom_body), share)
         way_m2, turn_rad2 = float(step[:3, 3] @ step[:3, 3]), float(rotation_angle_rad(step)) ** 2

@@ -229,6 +229,16 @@ def test_body_goes_on_as_before_where_two_messages_are_far_off() -> None:
     assert counters == {"odometry_corrected": 1}
 
 
+def test_body_goes_on_as_since_the_last_break() -> None:
+    made, _ = jumped(np.eye(4), until=JUMP_STEP)
+    for step in range(JUMP_STEP, JUMP_STEP + 8):
+        T_jump = jump(y=100.0 if step < JUMP_STEP + 4 else 1000.0)
+        made.add(Odometry(stamp_ns(step + 20), message(step, T_jump).T_odom_body))
+    assert made.latest.segment == 1
+    expected = message(JUMP_STEP + 7, jump(y=100.0)).T_odom_body
+    np.testing.assert_allclose(made.latest.T_odom_body, expected, atol=0.05)
+
+
 def test_last_message_counts_even_if_it_is_far_off() -> None:
     made, _ = jumped(np.eye(4), until=JUMP_STEP)
     made.add(message(JUMP_STEP, jump(y=1000.0)))
