@@ -191,12 +191,16 @@ class OdometryTrack:
 
     def _append(self, odometry: Odometry, *, is_near: bool = False) -> OdometryPose:
         """``is_near``: a body can have come there."""
-        last, T_odom_body = self.latest, self._T_odom_reported @ odometry.T_odom_body
-        is_late = last is not None and self._comes_late(odometry, last.stamp_ns)
+        last = self.latest
+        jumps = last is not None and not is_near and self._is_beyond(self._poses, odometry)
+        if last is not None and jumps and not self._comes_late(odometry, last.stamp_ns):
+            self._go_on_as_before(odometry)
+            jumps = False
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
         xyz_m, travel_m, segment, speed_mps = T_odom_body[:3, 3], 0.0, self._first_segment, self._max_speed_mps
         if last is None:
             self._counted_xyz_m = xyz_m
-        elif not is_near and self._is_beyond(self._poses, odometry):
+        elif jumps:
             self._counted_xyz_m, travel_m, segment = xyz_m, last.travel_m, last.segment + 1
         else:
             travel_m, segment = last.travel_m, last.segment
@@ -208,20 +212,18 @@ class OdometryTrack:
             odometry.stamp_ns, T_odom_body, travel_m, segment, speed_mps, self._T_odom_reported, self._corrected
         )
         self._poses.append(pose)
-        if last is None or segment == last.segment or is_late:
-            return pose
-        self.correct(pose.stamp_ns, self._as_before(), segment=last.segment)
-        return self._poses[-1]
+        return pose
 
-    def _as_before(self) -> Correction:
-        """The correction of the last pose, to which no body can have come, if the body has gone on as before it."""
-        *recent, last, pose = list(self._poses)[-2 - RECENT_STEPS :]
+    def _go_on_as_before(self, odometry: Odometry) -> None:
+        """Correct the track so that the body comes to a message as it moved before, with an error of that size."""
+        *recent, last = list(self._poses)[-1 - RECENT_STEPS :]
         first = next((each for each in recent if each.segment == last.segment), last)
-        share = (pose.stamp_ns - last.stamp_ns) / max(last.stamp_ns - first.stamp_ns, 1)
+        share = (odometry.stamp_ns - last.stamp_ns) / max(last.stamp_ns - first.stamp_ns, 1)
         step = blend(np.eye(4), relative(first.T_odom_body, last.T_odom_body), share)
         way_m2, turn_rad2 = float(step[:3, 3] @ step[:3, 3]), float(rotation_angle_rad(step)) ** 2
-        variances = np.array([way_m2, 0.01 * turn_rad2, turn_rad2]) + 1e-8
-        return Correction(rigid(last.T_odom_body @ step @ invert(pose.T_odom_body)), variances)
+        self._corrected = self._corrected + np.array([way_m2, 0.01 * turn_rad2, turn_rad2]) + 1e-8
+        self._T_odom_reported = rigid(last.T_odom_body @ step @ invert(odometry.T_odom_body))
+        self._counters["odometry_corrected"] += 1
 
 
 class OdometryPath:

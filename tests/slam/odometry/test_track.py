@@ -239,6 +239,14 @@ def test_body_goes_on_as_since_the_last_break() -> None:
     np.testing.assert_allclose(made.latest.T_odom_body, expected, atol=0.05)
 
 
+def test_body_goes_on_as_before_where_two_jumps_are_near() -> None:
+    made, counters = jumped(jump(y=5.0))
+    for step in range(108, 112):
+        made.add(message(step, jump(y=10.0)))
+    np.testing.assert_allclose(made.latest.T_odom_body, message(111).T_odom_body, atol=0.05)
+    assert counters == {"odometry_corrected": 2}
+
+
 def test_last_message_counts_even_if_it_is_far_off() -> None:
     made, _ = jumped(np.eye(4), until=JUMP_STEP)
     made.add(message(JUMP_STEP, jump(y=1000.0)))
