@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from decimal import Decimal
 
@@ -182,26 +182,24 @@ def read_table(source: SourceText, names: Sequence[str] = ()) -> Table:
     Raises:
         DatasetError: no header, a name that occurs twice, or a line that does not fit the columns.
     """
-    lines = source.lines()
-    delimiter = _delimiter(lines[0][1]) if lines else ""
-    rows = [_split(source, number, line, delimiter) for number, line in lines]
+    rows = [*_rows(source)]
     if not names:
-        if not rows or any(map(is_number, rows[0])):
+        if not rows or any(map(is_number, rows[0][1])):
             raise DatasetError(
                 f"{source.name} does not begin with the names of its columns; begin it with a header such as "
                 "stamp_s,label,x_m,y_m,z_m"
             )
-        names, rows, lines = rows[0], rows[1:], lines[1:]
+        names = rows.pop(0)[1]
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
         raise DatasetError(f"{source.name}: column {twice} occurs twice; rename or remove one")
-    for (number, _), row in zip(lines, rows, strict=True):
+    for number, row in rows:
         if len(row) != len(names):
             raise DatasetError(
                 f"{source.name}, line {number}: {len(row)} values where {len(names)} are expected ({', '.join(names)})"
             )
-    columns = {name: [row[i] for row in rows] for i, name in enumerate(names)}
-    return Table(source.name, [number for number, _ in lines], columns)
+    columns = {name: [row[i] for _, row in rows] for i, name in enumerate(names)}
+    return Table(source.name, [number for number, _ in rows], columns)
 
 
 def first_row(source: SourceText) -> list[str]:
@@ -210,23 +208,27 @@ def first_row(source: SourceText) -> list[str]:
     Raises:
         DatasetError: there is no such line.
     """
-    number, line = next(iter(source.lines()), (0, ""))
-    if not line:
-        raise DatasetError(f"{source.name} is empty; expected at least one line")
-    return _split(source, number, line, _delimiter(line))
+    for _, row in _rows(source):
+        return row
+    raise DatasetError(f"{source.name} is empty; expected at least one line")
 
 
-def _delimiter(line: str) -> str:
-    delimiter = max(_DELIMITERS, key=line.count)
-    return delimiter if delimiter in line else " "
+def _rows(source: SourceText) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line that is neither blank nor a comment; the first line tells the delimiter.
 
-
-def _split(source: SourceText, number: int, line: str, delimiter: str) -> list[str]:
-    text = " ".join(line.split()) if delimiter == " " else line
-    try:
-        return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))]
-    except csv.Error as error:
-        raise DatasetError(f"{source.name}, line {number}: not CSV ({error})") from error
+    Raises:
+        DatasetError: a line that is not CSV.
+    """
+    lines = source.lines()
+    header = lines[0][1] if lines else ""
+    delimiter = max(filter(header.count, _DELIMITERS), key=header.count, default=" ")
+    for number, line in lines:
+        text = " ".join(line.split()) if delimiter == " " else line
+        try:
+            cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
+        except csv.Error as error:
+            raise DatasetError(f"{source.name}, line {number}: not CSV ({error})") from error
+        yield number, [cell.strip() for cell in cells]
 
 
 def is_number(text: str) -> bool:

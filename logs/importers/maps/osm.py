@@ -1,6 +1,5 @@
 """Objects of a map in an extract of OpenStreetMap: nodes whose tags say that something stands there."""
 
-from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,8 +31,8 @@ _VALUES: Mapping[str, str] = {
     "tourism": "artwork information",
     "traffic_sign": ANY,
 }
-TAGS: Mapping[str, Collection[str]] = {key: values.split() for key, values in _VALUES.items()}
-"""Keys and their values that make a node an object; with ``ANY`` all values do, and the class is the key."""
+TAGS: Collection[str] = [f"{key}={value}" for key, values in _VALUES.items() for value in values.split()]
+"""Tags that make a node an object, ``KEY=VALUE``; with ``ANY`` all values do, and the class is the key."""
 
 
 def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
@@ -51,11 +50,12 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     """
     import osmium
 
-    wanted = _parsed(tags) if tags else TAGS
+    pairs = [tag.partition("=") for tag in tags or TAGS]
+    keys, wanted = dict.fromkeys(key for key, *_ in pairs), {f"{key}={value or ANY}" for key, _, value in pairs}
     found = []
     try:
         open_regular(path).close()
-        nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*wanted))
+        nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*keys))
         for node in nodes:
             label = _class_of(node, wanted)
             if label and node.location.valid():
@@ -66,26 +66,18 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
             f"{path}: not an extract of OpenStreetMap, or truncated ({reason}); download it again"
         ) from error
     if not found:
-        names = ", ".join(wanted)
+        names = ", ".join(keys)
         raise DatasetError(f"{path}: no node is an object by its tags ({names}); say which with --tag KEY=VALUE")
     latitudes, longitudes, labels, ids = zip(*found, strict=True)
     positions = np.column_stack([latitudes, longitudes, np.zeros(len(found))])
     return MapObjects(str(path), positions, labels, ids, True, file_sha256(path))
 
 
-def _class_of(node: "osmium.osm.Node", wanted: Mapping[str, Collection[str]]) -> str:
-    for key in sorted(wanted):
-        value = node.tags.get(key)
-        if value is not None and ANY in wanted[key]:
+def _class_of(node: "osmium.osm.Node", wanted: Collection[str]) -> str:
+    """The value of its first tag that is wanted, or the key where any value is; "" without such a tag."""
+    for key, value in sorted((tag.k, tag.v) for tag in node.tags):
+        if f"{key}={ANY}" in wanted:
             return key
-        if value in wanted[key]:
-            return str(value)
+        if f"{key}={value}" in wanted:
+            return value
     return ""
-
-
-def _parsed(tags: Sequence[str]) -> dict[str, list[str]]:
-    wanted = defaultdict[str, list[str]](list)
-    for tag in tags:
-        key, _, value = tag.partition("=")
-        wanted[key].append(value or ANY)
-    return wanted
