@@ -34,7 +34,6 @@ class _Field(NamedTuple):
     """A field of a record and of its message; ``lengths`` and ``dtype`` of its array or tuple."""
 
     name: str
-    message_name: str
     lengths: list[str]
     dtype: Any
     described: FieldDescriptor
@@ -57,7 +56,7 @@ class Codec:
         for name, shape in self.shapes.items():
             described = message_class.DESCRIPTOR.fields_by_name[_MESSAGE_FIELDS.get(name, name)]
             dtype = _DTYPES.get(described.cpp_type)
-            self._fields.append(_Field(name, described.name, shape.rstrip("?").split(), dtype, described))
+            self._fields.append(_Field(name, shape.rstrip("?").split(), dtype, described))
 
     def encode(self, record: Any) -> Message:
         """The message of ``record``; what is None is not set."""
@@ -66,7 +65,7 @@ class Codec:
             value = getattr(record, field.name)
             if isinstance(value, np.ndarray):
                 value = (value[..., :3, :] if "T" in field.lengths else value).ravel().tolist()
-            values[field.message_name] = value
+            values[field.described.name] = value
         message: Message = self.message_class(**values)
         return message
 
@@ -79,13 +78,13 @@ class Codec:
         values = {}
         lengths = {"T": 12}  # numbers of a transform
         for field in self._fields:
-            value = getattr(message, field.message_name)
+            value = getattr(message, field.described.name)
             if field.lengths:
                 if len(value) or not self.shapes[field.name].endswith("?"):
                     values[field.name] = _shaped(value, field, lengths, counters)
             elif field.described.is_repeated:  # a map in any order; sorted, a record is the same in every run
                 values[field.name] = dict(sorted(value.items()))
-            elif not field.described.has_presence or message.HasField(field.message_name):
+            elif not field.described.has_presence or message.HasField(field.described.name):
                 values[field.name] = value
         return self.record(**values)
 

@@ -5,7 +5,6 @@ import heapq
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from logs.selection import Selection
 from logs.storage.mcap_file import McapFile
 from logs.storage.opening import find_bag_files, open_file
 from logs.storage.regular_file import AnyPath
-from logs.topics import Channel, RawMessage, TopicInfo
+from logs.topics import RawMessage, RecordKind, TopicInfo
 
 
 class LogEntry(NamedTuple):
@@ -86,27 +85,18 @@ class LogReader:
 
     def topics(self) -> list[TopicInfo]:
         """What the log holds, by topic name; a topic with two schemas appears twice."""
-        groups = defaultdict[tuple[str, str, str], list[tuple[int, tuple[int, ...], Channel]]](list)
+        counts, kinds = Counter[tuple[str, str, str]](), dict[tuple[str, str, str], tuple[RecordKind, ...]]()
+        times_ns = defaultdict[tuple[str, str, str], list[int]](list)
         for file in self._open:
             for id, channel in file.channels.items():
                 key = channel.topic, channel.schema_name, channel.message_encoding
-                groups[key].append((file.message_counts[id], file.span_ns(id), channel))
-        topics = []
-        for (topic, schema_name, encoding), there in sorted(groups.items()):
-            counts, spans_ns, channels = zip(*there, strict=True)
-            times_ns = [*chain(*spans_ns)]
-            topics.append(
-                TopicInfo(
-                    topic=topic,
-                    schema_name=schema_name,
-                    encoding=encoding,
-                    message_count=sum(counts),
-                    kinds=kinds_of(channels[0]),
-                    first_log_time_ns=min(times_ns, default=None),
-                    last_log_time_ns=max(times_ns, default=None),
-                )
-            )
-        return topics
+                counts[key] += file.message_counts[id]
+                times_ns[key] += file.span_ns(id)
+                kinds[key] = kinds_of(channel)
+        return [
+            TopicInfo(*key, counts[key], kinds[key], min(times, default=None), max(times, default=None))
+            for key, times in sorted(times_ns.items())
+        ]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time.

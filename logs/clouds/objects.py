@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.one_sided import seen_from_all_sides, seen_from_one_side
 from logs.errors import DatasetError
-from logs.messages import FloatArray, IntArray, ObjectDetections
+from logs.messages import FloatArray, ObjectDetections
 from logs.records import frozen
 
 
@@ -121,7 +121,10 @@ def _split(points: FloatArray, gap_m: float, voxel_m: float, *, flat: bool) -> l
     """The points of each cluster, as seen from above if ``flat``: beams lie wide apart in height."""
     corners = np.floor(points[:, : 2 if flat else 3] / voxel_m).astype(np.int64)
     cells, cell = np.unique(corners, axis=0, return_inverse=True)
-    cluster = clusters(voxel_m * cells.astype(np.float64), max(gap_m, 1.5 * voxel_m))[cell.ravel()]
+    # DBSCAN (Ester et al., KDD 1996) in which every point is a core point: chains of steps of at most the gap.
+    tree = cKDTree(voxel_m * cells.astype(np.float64))
+    steps = tree.sparse_distance_matrix(tree, max(gap_m, 1.5 * voxel_m), output_type="coo_matrix")
+    cluster = connected_components(steps, directed=False)[1][cell.ravel()]
     order = np.argsort(cluster, kind="stable")
     return np.split(points[order], np.flatnonzero(np.diff(cluster[order])) + 1)
 
@@ -147,14 +150,3 @@ def voxel_means(points: FloatArray, voxel_m: float) -> FloatArray:
     _, voxels, counts = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
     sums = [np.bincount(voxels.ravel(), weights=axis) for axis in points.T]
     return np.stack(sums, axis=1) / counts[:, None]
-
-
-def clusters(points: FloatArray, gap_m: float) -> IntArray:
-    """Cluster (N,) of each of the different points (N, D) m, from 0 on: those that a chain of steps of at most
-    ``gap_m`` joins.
-
-    DBSCAN (Ester et al., KDD 1996) in which every point is a core point.
-    """
-    tree = cKDTree(points)
-    steps = tree.sparse_distance_matrix(tree, gap_m, output_type="coo_matrix")
-    return np.asarray(connected_components(steps, directed=False)[1], dtype=np.int64)

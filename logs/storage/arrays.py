@@ -33,18 +33,17 @@ def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArr
             if summary is None:
                 raise UnreadableLogError(f"{path} is damaged: it ends early")
             for place in summary[AttachmentIndex]:
-                if place.name in checked and not _is_intact(path, place):
-                    raise UnreadableLogError(f"{path} is damaged: array {place.name} has another checksum")
+                if place.name in checked:
+                    content = np.memmap(
+                        path, np.uint8, "r", place.offset + HEADER.size, place.length - HEADER.size
+                    ).data
+                    # The checksum of an attachment follows it; 0 stands for none.
+                    if int.from_bytes(content[-4:], "little") not in (0, zlib.crc32(content[:-4])):
+                        raise UnreadableLogError(f"{path} is damaged: array {place.name} has another checksum")
                 found[place.name] = _map_array(path, stream, place)
     except (*DAMAGE, *_NO_HEADER, OSError) as error:
         raise UnreadableLogError(f"{path} is damaged: an attachment cannot be read as an array ({error})") from error
     return found
-
-
-def _is_intact(path: Path, place: AttachmentIndex) -> bool:
-    """Whether an attachment has the checksum that follows it; 0 stands for none."""
-    content = np.memmap(path, np.uint8, "r", place.offset + HEADER.size, place.length - HEADER.size).data
-    return int.from_bytes(content[-4:], "little") in (0, zlib.crc32(content[:-4]))
 
 
 def _map_array(path: Path, stream: BinaryIO, place: AttachmentIndex) -> NDArray[Any]:

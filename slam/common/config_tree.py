@@ -197,21 +197,16 @@ def _refusal(
     key, given = ".".join(str(part) for part in first["loc"] if isinstance(part, str)), first["input"]
     where = _origin(key, flagged, path)
     if first["type"] == "extra_forbidden":
-        wanted = _deepest(key, given)
+        wanted = key
+        while isinstance(given, dict) and given:  # what the user meant to set
+            name, given = next(iter(given.items()))
+            wanted = f"{wanted}.{name}"
         return ConfigurationError(f"{where}: there is no {wanted!r}; {_hint(model, wanted)}")
     meaning = next((f": {each.meaning}" for each in settings_of(model.model_construct()) if each.key == key), "")
     if first["type"] == "missing":
         return ConfigurationError(f"{where}: {key} is missing{meaning}")
     shown = json.dumps(given, default=str)[:60]
     return ConfigurationError(f"{where}: {key}={shown} is not allowed; {first['msg']}{meaning}")
-
-
-def _deepest(key: str, value: object) -> str:
-    """The first dotted key under ``key``: what the user meant to set."""
-    while isinstance(value, dict) and value:
-        name, value = next(iter(value.items()))
-        key = f"{key}.{name}"
-    return key
 
 
 def _hint(model: type[BaseModel], wanted: str) -> str:
