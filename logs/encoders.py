@@ -98,11 +98,6 @@ def _location_fix(r: m.GeodeticFix) -> Message:
     )
 
 
-def _log_message(r: m.LogMessage) -> Message:
-    level = Log.Level.Value(r.level.upper())
-    return Log(timestamp=timestamp(r.stamp_ns), level=level, message=r.text, name="dslam")
-
-
 _ENCODERS: dict[type, Callable[[Any], Message]] = {
     **{record: codec.encode for record, codec in CODECS.items()},
     m.Odometry: _odometry,
@@ -114,5 +109,5 @@ _ENCODERS: dict[type, Callable[[Any], Message]] = {
     m.SceneLines: encode_lines,
     m.ScenePoints: encode_points,
     m.FrameTree: lambda r: FrameTransforms(transforms=[_transform(each) for each in r.transforms]),
-    m.LogMessage: _log_message,
+    m.LogMessage: lambda r: Log(timestamp=timestamp(r.stamp_ns), level=r.level.upper(), message=r.text, name="dslam"),
 }

@@ -38,7 +38,7 @@ class Schema(NamedTuple):
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Channel:
     """One stream of messages: its topic, the encoding of its messages ("protobuf", "cdr", ...), its schema if any."""
 

@@ -159,13 +159,10 @@ def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
     largest = np.abs(P).max(axis=(1, 2), initial=0.0)
     finite = largest <= MAX_COORDINATE_M**2
-    if not finite.all():
-        P = np.where(finite[:, None, None], P, 0.0)
+    P = np.where(finite[:, None, None], P, 0.0)
     symmetric = 0.5 * (P + P.swapaxes(-1, -2))
     # Singular to double precision.
     good = finite & (np.linalg.eigvalsh(symmetric)[:, 0] > 1e-14 * largest)
-    if good.all():
-        return symmetric
     if ignored := int((~good & (largest != 0.0)).sum()):
         counters["ignored_covariances"] += ignored
     return np.where(good[:, None, None], symmetric, 0.0)

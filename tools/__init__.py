@@ -25,8 +25,7 @@ def main() -> None:
     """Entry point of ``dslam``."""
     for number in _STOPPING:
         signal.signal(number, _stop)
-    if hasattr(signal, "SIGPIPE"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `dslam info LOG | head` ends quietly
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `dslam info LOG | head` ends quietly
     warnings.simplefilter("ignore", RuntimeWarning)  # of libraries about numbers, which are checked where they matter
     _prepare_streams()
     try:

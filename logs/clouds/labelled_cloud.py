@@ -42,14 +42,12 @@ class LabelledCloud:
     def finite(self) -> "LabelledCloud":
         """The cloud without the points that have NaN or Inf: beams that hit nothing."""
         is_finite = np.isfinite(self.positions).all(axis=1)
-        if is_finite.all():
-            return self
         instances = self.instances[is_finite] if self.instances is not None else None
         return LabelledCloud(self.positions[is_finite], self.classes[is_finite], instances)
 
 
-def labelled_cloud(columns: Mapping[str, NDArray[Any]], name: str) -> LabelledCloud:
-    """The cloud of ``columns``, name -> values (N,). ``name`` is what messages call it.
+def labelled_cloud(columns: Mapping[str, NDArray[Any]]) -> LabelledCloud:
+    """The cloud of ``columns``, name -> values (N,).
 
     Where no field tells instances and the classes are those of SemanticKITTI with the instance in their upper half,
     they are taken apart.
@@ -60,22 +58,22 @@ def labelled_cloud(columns: Mapping[str, NDArray[Any]], name: str) -> LabelledCl
     plain = {key.lower().removeprefix(_PREFIX): values for key, values in columns.items()}
     there = ", ".join(columns) or "none"
     if not {"x", "y", "z"} <= plain.keys():
-        raise DatasetError(f"{name}: no fields x, y and z; it has {there}")
+        raise DatasetError(f"cloud: no fields x, y and z; it has {there}")
     class_field = next((field for field in CLASS_FIELDS if field in plain), None)
     if class_field is None:
-        raise DatasetError(f"{name}: no field holds the class of a point ({' or '.join(CLASS_FIELDS)}); it has {there}")
+        raise DatasetError(f"cloud: no field holds the class of a point ({' or '.join(CLASS_FIELDS)}); it has {there}")
     positions = np.stack([plain[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    classes = _whole(plain[class_field], f"{name}: field {class_field}")
+    classes = _whole(plain[class_field], class_field)
     instance_field = next((field for field in INSTANCE_FIELDS if field in plain and field != class_field), None)
     instances = None
     if instance_field is not None:
-        instances = _whole(plain[instance_field], f"{name}: field {instance_field}")
+        instances = _whole(plain[instance_field], instance_field)
     elif class_field == "label" and classes.max(initial=0) > 0xFFFF:
         classes, instances = classes & 0xFFFF, classes >> 16
     return LabelledCloud(positions, classes, instances)
 
 
-def _whole(values: NDArray[Any], what: str) -> NDArray[np.int64]:
+def _whole(values: NDArray[Any], name: str) -> NDArray[np.int64]:
     if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.round(values))).all():
-        raise DatasetError(f"{what} holds fractions, which cannot be labels; rename the field")
+        raise DatasetError(f"cloud: field {name} holds fractions, which cannot be labels; rename the field")
     return values.astype(np.int64)

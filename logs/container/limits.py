@@ -1,12 +1,13 @@
 """Limits on the memory that a file may take."""
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 from logs.errors import UnreadableLogError
+from logs.records import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class ReadingLimits:
     """What goes beyond is left out and counted, or refused where nothing would be left; the error names the setting
     that all are in proportion to, ``memory_mb``.

@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from logs.container.limits import ReadingLimits
@@ -39,15 +39,16 @@ _log = logging.getLogger(__name__)
 
 def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
     """What the messages of ``channel`` can be decoded to; () for a schema or an encoding that is not known."""
-    known = _decoder_of(channel)
+    known = _decoders_for(channel).get(channel.schema_name)
     return () if known is None else known.kinds
 
 
-def _decoder_of(channel: Channel) -> MessageDecoder | None:
+def _decoders_for(channel: Channel) -> Mapping[str, MessageDecoder]:
+    """Schema -> decoder, of the encoding of a channel."""
     if channel.message_encoding in ("protobuf", "json"):
-        return protobuf.DECODERS.get(channel.schema_name)
+        return protobuf.DECODERS
     is_ros2 = channel.schema is not None and channel.schema.encoding in ("ros2msg", "ros2idl")
-    return ros2.DECODERS.get(channel.schema_name) if channel.message_encoding == "cdr" and is_ros2 else None
+    return ros2.DECODERS if channel.message_encoding == "cdr" and is_ros2 else {}
 
 
 def decode(
@@ -91,9 +92,7 @@ def decode(
 
 def _records(context: Context) -> Records:
     raw = context.raw
-    known = _decoder_of(raw.channel)
-    if known is None:
-        raise Refusal("the schema is not known", raw.channel.schema_name)
+    known = _decoders_for(raw.channel)[raw.channel.schema_name]
     message: Any
     if known.message_class is not None:
         message = protobuf.parse(raw, known.message_class)
@@ -105,8 +104,6 @@ def _records(context: Context) -> Records:
 
 
 def _check(record: Record, limits: ReadingLimits) -> None:
-    if not isinstance(record.stamp_ns, int):  # a definition that the log brings may say otherwise
-        raise Refusal("time is not a whole number", f"{record.stamp_ns!r:.40} ns")
     if not 0 <= record.stamp_ns <= LAST_NS:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
     names = [*frames_of(record).values()]

@@ -8,13 +8,14 @@ each part of a detection the field that holds it: ``position`` (x, y and z in it
 
 import json
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
-from logs.decoders.parts import Context, Detection, Records, detection_records
+from logs.decoders.parts import Context, Detection, Records, detection_records, place_of
 from logs.errors import TopicSelectionError
 from logs.records import frozen
 from logs.topics import RawMessage
-from logs.validation import Refusal, stamp_ns
+from logs.validation import Refusal
 
 _PARTS = ("position", "x", "y", "z", "label", "score")
 
@@ -52,23 +53,19 @@ class FieldMapping:
         message = _tree(context.raw)
         objects = _field(message, self.objects) if self.objects else message
         found = [self._detection(each) for each in (objects if isinstance(objects, list) else [objects])]
-        header = None if isinstance(message, list) else _members(message).get("header")
-        place = context.raw.log_time_ns, ""
-        if header is not None:
-            seconds, nanoseconds = _field(header, "stamp.sec"), _field(header, "stamp.nanosec")
-            place = stamp_ns(seconds, nanoseconds, place[0]), str(_field(header, "frame_id"))
+        is_placed = getattr(message, "header", None) is not None
+        place = place_of(message, context) if is_placed else (context.raw.log_time_ns, "")
         return detection_records({place: found}, context.counters)
 
     def _detection(self, item: Any) -> Detection:
         parts = {part: _field(item, path) for part, path in self.fields.items()}
-        return Detection(
-            _xyz(parts.get("position", parts)), str(parts.get("label", "")), float(parts.get("score", 1.0))
-        )
+        position = _xyz(parts.get("position", SimpleNamespace(**parts)))
+        return Detection(position, str(parts.get("label", "")), float(parts.get("score", 1.0)))
 
 
 def _tree(raw: RawMessage) -> Any:
     if raw.channel.message_encoding == "json":
-        return json.loads(raw.data)
+        return json.loads(raw.data, object_hook=lambda members: SimpleNamespace(**members))
     if raw.channel.message_encoding != "cdr":
         raise Refusal("fields are mapped in JSON and ROS messages", f"encoding {raw.channel.message_encoding!r}")
     from logs.decoders.cdr import parse  # loads rosbags
@@ -76,13 +73,9 @@ def _tree(raw: RawMessage) -> Any:
     return parse(raw)
 
 
-def _members(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else vars(value)
-
-
 def _field(value: Any, path: str) -> Any:
     for name in path.split("."):
-        there = _members(value)
+        there = vars(value)
         if name not in there:
             raise Refusal("no such field", f"{name!r} among {', '.join(map(str, there))}"[:200])
         value = there[name]
@@ -93,4 +86,4 @@ def _xyz(value: Any) -> tuple[float, float, float]:
     if isinstance(value, list | tuple) or hasattr(value, "tolist"):
         x, y, *z = (float(number) for number in value)
         return x, y, sum(z[:1])
-    return float(_field(value, "x")), float(_field(value, "y")), float(_members(value).get("z", 0.0))
+    return float(_field(value, "x")), float(_field(value, "y")), float(getattr(value, "z", 0.0))

@@ -159,6 +159,6 @@ def usable_detections(record: ObjectDetections, counters: Counter[str]) -> Objec
     if covariances is not None:
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
-    labels = tuple(label or UNKNOWN_LABEL for label in record.labels) if "" in record.labels else record.labels
+    labels = tuple(label or UNKNOWN_LABEL for label in record.labels)
     scores = np.minimum(np.maximum(record.scores, 0.0), 1.0)
     return ObjectDetections(record.stamp_ns, record.frame_id, record.positions, labels, scores, covariances)

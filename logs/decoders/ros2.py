@@ -216,7 +216,7 @@ def labelled_scan(message: Any, context: Context) -> Records:
         raise Refusal("fields of the points are invalid", str(error)) from error
     points = image_rows(message, int(message.row_step), int(message.width) * point_step).view(kind).ravel()
     try:
-        return (LabelledScan(*place, labelled_cloud({name: points[name] for name in fields}, "cloud").finite()),)
+        return (LabelledScan(*place, labelled_cloud({name: points[name] for name in fields}).finite()),)
     except DatasetError as error:
         raise Refusal("cloud without labels", str(error)) from error
 

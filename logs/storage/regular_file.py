@@ -40,4 +40,4 @@ def read_regular(path: AnyPath) -> bytes:
 
 def _without_waiting(path: str, flags: int) -> int:
     """Opening a pipe without a writer would block."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+    return os.open(path, flags | os.O_NONBLOCK)

@@ -13,16 +13,16 @@ PLACES = {axis: np.arange(3.0) for axis in "xyz"}
 @pytest.mark.parametrize("names", [("class", "label"), ("class", "id"), ("scalar_Classification", "scalar_label")])
 def test_published_fields_are_found(names: tuple[str, str]) -> None:
     classes, instances = np.array([5, 0, 5], np.uint32), np.array([7, 0, 8], np.uint32)
-    found = labelled_cloud({**PLACES, names[1]: instances, names[0]: classes}, "cloud")
+    found = labelled_cloud({**PLACES, names[1]: instances, names[0]: classes})
     np.testing.assert_array_equal(found.classes, classes)
     np.testing.assert_array_equal(found.instances, instances)
     np.testing.assert_array_equal(found.positions[:, 0], PLACES["x"])
 
 
 def test_a_label_alone_is_the_class_and_the_instance_may_be_in_its_upper_half() -> None:
-    found = labelled_cloud({**PLACES, "label": np.full(3, 80 + (7 << 16), np.uint32)}, "cloud")
+    found = labelled_cloud({**PLACES, "label": np.full(3, 80 + (7 << 16), np.uint32)})
     assert (found.classes.tolist(), np.unique(found.instances).tolist()) == ([80] * 3, [7])
-    assert labelled_cloud({**PLACES, "label": np.full(3, 80)}, "cloud").instances is None
+    assert labelled_cloud({**PLACES, "label": np.full(3, 80)}).instances is None
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_a_label_alone_is_the_class_and_the_instance_may_be_in_its_upper_half() 
 )
 def test_clouds_without_places_or_classes_are_refused(columns: dict[str, np.ndarray], fault: str) -> None:
     with pytest.raises(DatasetError, match=f"cloud: {fault}"):
-        labelled_cloud(columns, "cloud")
+        labelled_cloud(columns)
 
 
 @pytest.mark.parametrize("astray", [1e9, 1e30, -1e300])
