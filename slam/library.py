@@ -22,6 +22,9 @@ from slam.prepared_log import calibrate_logs
 
 _FINAL_MAP, _FINAL_TRAJECTORY = "/slam/map", "/slam/trajectory_stamped"
 
+load_map = load_prior_map
+"""A map to localize in or to extend: of a drive (``SavedMap``), or imported or of a fleet (``ImportedMap``)."""
+
 
 def read_map(path: AnyPath) -> ObjectMapRecord:
     """The confirmed landmarks of a log that ``replay`` wrote, or of a map of any kind: saved, imported or of a fleet.
@@ -39,16 +42,6 @@ def read_map(path: AnyPath) -> ObjectMapRecord:
     if is_map:
         return load_prior_map(path).objects
     raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that 'dslam replay' wrote")
-
-
-def load_map(path: AnyPath) -> PriorMap:
-    """A map to localize in or to extend: of a drive (``SavedMap``), or imported or of a fleet (``ImportedMap``).
-
-    Raises:
-        LogError: the file cannot be read.
-        SavedMapError: it holds no map, or one that is damaged or of another format version.
-    """
-    return load_prior_map(path)
 
 
 def save_map(path: AnyPath, saved: PriorMap) -> None:

@@ -5,7 +5,6 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
-from enum import IntEnum
 from importlib import import_module
 from typing import Annotated
 
@@ -23,12 +22,8 @@ class VisibleFormatter(logging.Formatter):
         return visible(super().format(record))
 
 
-class ExitCode(IntEnum):
-    """Of a command that did not end well; 1 is of a requirement that is not met."""
-
-    BAD_INPUT = 2
-    INTERNAL_ERROR = 70
-
+BAD_INPUT, INTERNAL_ERROR = 2, 70
+"""Exit codes of a command that did not end well; 1 is of a requirement that is not met."""
 
 _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
@@ -118,9 +113,9 @@ def run(arguments: Sequence[str]) -> int:
     except typer.TyperException as error:
         message = error.format_message().rstrip(".")
         if not message:  # no command was given, and the help has been printed
-            return ExitCode.BAD_INPUT
+            return BAD_INPUT
         context = getattr(error, "ctx", None)
-        return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", ExitCode.BAD_INPUT)
+        return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", BAD_INPUT)
     except Exception as error:
         from descriptors.errors import DescriptorError
         from logs.errors import LogError
@@ -129,14 +124,14 @@ def run(arguments: Sequence[str]) -> int:
         if debug:
             traceback.print_exc()
         if isinstance(error, (LogError, SlamError, DescriptorError, OSError)):
-            return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), ExitCode.BAD_INPUT)
+            return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
-            return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
+            return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", BAD_INPUT)
         if isinstance(error, MemoryError):
-            return _fail("out of memory; give a smaller log, or lower memory_mb", ExitCode.BAD_INPUT)
+            return _fail("out of memory; give a smaller log, or lower memory_mb", BAD_INPUT)
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
-        return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)
+        return _fail(f"this should not happen: {what}; {remedy}", INTERNAL_ERROR)
     return code if isinstance(code, int) else 0
 
 

@@ -3,7 +3,6 @@
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -107,12 +106,9 @@ class MapPicture:
         key = self.figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
         for text in key.get_texts():
             text.set_parse_math(False)
-        png = BytesIO()
-        with warnings.catch_warnings():
+        with replacing(path_png) as part, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of letters that are in no font
-            self.figure.savefig(png, format="png", metadata={"Software": None})  # no version of matplotlib
-        with replacing(path_png) as part:
-            part.write_bytes(png.getvalue())
+            self.figure.savefig(part, format="png", metadata={"Software": None})  # no version of matplotlib
 
     def _entry(self, name: str, count: int | None) -> dict[str, Any]:
         """Its entry in the key, and its place above the grid and what was drawn before."""

@@ -1,8 +1,7 @@
 """dslam export."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,15 +13,6 @@ if TYPE_CHECKING:
 _REMEDY = "give a log that 'dslam replay' finished"
 
 
-class Track(StrEnum):
-    """Which poses of a drive."""
-
-    ESTIMATE = "estimate"
-    ONLINE = "online"
-    ODOMETRY = "odometry"
-    TRUTH = "truth"
-
-
 def _file(help_: str) -> Any:
     return typer.Option(metavar="FILE", help=help_)
 
@@ -32,8 +22,9 @@ def export(
         Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind.")
     ],
     of: Annotated[
-        Track, typer.Option(help="Poses for --tum, --kitti and --geodetic: of the final map, online, ...")
-    ] = Track.ESTIMATE,
+        Literal["estimate", "online", "odometry", "truth"],
+        typer.Option(help="Poses for --tum, --kitti and --geodetic: of the final map, online, ..."),
+    ] = "estimate",
     tum: Annotated[Path | None, _file("Trajectory: stamp x y z qx qy qz qw.")] = None,
     kitti: Annotated[Path | None, _file("Trajectory: 3 x 4 matrix of the body.")] = None,
     geodetic: Annotated[Path | None, _file("Trajectory: latitude, longitude and altitude, a table.")] = None,
@@ -68,10 +59,10 @@ def export(
     records = read_records(log)
     if tum or kitti or geodetic:
         track = {
-            Track.ESTIMATE: records.final_path,
-            Track.ONLINE: records.online_path,
-            Track.ODOMETRY: records.odometry_path,
-            Track.TRUTH: records.true_path,
+            "estimate": records.final_path,
+            "online": records.online_path,
+            "odometry": records.odometry_path,
+            "truth": records.true_path,
         }[of]
         if not track:
             raise InputDataError(f"{log} has no poses of the {of}; {_REMEDY}, or choose other poses by --of")

@@ -1,14 +1,11 @@
 """dslam calibrate."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, check_outputs, parse_topics
-
-if TYPE_CHECKING:
-    from slam.self_calibration.calibration import CalibratedLog
 
 
 def calibrate(
@@ -41,14 +38,7 @@ def calibrate(
     if json:
         estimated = sorted(found.estimated)
         console.show_json({"calibration": calibration, "estimated": estimated, "notes": found.notes})
-    else:
-        _show(found, output)
-
-
-def _show(found: "CalibratedLog", output: Path | None) -> None:
-    from tools import console
-
-    calibration = found.config.calibration
+        return
     rows = {}
     for key, value in sorted(found.estimated.items()):
         sigma = calibration.sigmas.get(key)
