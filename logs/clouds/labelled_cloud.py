@@ -32,8 +32,7 @@ class LabelledCloud:
     instances: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
-        counts = [len(self.positions), len(self.classes)]
-        counts += [len(self.instances)] if self.instances is not None else []
+        counts = [len(each) for each in (self.positions, self.classes, self.instances) if each is not None]
         if len(set(counts)) != 1 or self.positions.shape[1:] != (3,):
             raise DatasetError(
                 f"a cloud of {counts[0]} points has {', '.join(map(str, counts[1:]))} labels; give one for each point"

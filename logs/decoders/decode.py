@@ -124,11 +124,11 @@ class RecordDecoder:
     ``ignored_covariances``. Invalid messages are reported once for each topic and reason.
     """
 
-    def __init__(self, limits: ReadingLimits | None = None, counters: Counter[str] | None = None) -> None:
+    def __init__(self, limits: ReadingLimits | None = None) -> None:
         self._limits = limits
         self._definitions: set[Schema | None] = set()
         self._reported = set[tuple[str, str]]()
-        self.counters = Counter[str]() if counters is None else counters
+        self.counters = Counter[str]()
 
     def records(self, raw: RawMessage, wanted: Collection[RecordKind], mapping: FieldMapping | None = None) -> Records:
         """The records of ``raw`` for those of the ``wanted`` kinds that its schema, or ``mapping``, can give."""

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from logs.dslam_codec import take_rows
 from logs.errors import DatasetError
-from logs.importers.tables import LENGTH_UNITS, UNLABELLED, Column, Table
+from logs.importers.tables import DEGREES, LABEL_NAMES, LENGTH_UNITS, UNLABELLED, Column, Table
 from logs.messages import DetectionTruth, FloatArray, GeodeticFix, ObjectDetections
 from logs.records import frozen
 
 BODY_FRAME = "base_link"
-
-_DEGREES = {"": 1.0, "deg": 1.0}
 
 
 @frozen
@@ -42,7 +40,7 @@ def read_detections(table: Table) -> DetectionTable:
             positions are in an impossible unit.
     """
     stamps_ns = table.stamps(strictly=False)
-    labels = table.labels()
+    labels = table.first_texts(LABEL_NAMES)
     is_empty, positions = _positions(table, labels)
     truth = table.find(("object_id",))
     named = tuple(label or UNLABELLED for label in labels)
@@ -74,8 +72,7 @@ def read_detections(table: Table) -> DetectionTable:
 def _positions(table: Table, labels: Sequence[str]) -> tuple[NDArray[np.bool_], FloatArray]:
     """Which rows (R,) have neither position nor label, and the positions (R, 3) m, zeros there."""
     columns = [table.need(axis, f"{axis}_m", (axis,), LENGTH_UNITS) for axis in "xy"]
-    height = table.find(("z",), LENGTH_UNITS)
-    columns += [height] if height is not None else []
+    columns += filter(None, [table.find(("z",), LENGTH_UNITS)])
     cells = zip(labels, *(column.cells for column in columns), strict=True)
     is_empty = np.array([not any(row) for row in cells], dtype=np.bool_)
     positions = np.zeros((len(is_empty), 3))
@@ -144,7 +141,7 @@ def read_fixes(table: Table) -> list[GeodeticFix]:
 
 
 def _angles(table: Table, name: str, short: str, largest_deg: float) -> FloatArray:
-    column = table.need(f"the {name}", f"{name}_deg", (name, short), _DEGREES)
+    column = table.need(f"the {name}", f"{name}_deg", (name, short), DEGREES)
     values = column.numbers()
     column.refuse(np.abs(values) > largest_deg, f"CELL is no {name} in degrees; write it in decimal degrees")
     return values

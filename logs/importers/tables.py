@@ -18,6 +18,7 @@ from logs.validation import LAST_NS
 
 LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
+DEGREES: Mapping[str, float] = {"": 1.0, "deg": 1.0}
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
 LABEL_NAMES = ("label", "class", "class_name", "category", "kind", "species", "type", "class_id", "category_id", "name")
@@ -121,13 +122,11 @@ class Table:
         return column
 
     def first_texts(self, names: Iterable[str]) -> Sequence[str]:
-        """The cells (R,) of the column that bears the first of the names whose cells are not all empty."""
+        """The cells (R,) of the column that bears the first of the names whose cells are not all empty; all are empty
+        where there is no such column.
+        """
         named = filter(None, (self.find((name,)) for name in names))
         return next(filter(any, (column.cells for column in named)), [""] * len(self.lines))
-
-    def labels(self) -> Sequence[str]:
-        """The classes (R,) of the rows, empty where a cell is, or where there is no such column."""
-        return self.first_texts(LABEL_NAMES)
 
     def lengths(self, names: Iterable[str]) -> FloatArray:
         """The lengths (R,) m in the column that bears one of the names; 0 where a cell or the column is missing.

@@ -114,7 +114,7 @@ def _rotations(table: Table) -> FloatArray:
             "CELL differs from the heading before by more than a turn; if these are degrees, name the column yaw_deg",
         )
         return Rotation.from_euler("z", yaw_rad[:, None]).as_matrix()
-    columns = [column for column in (table.find((name,)) for name in _TUM[4:]) if column is not None]
+    columns = [*filter(None, (table.find((name,)) for name in _TUM[4:]))]
     if len(columns) < 4:
         raise DatasetError(
             f"{table.name}: no rotation among {', '.join(table.columns)}; give yaw (radians from x to y), yaw_deg, or "

@@ -26,7 +26,8 @@ def read_stream(stream: Any, counters: Counter[str], limits: ReadingLimits | Non
     Raises:
         UnreadableLogError: bytes that are no stream of messages.
     """
-    decoder = RecordDecoder(limits, counters)
+    decoder = RecordDecoder(limits)
+    decoder.counters = counters
     while True:
         try:
             message = parse_length_prefixed(StreamMessage, stream)

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.tables import UNLABELLED, Table
+from logs.importers.tables import LABEL_NAMES, UNLABELLED, Table
 from logs.messages import FloatArray
 from logs.records import frozen
 
@@ -56,7 +56,7 @@ def objects_of(
     """
     if is_geodetic:
         _check_degrees(table.name, positions)
-    labels = tuple(label or UNLABELLED for label in table.labels())
+    labels = tuple(label or UNLABELLED for label in table.first_texts(LABEL_NAMES))
     return MapObjects(table.name, positions, labels, _distinct(names), is_geodetic, sha256, notes)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.importers.maps.map_objects import MapObjects, objects_of
-from logs.importers.tables import LENGTH_UNITS, read_table
+from logs.importers.tables import DEGREES, LENGTH_UNITS, read_table
 from logs.importers.text_files import read_source_text
 
 
@@ -18,10 +18,9 @@ def read_object_table(path: Path) -> MapObjects:
     """
     source = read_source_text(path)
     table = read_table(source)
-    latitude = table.find(("lat", "latitude", "lat_deg", "latitude_deg"))
+    latitude = table.find(("lat", "latitude"), DEGREES)
     if latitude is not None:
-        names = ("lon", "lng", "longitude", "lon_deg", "lng_deg", "longitude_deg")
-        plane = [latitude, table.need("the longitude", "lon", names)]
+        plane = [latitude, table.need("the longitude", "lon", ("lon", "lng", "longitude"), DEGREES)]
     else:
         plane = [
             table.need(f"{axis} or lat and lon", f"{axis}_m", names, LENGTH_UNITS)
