@@ -85,10 +85,9 @@ def _at_speed(reader: "LogReader", config: "Config", topics: dict[str, str], spe
 
     prepared = prepare_log(reader, config, topics=topics, copy=(), is_surveyed=False)
     selection = prepared.selection.without(RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
-    started, first_ns = time.monotonic(), None
+    started = time.monotonic()
     for item in reader.items(selection):
-        first_ns = item.raw.log_time_ns if first_ns is None else first_ns
         if speed > 0.0:
-            due = started + (item.raw.log_time_ns - first_ns) * 1e-9 / speed
+            due = started + (item.raw.log_time_ns - prepared.first_ns) * 1e-9 / speed
             time.sleep(max(due - time.monotonic(), 0.0))
         yield item

@@ -122,7 +122,7 @@ class DetectionCalibration(Branch):
     @property
     def reach_m(self) -> float:
         """Range [m] beyond which detections are left out."""
-        return 8.0 / 3.0 * self.sensor_range_m if self.max_range_m is None else self.max_range_m
+        return self.max_range_m or 8.0 / 3.0 * self.sensor_range_m
 
     @property
     def view_variances(self) -> FloatArray:

@@ -98,8 +98,7 @@ class Config(Branch):
     @property
     def closure_travel_m(self) -> float:
         """Least travel [m] between the two keyframes of a closure."""
-        given = self.loop_closure.min_travel_m
-        return 2.0 * SUBMAP_RANGES * self.sensor_range_m if given is None else given
+        return self.loop_closure.min_travel_m or 2.0 * SUBMAP_RANGES * self.sensor_range_m
 
     @property
     def traversal_extent_m(self) -> float:
@@ -123,8 +122,7 @@ class Config(Branch):
     @property
     def keyframe_distance_m(self) -> float:
         """Travel [m] from one keyframe to the next: unless it is given, submaps have 25."""
-        given = self.keyframe.distance_m
-        return SUBMAP_RANGES / 25.0 * self.sensor_range_m if given is None else given
+        return self.keyframe.distance_m or SUBMAP_RANGES / 25.0 * self.sensor_range_m
 
     @property
     def reading_limits(self) -> ReadingLimits:

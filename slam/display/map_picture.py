@@ -100,7 +100,12 @@ class MapPicture:
         """
         if not self._axes.has_data():
             raise EvaluationError("no position to draw")
-        low, high = _limits(*self._axes.dataLim.get_points())
+        low, high = self._axes.dataLim.get_points()
+        margin = max(0.03 * np.max(high - low), 1.0)
+        low, high = low - margin, high + margin
+        # A straight street must not become a strip: the short side is widened to half of the long one.
+        missing = np.maximum(0.5 * np.max(high - low) - (high - low), 0.0)
+        low, high = low - 0.5 * missing, high + 0.5 * missing
         self._axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         self.figure.set_size_inches(16.0, min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
         key = self.figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
@@ -121,15 +126,6 @@ class MapPicture:
 def count_classes(labels: Sequence[str]) -> str:
     """The numbers of landmarks and classes, for the subtitle."""
     return f"landmarks {len(labels)}, classes {len(set(labels))}"
-
-
-def _limits(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The corners of the picture from those of what is drawn."""
-    margin = max(0.03 * np.max(high - low), 1.0)
-    low, high = low - margin, high + margin
-    # A straight street must not become a strip: the short side is widened to half of the long one.
-    missing = np.maximum(0.5 * np.max(high - low) - (high - low), 0.0)
-    return low - 0.5 * missing, high + 0.5 * missing
 
 
 def _cut(name: str, most: int) -> str:
