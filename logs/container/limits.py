@@ -35,11 +35,6 @@ class ReadingLimits:
         """The setting ``memory_mb`` that has these limits."""
         return self.chunk_bytes / 1e6
 
-    @property
-    def input_bytes(self) -> int:
-        """Of one message of measurements: parsed, it may take a hundred times as much."""
-        return self.objects * 512
-
     def check(self, file: str, count: int, what: str, most: int) -> None:
         """Refuse a file with so many of something; ``most`` is one of these limits.
 

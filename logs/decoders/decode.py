@@ -74,7 +74,8 @@ def decode(
     limits = limits or ReadingLimits()
     try:
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
-        most = limits.message_bytes if is_large else limits.input_bytes
+        # Parsed, a message of measurements may take a hundred times as much.
+        most = limits.message_bytes if is_large else 512 * limits.objects
         if len(raw.data) > most:
             raise Refusal("too many bytes for memory_mb", f"{len(raw.data)}, more than {most}")
         context = Context(raw, kind, Counter() if counters is None else counters)

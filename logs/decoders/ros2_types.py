@@ -6,7 +6,6 @@ itself, are written down here; they are those of the releases for ROS 2 Humble.
 """
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from logs.decoders.ros2 import AUTOWARE
 
@@ -66,15 +65,9 @@ _AUTOWARE = {
 }
 
 
-def _types() -> Typestore:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = {}
-    autoware = {f"{package}/msg/{name}": text for package in AUTOWARE for name, text in _AUTOWARE.items()}
-    for name, text in (_PERCEPTION | autoware).items():
-        types.update(get_types_from_msg(text, name))
-    store.register(types)
-    return store
-
-
-TYPES = _types()
+TYPES = get_typestore(Stores.ROS2_HUMBLE)
 """The types of ROS 2 Humble, and those of perception messages."""
+
+_OF_AUTOWARE = {f"{package}/msg/{name}": text for package in AUTOWARE for name, text in _AUTOWARE.items()}
+for _name, _text in (_PERCEPTION | _OF_AUTOWARE).items():
+    TYPES.register(get_types_from_msg(_text, _name))

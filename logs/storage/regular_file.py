@@ -17,7 +17,8 @@ def open_regular(path: AnyPath) -> BufferedReader:
         OSError: it cannot be opened, or is a pipe, a device or a socket.
     """
     try:
-        stream = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  closed by the caller
+        # Opening a pipe without a writer would block; the caller closes the stream.
+        stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
     except ValueError as error:  # a zero byte in the name
         raise OSError(errno.EINVAL, str(error), os.fspath(path)) from error
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
@@ -36,8 +37,3 @@ def read_regular(path: AnyPath) -> bytes:
         if os.fstat(stream.fileno()).st_size > MAX_BYTES:
             raise OSError(errno.EFBIG, f"larger than {MAX_BYTES / 1e6:.0f} MB", os.fspath(path))
         return stream.read()
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    """Opening a pipe without a writer would block."""
-    return os.open(path, flags | os.O_NONBLOCK)

@@ -30,8 +30,7 @@ class FoxgloveFeed:
         """Publish a record."""
         message = encode(record)
         if topic not in self._channels:
-            name, encoding, data = definition_of(message.DESCRIPTOR)
-            schema = foxglove.Schema(name=name, encoding=encoding, data=data)
+            schema = foxglove.Schema(**definition_of(message.DESCRIPTOR)._asdict())
             self._channels[topic] = foxglove.Channel(
                 topic, schema=schema, message_encoding="protobuf", context=self._context
             )
