@@ -19,6 +19,9 @@ from logs.storage.opening import find_bag_files, open_file
 from logs.storage.regular_file import AnyPath
 from logs.topics import RawMessage, RecordKind, TopicInfo
 
+_TopicKey = tuple[str, str, str]
+"""Topic, name of the schema and encoding of the messages."""
+
 
 class LogEntry(NamedTuple):
     """A record, the topic it was on and the time at which it was logged."""
@@ -85,14 +88,14 @@ class LogReader:
 
     def topics(self) -> list[TopicInfo]:
         """What the log holds, by topic name; a topic with two schemas appears twice."""
-        counts, kinds = Counter[tuple[str, str, str]](), dict[tuple[str, str, str], tuple[RecordKind, ...]]()
-        times_ns = defaultdict[tuple[str, str, str], list[int]](list)
+        counts, kinds = Counter[_TopicKey](), dict[_TopicKey, tuple[RecordKind, ...]]()
+        times_ns = defaultdict[_TopicKey, list[int]](list)
         for file in self._open:
             for id, channel in file.channels.items():
                 key = channel.topic, channel.schema_name, channel.message_encoding
                 counts[key] += file.message_counts[id]
                 times_ns[key] += file.span_ns(id)
-                kinds[key] = kinds_of(channel)
+                kinds.setdefault(key, kinds_of(channel))
         return [
             TopicInfo(*key, counts[key], kinds[key], min(times, default=None), max(times, default=None))
             for key, times in sorted(times_ns.items())

@@ -25,9 +25,10 @@ class Centre(NamedTuple):
 
 def seen_from_all_sides(points: FloatArray, voxel_m: float) -> Centre:
     """The mean of the voxels (M, 3) m of an object."""
-    centred = points - points.mean(axis=0)
+    mean = points.mean(axis=0)
+    centred = points - mean
     covariance = centred.T @ centred / len(points) ** 2 + voxel_m**2 / 12.0 * np.eye(3)
-    return Centre(points.mean(axis=0), covariance)
+    return Centre(mean, covariance)
 
 
 def seen_from_one_side(

@@ -1,15 +1,12 @@
 """dslam evaluate."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import Json, Picture, SlamLog, Topics, check_outputs, parse_topics
 from tools.evaluation.requirements import Require, finish
-
-if TYPE_CHECKING:
-    from slam.common.arrays import FloatArray
 
 
 def evaluate(
@@ -41,13 +38,21 @@ def evaluate(
     from slam.common.errors import EvaluationError
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
+    from slam.evaluation.metrics.trajectory import evaluate_trajectory
     from slam.evaluation.report.figures import summarize
     from tools import console
 
     records = read_records(log, reference=reference, calib=calib, topics=chosen)
     if not (records.final_path or records.online_path):
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
-    evaluation = evaluate(records, map_alignment=None if map_run is None else _locate_map_of(map_run))
+    T_world_map = None
+    if map_run is not None:
+        mapping = read_records(map_run)
+        try:
+            T_world_map = evaluate_trajectory(mapping.final_path, mapping.true_path).T_world_map
+        except EvaluationError as error:
+            raise EvaluationError(f"--map-run {map_run}: {error}") from error
+    evaluation = evaluate(records, map_alignment=T_world_map)
     if picture is not None:
         from slam.evaluation.report.picture import compose_picture
 
@@ -58,21 +63,3 @@ def evaluate(
     else:
         console.show(console.pairs(summarize(results) | ({} if picture is None else {"written": str(picture)})))
     finish({"": results}, require, quiet=as_json)
-
-
-def _locate_map_of(log: Path) -> "FloatArray":
-    """``T_world_map`` (4, 4) of the map that the drive in ``log`` made.
-
-    Raises:
-        LogError: it cannot be read.
-        EvaluationError: it has no trajectory or no truth.
-    """
-    from slam.common.errors import EvaluationError
-    from slam.evaluation.inputs.records import read_records
-    from slam.evaluation.metrics.trajectory import evaluate_trajectory
-
-    mapping = read_records(log)
-    try:
-        return evaluate_trajectory(mapping.final_path, mapping.true_path).T_world_map
-    except EvaluationError as error:
-        raise EvaluationError(f"--map-run {log}: {error}") from error
