@@ -53,7 +53,7 @@ class LearnedLikelihood:
     def bits(self, pairs: Pairs) -> BoolArray:
         """Which cells (P, cells) around pairs of a map are likely to hold an object."""
         sizes = self.architecture
-        present = np.arange(MAX_NEIGHBOURS + 2) < np.diff(pairs.offsets)[:, None]
+        present = np.arange(MAX_NEIGHBOURS + 2) < pairs.counts[:, None]
         rings, sectors = (np.zeros((*present.shape, count), np.float32) for count in (sizes.rings, sizes.sectors))
         gates = np.exp(self._perceive("gate", pairs.features))
         steps = np.rint(pairs.radii * ((RADIUS_STEPS - 1) / sizes.outer)).astype(np.int64)

@@ -165,7 +165,7 @@ class PairIndex:
         """
         none = np.zeros((0, 2), dtype=np.int64)
         found = [(none, none, np.zeros(0))]
-        if len(positions) >= 2 and self.unit_m is not None:
+        if self.unit_m is not None:
             pairs = self._asked(positions[:, :2] / self.unit_m, labels)
             asked = self._ask(pairs, labels, sigmas_m / self.unit_m)
             is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[None])[0]
@@ -208,7 +208,7 @@ class PairIndex:
         ends = find_ends(plane, labels, tree, QUERY_PARTNERS, both_ways=True)
         pairs = gather_pairs(plane, labels, ends, tree, self.likelihood.architecture)
         # So many tell enough. The shortest are often of one object mapped twice.
-        most = np.argsort(-np.diff(pairs.offsets), kind="stable")[:240]
+        most = np.argsort(-pairs.counts, kind="stable")[:240]
         if len(most) == len(ends):
             return pairs
         return gather_pairs(plane, labels, ends[np.sort(most)], tree, self.likelihood.architecture)

@@ -62,14 +62,14 @@ class DescriptellationLRArchitecture:
 class Pairs:
     """P pairs of objects and their K neighbours.
 
-    ``ends`` (P, 2) rows of the objects, the lower class first; ``lengths`` (P,) spacings; ``offsets`` (P + 1,):
-    neighbours of the i-th pair are ``offsets[i]`` to ``offsets[i + 1]``; ``radii`` (K,) spacings and ``angles`` (K,)
-    rad of the neighbours in the frame of their pair, turned by their class; ``features`` (K, FEATURES).
+    ``ends`` (P, 2) rows of the objects, the lower class first; ``lengths`` (P,) spacings; ``owners`` (K,), ascending:
+    which pair each neighbour belongs to; ``radii`` (K,) spacings and ``angles`` (K,) rad of the neighbours in the frame
+    of their pair, turned by their class; ``features`` (K, FEATURES).
     """
 
     ends: IntArray
     lengths: FloatArray
-    offsets: IntArray
+    owners: IntArray
     radii: FloatArray
     angles: FloatArray
     features: Float32Array
@@ -78,9 +78,9 @@ class Pairs:
         return len(self.lengths)
 
     @property
-    def owners(self) -> IntArray:
-        """Which pair (K,) each neighbour belongs to."""
-        return np.repeat(np.arange(len(self)), np.diff(self.offsets))
+    def counts(self) -> IntArray:
+        """How many neighbours each pair (P,) has."""
+        return np.bincount(self.owners, minlength=len(self))
 
 
 def spacing_m(positions: FloatArray) -> float:
@@ -112,12 +112,11 @@ def find_ends(
         both_ways: pairs of one class in both directions, for a query does not know which one the map has.
     """
     rows = np.arange(len(positions)) if centres is None else centres
-    count = min(partners, len(positions) - 1)
-    if count < 1 or not len(rows):
-        return np.zeros((0, 2), dtype=np.int64)
-    near = np.asarray(tree.query(positions[rows], k=count + 1)[1], dtype=np.int64)
-    pairs = np.column_stack([np.repeat(rows, count + 1), near.ravel()])
-    pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+    near = np.asarray(tree.query(positions[rows], k=np.arange(1, partners + 2))[1], dtype=np.int64)
+    pairs = np.column_stack([np.repeat(rows, partners + 1), near.ravel()])
+    # Where there are fewer neighbours, the tree names one more object than there are.
+    pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs[:, 1] < len(positions))]
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     is_turned = labels[pairs[:, 0]] > labels[pairs[:, 1]]
     pairs[is_turned] = pairs[is_turned, ::-1]
     if both_ways:
@@ -142,8 +141,7 @@ def gather_pairs(
     first, second = plane[ends[:, 0]], plane[ends[:, 1]]
     lengths, middles = np.abs(second - first), 0.5 * (first + second)
     asked = np.column_stack([middles.real, middles.imag])
-    near_count = min(MAX_NEIGHBOURS + 2, len(positions))
-    distances, near = tree.query(asked, k=[*range(1, near_count + 1)], distance_upper_bound=architecture.outer)
+    distances, near = tree.query(asked, k=np.arange(1, MAX_NEIGHBOURS + 3), distance_upper_bound=architecture.outer)
     is_other = np.isfinite(distances) & (near != ends[:, :1]) & (near != ends[:, 1:])
     owners, rows = np.nonzero(is_other)[0], np.asarray(near)[is_other]
     local = (plane[rows] - middles[owners]) * ((second - first) / lengths)[owners].conj()
@@ -154,7 +152,7 @@ def gather_pairs(
     return Pairs(
         ends,
         lengths,
-        np.concatenate([[0], np.cumsum(counts)]),
+        owners,
         np.abs(local),
         np.angle(local * np.exp(1j * turns)),
         _features(local, lengths[owners], owners, counts[owners], labels[rows]),
@@ -164,8 +162,8 @@ def gather_pairs(
 def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> IntArray:
     """The cell (K,) of each neighbour; -1 inside the inner ring and outside the outer one."""
     rings = np.searchsorted(architecture.edges, pairs.radii, side="right") - 1
-    turns = pairs.angles / (2.0 * np.pi)
-    sectors = np.floor((turns - np.floor(turns)) * architecture.sectors).astype(np.int64) % architecture.sectors
+    turns = pairs.angles / (2.0 * np.pi) % 1.0
+    sectors = np.floor(turns * architecture.sectors).astype(np.int64) % architecture.sectors
     is_inside = (rings >= 0) & (rings < architecture.rings)
     return np.where(is_inside, rings * architecture.sectors + sectors, -1)
 

@@ -57,7 +57,7 @@ def test_score_counts_hits_and_misses_inside_the_rings() -> None:
     sizes = DescriptellationLRArchitecture()
     cells = cells_of(pairs, sizes)
     bits = torch.zeros(2, sizes.cells)
-    first = cells[: pairs.offsets[1]]
+    first = cells[pairs.owners == 0]
     bits[0, first[first >= 0][:2]] = 1.0
     worth = torch.ones(len(pairs.radii))
     scores = query_scores(bits.view(2, sizes.rings, sizes.sectors), pairs, 2.0 * worth, worth, sizes)
