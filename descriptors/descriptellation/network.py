@@ -33,7 +33,8 @@ class Descriptellation(nn.Module):
     def __init__(self, architecture: DescriptellationArchitecture) -> None:
         super().__init__()
         self.architecture = sizes = architecture
-        self.node_input = NodeInput(sizes.vocabulary_size, sizes.embedding_length)
+        # Files of weights know the embedding of the classes by these two names.
+        self.node_input = nn.ModuleDict({"embedding": nn.Embedding(sizes.vocabulary_size, sizes.embedding_length)})
         self.head = MaxRelativeConvolution(3 + sizes.embedding_length, sizes.channels)
         self.backbone = nn.ModuleList(
             MaxRelativeConvolution(sizes.channels, sizes.channels) for _ in range(sizes.layers - 1)
@@ -54,25 +55,14 @@ class Descriptellation(nn.Module):
             present: (B, N) bool, where an object is.
         """
         owners = present.nonzero(as_tuple=True)[0]
-        layers = [self.head(self.node_input(positions[present], labels[present]), owners)]
+        objects = torch.cat([positions[present], self.node_input["embedding"](labels[present])], dim=1)
+        layers = [self.head(objects, owners)]
         for block in self.backbone:
             layers.append(layers[-1] + block(layers[-1], owners))
         gathered = torch.cat(layers, dim=1)
         fused = maximum_of_each(self.fusion(gathered), owners)
         pooled: Tensor = self.pooling(self.prediction(torch.cat([fused, gathered], dim=1)), present)
         return pooled
-
-
-class NodeInput(nn.Module):
-    """What the network is given of an object: its position, and the embedding of its class."""
-
-    def __init__(self, vocabulary_size: int, embedding_length: int) -> None:
-        super().__init__()
-        self.embedding = nn.Embedding(vocabulary_size, embedding_length)
-
-    def forward(self, positions: Tensor, labels: Tensor) -> Tensor:
-        """Features (M, 3 + embedding_length) of M objects at ``positions`` (M, 3) m with ``labels`` (M,)."""
-        return torch.cat([positions, self.embedding(labels)], dim=1)
 
 
 class MaxRelativeConvolution(nn.Module):
