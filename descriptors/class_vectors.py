@@ -15,7 +15,7 @@ def class_vectors(names: Sequence[str], length: int) -> Float32Array:
     Almost orthogonal, so a sum of them stands for the counts of the classes (random indexing); a class keeps its vector
     when the vocabulary grows, and in every other map.
     """
-    return np.stack([_class_vector(name, length) for name in names]) if names else np.zeros((0, length), np.float32)
+    return np.array([_class_vector(name, length) for name in names], np.float32).reshape(-1, length)
 
 
 @lru_cache(maxsize=4096)

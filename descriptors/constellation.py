@@ -60,14 +60,12 @@ def gather_constellations(
         centres: which objects (B,) to describe; all by default.
 
     Raises:
-        DescriptorError: positions that are not finite, or labels that the vocabulary lacks.
+        DescriptorError: positions that are not finite.
     """
     is_finite = np.isfinite(positions).all(axis=1)
     if not is_finite.all():
         bad = int(is_finite.argmin())
         raise DescriptorError(f"object {bad} is at {positions[bad]}, which is not finite")
-    if len(labels) and (labels.min() < 0 or labels.max() >= len(vocabulary)):
-        raise DescriptorError(f"labels {labels.min()} to {labels.max()} of a vocabulary of {len(vocabulary)} classes")
     chosen = np.arange(len(positions)) if centres is None else centres
     plane = cKDTree(positions[:, :2])
     near = cKDTree(positions[chosen, :2]).sparse_distance_matrix(plane, radius_m, output_type="ndarray")

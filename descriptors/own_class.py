@@ -50,10 +50,10 @@ class OwnDescriptor:
             raise DescriptorError(
                 f"{name}: is not a descriptor: it lacks {', '.join(lacking)}; see descriptors.descriptor.Descriptor"
             )
-        self.name = str(self._own.name)
-        if not (isinstance(self._own.radius_m, Real) and 0.0 < float(self._own.radius_m) < np.inf):
-            raise DescriptorError(f"{name}: radius_m is {self._own.radius_m!r}; give metres above 0")
-        self.radius_m = float(self._own.radius_m)
+        self.name, radius_m = str(self._own.name), self._own.radius_m
+        if not (isinstance(radius_m, Real) and 0.0 < float(radius_m) < np.inf):
+            raise DescriptorError(f"{name}: radius_m is {radius_m!r}; give metres above 0")
+        self.radius_m = float(radius_m)
         self._length: int | None = None
 
     def describe(self, constellations: Constellations) -> Float32Array:

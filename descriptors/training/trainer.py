@@ -96,11 +96,11 @@ class Recipe:
                 losses.append(float(sample.loss(scores)))
                 # NaN comes before all others.
                 places.append((~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1).numpy())
-        shares = {rank: float(np.mean([np.mean(before < rank) for before in places])) for rank in (1, 5, 25)}
-        return {
-            "validation_loss": float(np.mean(losses)),
-            **{f"validation_top_{rank}": share for rank, share in shares.items()},
+        shares = {
+            f"validation_top_{rank}": float(np.mean([np.mean(before < rank) for before in places]))
+            for rank in (1, 5, 25)
         }
+        return {"validation_loss": float(np.mean(losses)), **shares}
 
     @cached_property
     def _validation(self) -> list[Sample | PairSample]:
@@ -138,7 +138,15 @@ def train(
         row: Epoch = {"epoch": number, "train_loss": train_loss, **recipe.validate()}
         epochs.append(row | {"seconds": time.perf_counter() - started})
         if best_of(epochs) is epochs[-1]:
-            _save_weights(folder / WEIGHTS, recipe, row)
+            weights = Weights(
+                tensors={name: tensor.detach().cpu().numpy() for name, tensor in recipe.network.state_dict().items()},
+                architecture=asdict(recipe.config.architecture),
+                training=recipe.identity,
+                seed=recipe.config.seed,
+                code_version=importlib.metadata.version("descriptellation-slam"),
+                metrics=row,
+            )
+            save_weights(folder / WEIGHTS, weights)
         write_file(folder / CURVES, pd.DataFrame(epochs).to_csv(index=False, lineterminator="\n").encode())
     return epochs
 
@@ -151,15 +159,3 @@ def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], Non
         losses.append(recipe.step())
         on_progress((number - 1 + len(losses) / STEPS_PER_EPOCH) / recipe.config.epochs)
     return float(np.mean(losses))
-
-
-def _save_weights(path: Path, recipe: Recipe, metrics: Epoch) -> None:
-    weights = Weights(
-        tensors={name: tensor.detach().cpu().numpy() for name, tensor in recipe.network.state_dict().items()},
-        architecture=asdict(recipe.config.architecture),
-        training=recipe.identity,
-        seed=recipe.config.seed,
-        code_version=importlib.metadata.version("descriptellation-slam"),
-        metrics=metrics,
-    )
-    save_weights(path, weights)

@@ -50,14 +50,6 @@ def test_positions_that_are_not_finite_are_refused(bad):
         gathered(positions, labels, RADIUS_M)
 
 
-@pytest.mark.parametrize("bad", [-1, len(VOCABULARY)])
-def test_labels_outside_the_vocabulary_are_refused(bad):
-    positions, labels = scattered(5, seed=0)
-    labels[2] = bad
-    with pytest.raises(DescriptorError, match=f"vocabulary of {len(VOCABULARY)} classes"):
-        gathered(positions, labels, RADIUS_M)
-
-
 @pytest.mark.parametrize("rows", [[40, 2, 17], [5, 5, 0], []])
 def test_chosen_centres_come_in_that_order_with_their_neighbours(rows):
     positions, labels = scattered(50, seed=6)
