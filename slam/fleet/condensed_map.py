@@ -19,19 +19,15 @@ from slam.common.geometry import apply_each, covariance_in_axes, gravity_frame, 
 from slam.object_map.map_io import SavedMap, are_of_kind
 
 
-def cell_length_m(config: Config) -> float:
-    """Length [m] of a cell: half of that of a submap."""
-    return 0.5 * SUBMAP_RANGES * config.sensor_range_m
-
-
-def condense_map(saved: SavedMap, *, cell_m: float) -> SavedMap:
-    """The same landmarks, observed from one place in each cell of ``cell_m`` that a drive passed.
+def condense_map(saved: SavedMap, config: Config) -> SavedMap:
+    """The same landmarks, observed from one place in each cell, half as long as a submap, that a drive passed.
 
     The keyframes of the result are these places, upright, numbered from 0. The origin is in the middle of a cell: a
     drive begins there, and a level one would pass both cells on either side of a border. The place nearest to the
     origin comes first: covariances are relative to the first one.
     """
     graph, positions = saved.graph, saved.graph.T_map_body[:, :3, 3]
+    cell_m = 0.5 * SUBMAP_RANGES * config.sensor_range_m
     cells, cell = np.unique(np.round(positions / cell_m), axis=0, return_inverse=True)
     outwards = np.argsort(np.linalg.norm(cells, axis=1), kind="stable")
     cell = np.argsort(outwards)[cell.ravel()]

@@ -18,14 +18,14 @@ from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.changes import Change, find_changes
-from slam.fleet.condensed_map import cell_length_m, condense_map
+from slam.fleet.condensed_map import condense_map
 from slam.fleet.joins import accept_joins, find_joins, read_joins, why_alone, write_joins
 from slam.fleet.joint_map import join_parts
 from slam.fleet.part import Part, are_saved, common_metadata, load_parts, save_parts, session_part
 from slam.fleet.presence import REPORTED, Presence, estimate_presence, find_passes, seen_probabilities
 from slam.fleet.sessions import MAP_NAME, VERSION, FleetLog, Session, map_sessions, session_folder
 from slam.formats.landmark_tables import write_points
-from slam.object_map.map_io import SavedMap, load_map, of_rows
+from slam.object_map.map_io import load_map, of_rows
 from slam.object_map.map_summary import summarize_map
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 from slam.provenance import recorded_config
@@ -139,8 +139,7 @@ def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:
     for end, kept in blocks[done:]:
         if not are_saved(kept):
             parts, _, config = _join(known, _loaded(paths, range(end - BLOCK, end)), folder)
-            cell_m = cell_length_m(config)
-            save_parts(kept, [replace(part, saved=condense_map(part.saved, cell_m=cell_m)) for part in parts])
+            save_parts(kept, [replace(part, saved=condense_map(part.saved, config)) for part in parts])
         known = {f"{kept.name}/{rank}": part for rank, part in enumerate(load_parts(kept))}
     return _join(known, _loaded(paths, range(count, len(paths))), folder)
 
@@ -158,9 +157,10 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
         path = folder / "joins" / f"{content_key(*names[: number + 1])}.json"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
-            write_joins(path, find_joins(maps[number], maps[:number], _config_of(maps[: number + 1])))
+            config = recorded_config(common_metadata(maps[: number + 1]))
+            write_joins(path, find_joins(maps[number], maps[:number], config))
         joins += read_joins(path)
-    config = _config_of(maps)
+    config = recorded_config(common_metadata(maps))
     joined = join_parts(parts, accept_joins(joins, len(maps), config), config)
     are_alone = {part.sessions for part in joined if len(part.visits) == 1}
     alone = {
@@ -169,10 +169,6 @@ def _join(known: Mapping[str, Part], sessions: Mapping[str, Part], folder: Path)
         if part.sessions in are_alone
     }
     return joined, alone, config
-
-
-def _config_of(maps: Sequence[SavedMap]) -> Config:
-    return recorded_config(common_metadata(maps))
 
 
 def _known_georeference(path: Path, first: str) -> Georeference | None:
@@ -210,13 +206,21 @@ def _save(
     return True
 
 
-def fleet_report(fleet: Fleet) -> dict[str, Any]:
-    """The report as JSON: where each log joined, or why it did not; the parts of the map; and figures."""
+def write_report(folder: Path, fleet: Fleet) -> dict[str, Any]:
+    """Write the report into the folder of a fleet: where each log joined, or why it did not; the parts of the map; and
+    figures.
+
+    Returns:
+        What is written as JSON.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
     logs = [{"log": log.name, "sha256": log.sha256, **_of_log(fleet, log)} for log in fleet.logs]
     parts = [_of_map(each) for each in fleet.maps if each.file]
     states = Counter(log["status"] for log in logs)
-    of_map = {f"map_{key}": value for key, value in parts[0].items() if key != "map"} if parts else {}
-    return {
+    of_map = {f"map_{key}": value for part in parts[:1] for key, value in part.items() if key != "map"}
+    report = {
         "logs": logs,
         "figures": {
             **{state.replace(" ", "_"): states[state] for state in ("joined", "alone", "not mapped", "repeated")},
@@ -225,17 +229,8 @@ def fleet_report(fleet: Fleet) -> dict[str, Any]:
             **of_map,
         },
         "parts": parts,
-        "changes": len(fleet.maps[0].changes) if fleet.maps else 0,
+        "changes": len(fleet.maps[0].changes),
     }
-
-
-def write_report(folder: Path, fleet: Fleet) -> dict[str, Any]:
-    """Write the report, which is returned, into the folder of a fleet.
-
-    Raises:
-        UnwritableLogError: the file cannot be written.
-    """
-    report = fleet_report(fleet)
     write_text(folder / REPORT_NAME, json.dumps(report, indent=1) + "\n")
     return report
 

@@ -18,7 +18,7 @@ from logs.records import frozen
 from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import FleetError, SlamError
-from slam.fleet.condensed_map import cell_length_m, condense_map
+from slam.fleet.condensed_map import condense_map
 from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
 from slam.provenance import recorded_config
@@ -169,8 +169,7 @@ def _mapped(log: FleetLog, scratch: Path, config: Config) -> Session:
     """Map a log; the condensed map is in the scratch folder."""
     summary = replay(log.path, scratch / "replay.mcap", config, map_path=scratch / MAP_NAME)
     saved = load_map(scratch / MAP_NAME)
-    condensed = condense_map(saved, cell_m=cell_length_m(recorded_config(saved.metadata)))
-    write_map(scratch / MAP_NAME, condensed)
+    write_map(scratch / MAP_NAME, condense_map(saved, recorded_config(saved.metadata)))
     return Session(
         sha256=log.sha256,
         reason="",

@@ -15,11 +15,10 @@ from slam.object_map.map_io import SavedMap
 from tests.helpers.driven_maps import driven_map, town
 
 CONFIG = Config()
-CELL_M = 25.0
 
 
 def session_parts(maps: Iterable[SavedMap]) -> list[Part]:
-    return [session_part(*each) for each in enumerate(condense_map(saved, cell_m=CELL_M) for saved in maps)]
+    return [session_part(*each) for each in enumerate(condense_map(saved, CONFIG) for saved in maps)]
 
 
 def joins_of(parts: Sequence[Part]) -> list[Join]:

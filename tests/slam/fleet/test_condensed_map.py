@@ -9,6 +9,7 @@ from slam.fleet.condensed_map import condense_map, place_landmarks
 from slam.object_map.map_io import SavedMap
 from slam.object_map.map_validation import find_fault
 from tests.helpers.driven_maps import driven_map, town
+from tests.slam.fleet.parts import CONFIG
 
 CELL_M = 25.0
 
@@ -20,7 +21,7 @@ def whole() -> SavedMap:
 
 def condense(whole: SavedMap, **changed: Any) -> SavedMap:
     """The map with other fields of its graph, condensed."""
-    return condense_map(replace(whole, graph=replace(whole.graph, **changed)), cell_m=CELL_M)
+    return condense_map(replace(whole, graph=replace(whole.graph, **changed)), CONFIG)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from slam.common.config import Config
 from slam.common.errors import FleetError
 from slam.common.georeference import Georeference
-from slam.fleet.fleet import Fleet, fleet_report, map_fleet, write_report
+from slam.fleet.fleet import Fleet, map_fleet, write_report
 from slam.fleet.part import Part, load_parts
 from slam.fleet.sessions import FleetLog, find_logs
 from slam.library import read_map
@@ -70,7 +70,7 @@ def outputs(folder: Path) -> list[bytes]:
 
 
 def test_every_log_is_accounted_for(mapped: tuple[Path, Fleet]) -> None:
-    report = fleet_report(mapped[1])
+    report = write_report(*mapped)
     status = {log["log"]: log["status"] for log in report["logs"]}
     assert status == {"a": "joined", "b": "joined", "other": "alone", "again": "repeated", "broken": "not mapped"}
     assert all(log["reason"] for log in report["logs"] if log["status"] != "joined")

@@ -10,7 +10,7 @@ from slam.fleet.condensed_map import condense_map
 from slam.fleet.joins import Join, accept_joins, find_joins, read_joins, why_alone, write_joins
 from slam.object_map.map_io import SavedMap
 from tests.helpers.driven_maps import drive_poses, driven_map, town
-from tests.slam.fleet.parts import CELL_M, CONFIG
+from tests.slam.fleet.parts import CONFIG
 
 FIRST, SECOND = (0.0, 150.0), (110.0, 40.0)
 
@@ -18,7 +18,7 @@ FIRST, SECOND = (0.0, 150.0), (110.0, 40.0)
 @pytest.fixture(scope="module")
 def maps() -> list[SavedMap]:
     drives = enumerate((FIRST, SECOND))
-    return [condense_map(driven_map(town(), *drive, seed=seed), cell_m=CELL_M) for seed, drive in drives]
+    return [condense_map(driven_map(town(), *drive, seed=seed), CONFIG) for seed, drive in drives]
 
 
 def test_a_place_is_found_in_the_map_that_has_it_and_with_its_landmarks(maps: list[SavedMap], tmp_path: Path) -> None:
