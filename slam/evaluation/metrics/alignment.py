@@ -7,6 +7,9 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply, fit_yaw_translation, make_transform
 
+ONE_POINT_M = 1e-6
+"""Points that are spread less are one point."""
+
 
 def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
     """``T_world_map`` (4, 4) by yaw about the common vertical and a 3-D translation, least squares in the plane.
@@ -22,7 +25,7 @@ def align_yaw_translation(points_est: FloatArray, points_gt: FloatArray) -> Floa
     """
     for name, points in (("estimated", points_est), ("true", points_gt)):
         spread = _principal_spreads(points[:, :2])[0]
-        if _is_one_point(spread):
+        if spread < ONE_POINT_M:
             raise EvaluationError(
                 f"the {len(points)} {name} points are within {spread:.3g} m of one another in the plane, "
                 "so no heading can be found; evaluate a drive that moves"
@@ -43,7 +46,7 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> FloatArray:
     """
     spreads = [_principal_spreads(points) for points in (points_est, points_gt)]
     # Points on a straight line leave the roll about it open.
-    if any(second < 1e-3 * first or _is_one_point(first) for first, second, _ in spreads):
+    if any(second < 1e-3 * first or first < ONE_POINT_M for first, second, _ in spreads):
         return align_yaw_translation(points_est, points_gt)
     mean_est, mean_gt = points_est.mean(axis=0), points_gt.mean(axis=0)
     R = Rotation.align_vectors(points_gt - mean_gt, points_est - mean_est)[0].as_matrix()
@@ -79,10 +82,6 @@ def find_point(T_world_body: FloatArray, points: FloatArray) -> FloatArray:
     design[:, :, 3:] = T_world_body[:, :2, :2]
     found = np.linalg.lstsq(design.reshape(-1, 5), (points[:, :2] - xy).ravel(), rcond=None)[0]
     return np.array([*found[3:], 0.0])
-
-
-def _is_one_point(spread_m: float) -> bool:
-    return spread_m < 1e-6
 
 
 def _principal_spreads(points: FloatArray) -> FloatArray:

@@ -78,5 +78,5 @@ def summarize(results: Mapping[str, Any]) -> dict[str, str]:
         text, reason = fill(results, *clauses), results["unavailable"].get(part)
         is_never_lost = part == "relocalization" and results[part].get("loss_count") == 0
         missing = f"not measured: {reason}" if reason else "" if text else "not measured"
-        lines[part] = "never lost" if is_never_lost else "; ".join(each for each in (text, missing) if each)
+        lines[part] = "never lost" if is_never_lost else "; ".join(filter(None, (text, missing)))
     return lines

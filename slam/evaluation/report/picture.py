@@ -3,12 +3,14 @@
 import numpy as np
 
 from logs.messages import FactorGraphRecord
+from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import apply, invert, step_lengths
 from slam.display.map_picture import MapPicture, count_classes
+from slam.evaluation.evaluate import Evaluation
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, are_known
-from slam.evaluation.result import Evaluation
+from slam.object_map.map_io import are_of_kind
 
 ODOMETRY = "#d97706"
 TRUE_CLOSURE, FALSE_CLOSURE, UNDECIDED_CLOSURE = "#14b8a6", "#ff0000", "#d6249f"
@@ -23,7 +25,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, title: s
     discontinuity, not at its start in a given map.
 
     Args:
-        records: of the drive.
+        records: of the drive, with an estimate.
         evaluation: of these records.
         title: of the picture.
     """
@@ -37,13 +39,12 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, title: s
     objects, landmarks, labels = records.object_map, np.zeros((0, 3)), list[str]()
     if objects is not None:
         is_shown = objects.is_confirmed & np.isfinite(objects.positions).all(axis=1)
-        if records.has_prior_map and len(path):
+        if records.has_prior_map:
             is_shown &= _are_around(path, objects.positions)
         rows = np.flatnonzero(is_shown)
         landmarks, labels = objects.positions[rows], [objects.labels[row] for row in rows]
     lost, found = _losses(records, evaluation, estimate, spans_ns)
     true, false, undecided = _closures(evaluation, estimate)
-    whole = next((each for each in (path, truth, odometry) if len(each)), path)
     driven_m = float(np.nansum(step_lengths(path)))
     figures = {
         "path {:.0f} m": errors.length_m if errors else driven_m or None,
@@ -59,8 +60,8 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, title: s
     picture.add_strokes("true loop closures", true, TRUE_CLOSURE, 1.6)
     picture.add_line("estimate", path, "#0b5cad", 2.8)
     picture.add_line("ground truth", truth, "#6b7280", 1.2, style=(0, (6, 4)))
-    picture.add_marks("start", whole[:1], "#16a34a", "o", size=13.0)
-    picture.add_marks("end", whole[-1:], "#dc2626", "s", size=13.0)
+    picture.add_marks("start", path[:1], "#16a34a", "o", size=13.0)
+    picture.add_marks("end", path[-1:], "#dc2626", "s", size=13.0)
     picture.add_marks("lost", lost, "#b91c1c", "v", size=13.0, count=len(lost))
     picture.add_marks("found", found, "#15803d", "^", size=13.0, count=len(found))
     picture.add_strokes("false loop closures", false, FALSE_CLOSURE, 4.0)
@@ -102,7 +103,7 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray,
 
 def _start_in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
     """``T_map_odom`` (4, 4) by the first pose of the estimate."""
-    if not len(odometry) or not len(estimate):
+    if not len(odometry):
         return np.eye(4)
     first = np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0]))
     return estimate.T_world_body[0] @ invert(odometry.T_world_body[first])
@@ -113,9 +114,8 @@ def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
     if graph is None:
         return np.zeros((0, 2), dtype=np.int64)
     stamp_of = dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True))
-    edges = zip(graph.edge_keyframe_ids.tolist(), graph.edge_kinds, strict=True)
-    ends = [(stamp_of[first], stamp_of[second]) for (first, second), kind in edges if kind == "discontinuity"]
-    return np.array(sorted(ends), dtype=np.int64).reshape(-1, 2)
+    jumps = graph.edge_keyframe_ids[are_of_kind(graph, EdgeKind.DISCONTINUITY)].tolist()
+    return np.array([[stamp_of[end] for end in ends] for ends in jumps], dtype=np.int64).reshape(-1, 2)
 
 
 def _broken(path: PoseSeries, T_map_path: FloatArray, spans_ns: IntArray) -> FloatArray:
