@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slam.common.calibration import Calibration
     from slam.common.config import Config, load_config
     from slam.common.errors import InputDataError, SlamError
-    from slam.evaluation.result import Evaluation
+    from slam.evaluation.evaluate import Evaluation
     from slam.final_map import FinalMap
     from slam.formats.landmark_tables import landmark_table
     from slam.library import calibrate, evaluate_log, load_map, read_map, read_trajectory, save_map
@@ -88,7 +88,7 @@ _MODULE_OF = {
     "Constellations": "descriptors.constellation",
     "Descriptor": "descriptors.descriptor",
     "DescriptorError": "descriptors.errors",
-    "Evaluation": "slam.evaluation.result",
+    "Evaluation": "slam.evaluation.evaluate",
     "FinalMap": "slam.final_map",
     "GroundTruthPose": "logs.messages",
     "ImportedMap": "slam.place_recognition.imported_map",

@@ -12,9 +12,8 @@ from logs.topics import RecordKind
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.evaluation.evaluate import evaluate
+from slam.evaluation.evaluate import Evaluation, evaluate
 from slam.evaluation.inputs.records import read_records
-from slam.evaluation.result import Evaluation
 from slam.localization.prior_map import PriorMap, load_prior_map
 from slam.object_map.map_io import METADATA, OBJECTS_TOPIC, confirmed, write_map
 from slam.place_recognition.imported_map import ImportedMap, save_imported_map

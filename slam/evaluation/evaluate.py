@@ -1,9 +1,8 @@
-"""From the records of a log to an evaluation."""
+"""From the records of a log to an evaluation: figures for JSON, and data for pictures."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,6 +10,7 @@ import pandas as pd
 
 from logs.closures import find_final_decisions
 from logs.container.json_text import plain
+from logs.records import frozen
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import make_transform, roll_pitch_yaw_deg
@@ -31,7 +31,6 @@ from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
 from slam.evaluation.place_recognition.revisits import describe_revisits, find_revisits
-from slam.evaluation.result import Evaluation, describe_trajectories
 
 NO_ESTIMATE = {
     "estimate": "no final trajectory (/slam/trajectory_stamped): the run was not finished",
@@ -42,6 +41,31 @@ NO_ORIENTATIONS = "the truth has positions only; closures are judged with the or
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 
 _Measured = TypeVar("_Measured")
+
+
+@frozen
+class Evaluation:
+    """The evaluation of one output log; a part that could not be measured is empty, its reason is in ``unavailable``.
+
+    ``results``: all figures, as :meth:`to_json_dict` returns them. ``estimate`` is the final trajectory, ``odometry``
+    the input alone, ``online`` the poses as they were at their time; None where they could not be measured.
+    ``closures``: the candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
+    """
+
+    results: Mapping[str, Any]
+    estimate: TrajectoryErrors | None = None
+    odometry: TrajectoryErrors | None = None
+    online: TrajectoryErrors | None = None
+    closures: pd.DataFrame | None = None
+
+    @property
+    def unavailable(self) -> Mapping[str, str]:
+        """Why a part could not be measured, by its name."""
+        return self.results["unavailable"]
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Plain dicts, lists, strings and finite numbers; what is undefined, such as a precision of none, is None."""
+        return dict(self.results)
 
 
 def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = None) -> Evaluation:
@@ -60,9 +84,9 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     range_m, unavailable = records.sensor_range_m, dict[str, str]()
     protocol = Protocol() if range_m is None else Protocol().for_range(range_m)
 
-    def measure(part: str, compute: Callable[[], _Measured]) -> _Measured | None:
+    def measure(part: str, compute: Callable[..., _Measured], *args: object) -> _Measured | None:
         try:
-            return compute()
+            return compute(records, *args)
         except EvaluationError as error:
             unavailable[part] = str(error)
             return None
@@ -72,7 +96,7 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     true_path, point_m = _true_body(records) if axes is None else (records.true_path.turned(axes.T), (None, None))
     records = replace(records, true_path=true_path)
     trajectories = {
-        name: measure("trajectory" if name == "estimate" else name, partial(_trajectory, records, protocol, name, path))
+        name: measure("trajectory" if name == "estimate" else name, _trajectory, protocol, name, path)
         for name, path in paths.items()
     }
     if axes is None:
@@ -81,22 +105,22 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         }
     best = trajectories["estimate"] or trajectories["online"]
     T_world_map = best.T_world_map if best else None
-    labelled = measure("associations", partial(_label_detections, records))
+    labelled = measure("associations", _label_detections)
     matches = _match_by_detections(records, labelled)
-    landmarks = measure("landmarks", partial(_landmarks, records, protocol, labelled, matches, T_world_map))
+    landmarks = measure("landmarks", _landmarks, protocol, labelled, matches, T_world_map)
     judged = _judge_closures(records, protocol)
-    queries = measure("closures", partial(_find_revisits, records, judged, protocol))
+    queries = measure("closures", _find_revisits, judged, protocol)
     calibration, missing = ({}, NO_ORIENTATIONS) if axes is None else evaluate_calibration(records, matches, judged)
     if missing:
         unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
     if map_alignment is not None and not records.has_prior_map:
         unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
-    relocalization = measure("relocalization", partial(_relocalization, records, protocol, map_alignment, T_world_map))
+    relocalization = measure("relocalization", evaluate_relocalization, protocol, map_alignment, T_world_map)
     if relocalization and relocalization["undecided_count"]:
         reason = "no truth at their stamps" if len(records.true_path) else NO_TRUTH
         unavailable["relocalization"] = "{undecided_count} of {fix_count} fixes: ".format_map(relocalization) + reason
     results = {
-        "trajectory": describe_trajectories(trajectories)
+        "trajectory": _describe_trajectories(trajectories)
         | {"true_axes": _describe_turn(axes), "true_point_ahead_m": point_m[0], "true_point_left_m": point_m[1]},
         "associations": {} if labelled is None else evaluate_associations(labelled, revisit_m=protocol.revisit_m),
         "landmarks": landmarks or {},
@@ -147,6 +171,16 @@ def _aligned(records: EvaluationRecords) -> tuple[PoseSeries, PoseSeries]:
     est, gt = synchronize(path, records.true_path)
     T_world_map = align_path(est.positions, gt.positions)
     return PoseSeries(est.stamps_ns, T_world_map @ est.T_world_body), gt
+
+
+def _describe_trajectories(trajectories: Mapping[str, TrajectoryErrors | None]) -> dict[str, Any]:
+    """The main figures of each trajectory after its name (none for the estimate), and all figures by its name."""
+    head = {
+        f"{'' if name == 'estimate' else f'{name}_'}{figure}": getattr(errors, figure, None)
+        for name, errors in trajectories.items()
+        for figure in ("ate_m", "rpe_translation_percent", "rpe_rotation_deg_per_100m")
+    }
+    return {**head, **trajectories}
 
 
 def _describe_turn(R: FloatArray | None) -> str | None:
@@ -229,19 +263,6 @@ def _find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, prot
     if records.has_prior_map:
         raise EvaluationError("closures with keyframes of a given map have no truth in this log: see relocalization")
     return find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, protocol)
-
-
-def _relocalization(
-    records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None, T_world_map: FloatArray | None
-) -> dict[str, Any]:
-    _require({"no status in the log (/slam/status)": records.statuses})
-    is_located = records.has_prior_map and map_alignment is not None
-    return evaluate_relocalization(
-        records,
-        protocol,
-        T_world_map=map_alignment if is_located else T_world_map,
-        method="map" if is_located else "trajectory" if records.has_prior_map else "closure",
-    )
 
 
 def _require(needed: Mapping[str, object]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from logs.messages import FactorGraphRecord, LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.evaluation.result import Evaluation
+from slam.evaluation.evaluate import Evaluation
 from slam.simulation.config import DriveConfig, KidnapConfig, SimulationConfig
 from slam.simulation.world import World
 from tests.helpers.short_drives import drive, records_of, run

@@ -14,9 +14,8 @@ from logs.storage.stream import write_stream
 from logs.topics import RawMessage
 from logs.writer import LogWriter
 from slam.common.config import Config
-from slam.evaluation.evaluate import evaluate
+from slam.evaluation.evaluate import Evaluation, evaluate
 from slam.evaluation.inputs.records import read_records
-from slam.evaluation.result import Evaluation
 from slam.object_map.map_io import METADATA, SavedMap
 from slam.replay import replay
 from slam.simulation.config import OdometryConfig, SensorConfig, SimulationConfig

@@ -1,12 +1,14 @@
 """Time and errors of relocalizations."""
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from itertools import groupby
+from typing import Any
 
 import numpy as np
 
 from logs.messages import StatusRecord
 from slam.common.arrays import FloatArray
+from slam.common.errors import EvaluationError
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
@@ -15,7 +17,6 @@ from slam.evaluation.metrics.statistics import fraction, percentile
 from slam.localization.state import State
 
 MEASURES = ("seconds", "distance_m", "error_m", "error_deg")
-Method = Literal["closure", "map", "trajectory"]
 Span = tuple[int, int | None]
 """Stamps [ns] at which a robot was lost, and at which it knew again where it is; None if it never did."""
 PlacedPose = tuple[int, FloatArray]
@@ -23,7 +24,7 @@ PlacedPose = tuple[int, FloatArray]
 
 
 def evaluate_relocalization(
-    records: EvaluationRecords, protocol: Protocol, *, T_world_map: FloatArray | None, method: Method
+    records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None, T_world_map: FloatArray | None
 ) -> dict[str, Any]:
     """Counts, shares and medians over all fixes, right or wrong, and each loss by itself, by the keys of the JSON.
 
@@ -31,17 +32,24 @@ def evaluate_relocalization(
 
     * A loss begins with the first status in state LOST, also at the start of the drive, and ends with RELOCALIZED.
     * ``method`` "closure": the error of a fix is that of the accepted closure that made it, the last one up to its
-      stamp whose reference is from before the loss. "map", "trajectory": that of the first pose on ``/slam/pose`` at or
-      after its stamp, laid on the truth by ``T_world_map``.
+      stamp whose reference is from before the loss. In a given map, "map", "trajectory": that of the first pose on
+      ``/slam/pose`` at or after its stamp, laid on the truth by the alignment of the map, or else of the trajectory.
     * A fix is right within ``closure_translation_m`` and ``closure_rotation_deg``, both inclusive.
 
     Args:
         records: of the drive.
         protocol: the thresholds.
-        T_world_map: (4, 4); without it "map" and "trajectory" leave all fixes undecided.
-        method: how the error is measured.
+        map_alignment: ``T_world_map`` (4, 4) of the given map.
+        T_world_map: (4, 4) of the trajectory; without either all fixes in a given map are undecided.
+
+    Raises:
+        EvaluationError: there is no status.
     """
-    losses = [_describe_loss(records, span, protocol, T_world_map, method) for span in find_losses(records.statuses)]
+    if not records.statuses:
+        raise EvaluationError("no status in the log (/slam/status)")
+    method = "closure" if not records.has_prior_map else "trajectory" if map_alignment is None else "map"
+    T_world_map = T_world_map if map_alignment is None else map_alignment
+    losses = [_describe_loss(records, span, protocol, T_world_map) for span in find_losses(records.statuses)]
     fixes = [loss for loss in losses if loss["fix_ns"] is not None]
     right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
     undecided = len(fixes) - right - wrong
@@ -62,18 +70,17 @@ def evaluate_relocalization(
 def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
     """Stamps (lost, fix) of all losses; the last one may have no fix."""
     losses: list[Span] = []
-    is_lost = False
-    for status in statuses:
-        was_lost, is_lost = is_lost, status.state == State.LOST
-        if is_lost and not was_lost:
-            losses.append((status.stamp_ns, None))
-        elif was_lost and not is_lost:
-            losses[-1] = losses[-1][0], status.stamp_ns
+    for is_lost, alike in groupby(statuses, lambda status: status.state == State.LOST):
+        since_ns = next(alike).stamp_ns
+        if is_lost:
+            losses.append((since_ns, None))
+        elif losses:
+            losses[-1] = losses[-1][0], since_ns
     return losses
 
 
 def _describe_loss(
-    records: EvaluationRecords, span: Span, protocol: Protocol, T_world_map: FloatArray | None, method: Method
+    records: EvaluationRecords, span: Span, protocol: Protocol, T_world_map: FloatArray | None
 ) -> dict[str, Any]:
     """The outcome of a loss; figures that need a fix or a truth are None without it."""
     lost_ns, fix_ns = span
@@ -81,10 +88,11 @@ def _describe_loss(
     if fix_ns is None:
         return loss
     loss |= {"seconds": (fix_ns - lost_ns) * 1e-9, "distance_m": _travel_m(records, lost_ns, fix_ns)}
-    if method == "closure":
-        placed = _place_by_closure(records, lost_ns, fix_ns)
-    else:
-        placed = _place_by_pose(records.online_path, fix_ns, T_world_map)
+    placed = (
+        _place_by_pose(records.online_path, fix_ns, T_world_map)
+        if records.has_prior_map
+        else _place_by_closure(records, lost_ns, fix_ns)
+    )
     if placed is None:
         return loss
     stamp_ns, T_world_body = placed

@@ -8,10 +8,9 @@ import numpy as np
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
-from slam.evaluation.evaluate import evaluate
+from slam.evaluation.evaluate import Evaluation, evaluate
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
-from slam.evaluation.result import Evaluation
 from tests.slam.evaluation.drives import START_NS
 from tests.slam.evaluation.results import graph
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from logs.messages import DetectionAssociations, DetectionTruth, FactorGraphRecord, Record
 from slam.common.arrays import FloatArray, IntArray
-from slam.evaluation.evaluate import evaluate
+from slam.evaluation.evaluate import Evaluation, evaluate
 from slam.evaluation.inputs.records import collect_records
-from slam.evaluation.result import Evaluation
 
 Log = list[tuple[str, Record]]
 """Topics and records."""
