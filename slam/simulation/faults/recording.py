@@ -125,11 +125,6 @@ class Recording:
         """Stamps (N,) of the odometry."""
         return np.array([message.record.stamp_ns for message in self.odometry], dtype=np.int64)
 
-    @stamps_ns.setter
-    def stamps_ns(self, stamps_ns: IntArray) -> None:
-        pairs = zip(self.odometry, stamps_ns.tolist(), strict=True)
-        self.odometry = [message.having(stamp_ns=stamp_ns) for message, stamp_ns in pairs]
-
     @property
     def poses(self) -> FloatArray:
         """Poses T_odom_body (N, 4, 4) of the odometry."""

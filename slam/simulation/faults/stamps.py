@@ -70,4 +70,6 @@ def messages_twice(log: Recording) -> None:
 
 def odometry_backwards(log: Recording, seconds: Duration = 10.0) -> None:
     """Stamps of the odometry fall instead of rising for S from half time on."""
-    log.stamps_ns = np.where(log.are_after_half(seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
+    stamps_ns = np.where(log.are_after_half(seconds), sum(log.from_half(seconds)) - log.stamps_ns, log.stamps_ns)
+    pairs = zip(log.odometry, stamps_ns.tolist(), strict=True)
+    log.odometry = [message.having(stamp_ns=stamp_ns) for message, stamp_ns in pairs]

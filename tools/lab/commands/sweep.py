@@ -1,7 +1,6 @@
 """dslam sweep: one drive with many faults and settings."""
 
 import os
-from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -66,7 +65,12 @@ def sweep(
     from tools import console
     from tools.lab.drives.parts import PARTS, map_without
 
-    parts = _chosen_parts(part or ())
+    parts = part or []
+    for name in parts:
+        if name not in (*PARTS, EVERY_PART):
+            raise typer.BadParameter(f"there is no {name!r}; there are: {'; '.join(PARTS)}.", param_hint="--part")
+    if EVERY_PART in parts:
+        parts = list(PARTS)
     changed = {text: text.split(";") for text in variant or ()} | {name: PARTS[name].settings for name in parts}
     if not variant:
         changed = {"": (), **changed}
@@ -87,12 +91,3 @@ def sweep(
     )
     runs = {task.name: result.evaluation for task, result in swept.results.items() if not result.error}
     finish(runs, require, quiet=as_json, failures=swept.failures)
-
-
-def _chosen_parts(names: Sequence[str]) -> list[str]:
-    from tools.lab.drives.parts import PARTS
-
-    for name in names:
-        if name not in (*PARTS, EVERY_PART):
-            raise typer.BadParameter(f"there is no {name!r}; there are: {'; '.join(PARTS)}.", param_hint="--part")
-    return list(PARTS) if EVERY_PART in names else list(names)
