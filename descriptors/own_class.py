@@ -13,11 +13,6 @@ from descriptors.constellation import Constellations
 from descriptors.errors import DescriptorError
 
 
-def is_own_class(name: str) -> bool:
-    """Whether a name is that of a class, ``module:Class``."""
-    return ":" in name
-
-
 def make_own(name: str) -> Any:
     """An object of a class, made without arguments.
 

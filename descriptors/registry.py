@@ -11,7 +11,7 @@ from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
 from descriptors.index import VectorIndex
 from descriptors.learned.weights import read_weights
-from descriptors.own_class import OwnDescriptor, is_own_class
+from descriptors.own_class import OwnDescriptor
 
 PAPER = "descriptellation"
 LEARNED = (LearnedLikelihood.name, PAPER)
@@ -48,7 +48,7 @@ def make_descriptor(name: str) -> Descriptor | LearnedLikelihood:
         return _from_weights(shipped_weights(name))
     if name.endswith(WEIGHTS_SUFFIX):
         return _from_weights(Path(name))
-    if is_own_class(name):
+    if ":" in name:
         return OwnDescriptor(name)
     raise DescriptorError(
         f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTOR_NAMES)}, weights by their path "

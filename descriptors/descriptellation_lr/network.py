@@ -36,9 +36,9 @@ class DescriptellationLR(nn.Module):
         self.threshold = nn.Parameter(torch.full((sizes.rings,), 0.8))
         self.worth = _perceptron(QUERY_FEATURES, sizes.hidden, 2)
 
-    def forward(self, pairs: Pairs, device: torch.device) -> Tensor:
+    def forward(self, pairs: Pairs) -> Tensor:
         """Logits (P, R, S) of the bits of pairs of the map: nats above the threshold."""
-        sizes = self.architecture
+        sizes, device = self.architecture, self.threshold.device
         owners = torch.as_tensor(pairs.owners, device=device)
         gates = self.gate(torch.as_tensor(pairs.features, device=device)).exp()  # (K, 1)
         edges = torch.as_tensor(sizes.edges, dtype=torch.float32, device=device)
@@ -53,9 +53,9 @@ class DescriptellationLR(nn.Module):
         soft = (logits / 0.5).sigmoid()
         return soft + ((logits > 0.0).float() - soft).detach()
 
-    def worths(self, features: Float32Array, device: torch.device) -> tuple[Tensor, Tensor]:
+    def worths(self, features: Float32Array) -> tuple[Tensor, Tensor]:
         """Nats (K,) that a neighbour gives where its bit is set, and that it takes where it is not."""
-        nats = nn.functional.softplus(self.worth(torch.as_tensor(features, device=device)))
+        nats = nn.functional.softplus(self.worth(torch.as_tensor(features, device=self.threshold.device)))
         return nats[:, 0], nats[:, 1]
 
     def _kernels(self, pairs: Pairs, owners: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:

@@ -18,7 +18,6 @@ from descriptors.arrays import BoolArray, Float32Array, FloatArray, IntArray, Ui
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptellation_lr.pairs import (
     QUERY_PARTNERS,
-    Pairs,
     cells_of,
     find_ends,
     gather_pairs,
@@ -166,8 +165,7 @@ class PairIndex:
         none = np.zeros((0, 2), dtype=np.int64)
         found = [(none, none, np.zeros(0))]
         if self.unit_m is not None:
-            pairs = self._asked(positions[:, :2] / self.unit_m, labels)
-            asked = self._ask(pairs, labels, sigmas_m / self.unit_m)
+            asked = self._ask(positions[:, :2] / self.unit_m, labels, sigmas_m / self.unit_m)
             is_allowed = None if allowed is None else _packed(np.asarray(allowed[self.ends].all(axis=1))[None])[0]
             for rows, firsts, eligible in self._windows(asked):
                 if is_allowed is not None:
@@ -175,13 +173,20 @@ class PairIndex:
                 counters = _sum(self._columns(asked, rows, firsts, eligible.shape[1]), np.zeros_like(eligible))
                 row, place, counts = _largest(counters, eligible, MATCHES_PER_PAIR)
                 ends = self.ends[place + firsts[row] * WORD].astype(np.int64)
-                found.append((pairs.ends[rows[row]], ends, STEP_NATS * counts - asked.misses[rows[row]]))
+                found.append((asked.ends[rows[row]], ends, STEP_NATS * counts - asked.misses[rows[row]]))
         queries, entries, nats = (np.concatenate(parts) for parts in zip(*found, strict=True))
         best = np.argsort(-nats, kind="stable")[:3000]
         return PairMatches(queries[best], entries[best], nats[best])
 
-    def _ask(self, pairs: Pairs, labels: IntArray, noise: FloatArray) -> "_Asked":
-        """What the pairs of a query ask of the index, with a noise (N,) of each object in spacings."""
+    def _ask(self, plane: FloatArray, labels: IntArray, noise: FloatArray) -> "_Asked":
+        """What the pairs of a query of objects at (N, 2) ask of the index, with a noise (N,) of each; in spacings."""
+        tree = cKDTree(plane)
+        ends = find_ends(plane, labels, tree, QUERY_PARTNERS, both_ways=True)
+        pairs = gather_pairs(plane, labels, ends, tree, self.likelihood.architecture)
+        # So many tell enough, those with most around them. The shortest are often of one object mapped twice.
+        most = np.argsort(-pairs.counts, kind="stable")[:240]
+        if len(most) < len(ends):
+            pairs = gather_pairs(plane, labels, ends[np.sort(most)], tree, self.likelihood.architecture)
         sigmas = np.sqrt(np.mean(noise[pairs.ends] ** 2, axis=1))
         hits, misses = self.likelihood.worths(pairs, sigmas)
         cells, owners = cells_of(pairs, self.likelihood.architecture), pairs.owners
@@ -194,6 +199,7 @@ class PairIndex:
         steps[present] = np.clip(np.rint((hits + misses)[inside] / STEP_NATS), 1, MAX_STEPS)
         tolerances = length_tolerances(sigmas)
         return _Asked(
+            pairs.ends,
             laid,
             steps,
             np.bincount(owners, weights=misses[inside], minlength=len(pairs)).astype(np.float64),
@@ -201,17 +207,6 @@ class PairIndex:
             (pairs.lengths - tolerances).astype(np.float32),
             (pairs.lengths + tolerances).astype(np.float32),
         )
-
-    def _asked(self, plane: FloatArray, labels: IntArray) -> Pairs:
-        """The pairs of a query, those with most around them if there are too many."""
-        tree = cKDTree(plane)
-        ends = find_ends(plane, labels, tree, QUERY_PARTNERS, both_ways=True)
-        pairs = gather_pairs(plane, labels, ends, tree, self.likelihood.architecture)
-        # So many tell enough. The shortest are often of one object mapped twice.
-        most = np.argsort(-pairs.counts, kind="stable")[:240]
-        if len(most) == len(ends):
-            return pairs
-        return gather_pairs(plane, labels, ends[np.sort(most)], tree, self.likelihood.architecture)
 
     def _windows(self, asked: "_Asked") -> Iterator[tuple[IntArray, IntArray, Words]]:
         """Where the pairs of the map may be that are of the classes and nearly of the length of those of the query.
@@ -254,11 +249,12 @@ class PairIndex:
 
 @frozen
 class _Asked:
-    """What P pairs of a query ask: ``cells`` (P, K) of their neighbours and their ``steps`` (P, K), 0 of none;
-    ``misses`` (P,): nats that all of them take; ``classes`` (P,), and the least and greatest lengths ``low`` and
-    ``high`` (P,) of what they may be.
+    """What P pairs of a query, ``ends`` (P, 2), ask: ``cells`` (P, K) of their neighbours and their ``steps`` (P, K), 0
+    of none; ``misses`` (P,): nats that all of them take; ``classes`` (P,), and the least and greatest lengths ``low``
+    and ``high`` (P,) of what they may be.
     """
 
+    ends: IntArray
     cells: IntArray
     steps: IntArray
     misses: FloatArray

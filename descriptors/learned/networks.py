@@ -15,7 +15,7 @@ from descriptors.descriptellation_lr.network import DescriptellationLR
 from descriptors.descriptellation_lr.pairs import DescriptellationLRArchitecture
 from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.weights import make_architecture, read_weights
-from descriptors.own_class import is_own_class, make_own
+from descriptors.own_class import make_own
 
 
 @dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
@@ -42,7 +42,7 @@ def default_architecture(name: str) -> Architecture:
     Raises:
         DescriptorError: a name that does not exist, or a module that cannot be trained.
     """
-    if is_own_class(name):
+    if ":" in name:
         return OwnArchitecture(name, _make_own_network(name).length)  # type: ignore[arg-type]
     if name not in _SHIPPED:
         raise DescriptorError(
@@ -84,13 +84,14 @@ def load_network(path: Path) -> nn.Module:
     return network.eval()
 
 
-def vectors_of(network: nn.Module, constellations: Constellations, device: torch.device) -> Tensor:
+def vectors_of(network: nn.Module, constellations: Constellations) -> Tensor:
     """Vectors (B, length) of a network.
 
     Raises:
         DescriptorError: it returns anything else, or numbers that are not finite.
     """
     architecture: VectorArchitecture = network.architecture  # type: ignore[assignment]
+    device = next(network.parameters()).device
     padded = [tensor.to(device) for tensor in pad_constellations(constellations)]
     try:
         vectors: Tensor = network(*padded)
@@ -178,7 +179,7 @@ class LearnedDescriptor:
             with torch.no_grad():
                 for start in range(0, len(order), BATCH):
                     rows = order[start : start + BATCH]
-                    described[rows] = vectors_of(self._network, constellations[rows], torch.device("cpu")).numpy()
+                    described[rows] = vectors_of(self._network, constellations[rows]).numpy()
         finally:
             torch.set_num_threads(threads)
         return described

@@ -59,14 +59,14 @@ class Sample:
     queries: tuple[Constellations, ...]
     objects: IntArray
 
-    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
+    def scores(self, network: nn.Module) -> Tensor:
         """Squared distances (Q, B) of the vectors of queries from those in the map, negative.
 
         Raises:
             DescriptorError: the network of a user gives no vectors.
         """
-        known = vectors_of(network, self.constellations, device)
-        asked = torch.cat([vectors_of(network, query, device) for query in self.queries])
+        known = vectors_of(network, self.constellations)
+        asked = torch.cat([vectors_of(network, query) for query in self.queries])
         squares = asked.square().sum(dim=1)[:, None] + known.square().sum(dim=1) - 2.0 * asked @ known.T
         # Unit vectors, which are at most 2 apart, reach 40 nats at this temperature.
         return -squares / 0.1
@@ -90,15 +90,15 @@ class PairSample:
     objects: IntArray
     is_compared: BoolArray
 
-    def scores(self, network: nn.Module, device: torch.device) -> Tensor:
+    def scores(self, network: nn.Module) -> Tensor:
         """Log-likelihood ratios (Q, P) of all pairs of the map, those out of the question very low."""
         assert isinstance(network, DescriptellationLR)
-        bits = network.bits(network(self.known, device))
+        bits = network.bits(network(self.known))
         scores = []
         for query, sigmas in self.queries:
-            hits, misses = network.worths(query_features(query, sigmas), device)
+            hits, misses = network.worths(query_features(query, sigmas))
             scores.append(query_scores(bits, query, hits, misses, network.architecture))
-        compared = torch.as_tensor(self.is_compared, device=device)
+        compared = torch.as_tensor(self.is_compared, device=bits.device)
         return torch.cat(scores).masked_fill(~compared, -1e4)
 
     def loss(self, scores: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from descriptors.errors import DescriptorError, WeightsError
+from descriptors.errors import DescriptorError
 from descriptors.learned.networks import load_network, make_network
 from descriptors.learned.weights import Weights, save_weights, write_file
 from descriptors.training.contrast import ContrastTraining, PairSample, Sample, draw_sample
@@ -58,13 +58,10 @@ class Recipe:
         """What is trained on what."""
         torch.manual_seed(config.seed)
         try:
-            self.device = torch.device(device)
             network = make_network(config.architecture) if start is None else load_network(start)
-            self.network = network.to(self.device)
+            self.network = network.to(torch.device(device))
         except (RuntimeError, AssertionError) as error:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
-        if network.architecture != config.architecture:
-            raise WeightsError(f"{start}: its architecture is not {config.architecture}")
         if start is not None:
             self.identity["start"] = hashlib.sha256(start.read_bytes()).hexdigest()
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
@@ -77,7 +74,7 @@ class Recipe:
         """Draw a sample and change the weights by it; returns the loss."""
         # Half of the steps are on given maps, where there are any; the others keep what is true anywhere.
         sample = draw_sample(self.config, self.given, 0.5, rng=self.rng)
-        loss = sample.loss(sample.scores(self.network, self.device))
+        loss = sample.loss(sample.scores(self.network))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -91,7 +88,7 @@ class Recipe:
         losses, places = [], []
         with torch.no_grad():
             for sample in self._validation:
-                scores = sample.scores(self.network, self.device).cpu()
+                scores = sample.scores(self.network).cpu()
                 objects = torch.as_tensor(sample.objects)
                 losses.append(float(sample.loss(scores)))
                 # NaN comes before all others.

@@ -29,7 +29,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Called:
     called: Called = {}
 
     def fake(recipe: Recipe, folder: Path, *, on_progress: Callable[[float], None], threads: int) -> list[Epoch]:
-        called.update(config=recipe.config, folder=folder, device=str(recipe.device), threads=threads)
+        called.update(config=recipe.config, folder=folder, threads=threads)
         on_progress(0.5)
         return [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
 
@@ -55,7 +55,7 @@ def test_options_reach_the_training_and_the_best_epoch_is_told(dslam: Run, calle
     assert "validation_top_5 0.975" in result.out
     config = called.pop("config")
     assert (config.architecture, config.epochs, config.seed) == (DescriptellationArchitecture(), 7, 3)
-    assert called == {"folder": tmp_path / "net", "device": "cpu", "threads": 1}
+    assert called == {"folder": tmp_path / "net", "threads": 1}
     told = dslam("train", tmp_path / "net", *options, "--json").json
     assert (told["weights"], told["epochs"]) == (str(tmp_path / "net" / WEIGHTS), 4)
     assert (told["best"]["epoch"], told["best"]["validation_top_5"]) == (3, 0.975)

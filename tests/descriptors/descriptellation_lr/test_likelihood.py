@@ -21,8 +21,6 @@ from descriptors.learned.weights import Weights, save_weights
 from descriptors.registry import shipped_likelihood
 from descriptors.training.maps import draw_street
 
-CPU = torch.device("cpu")
-
 
 def street(seed: int) -> Pairs:
     drawn = draw_street(rng=np.random.default_rng(seed))
@@ -44,8 +42,8 @@ def test_numpy_and_torch_compute_the_same_bits_and_nats(tmp_path) -> None:
     save_weights(tmp_path / "lr.safetensors", Weights(tensors=tensors, architecture=asdict(network.architecture)))
     learned = LearnedLikelihood(tmp_path / "lr.safetensors")
     with torch.no_grad():
-        logits = network(pairs, CPU).flatten(1).numpy()
-        hits, misses = (nats.numpy() for nats in network.worths(query_features(pairs, sigmas), CPU))
+        logits = network(pairs).flatten(1).numpy()
+        hits, misses = (nats.numpy() for nats in network.worths(query_features(pairs, sigmas)))
     bits = learned.bits(pairs)
     assert 0.01 < bits.mean() < 0.3
     assert np.mean(bits != (logits > 0.0)) < 0.005  # kernels are rounded
