@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 
-from logs.closures import find_final_decisions
 from logs.container.json_text import plain
 from logs.records import frozen
 from slam.common.arrays import FloatArray
@@ -19,7 +18,6 @@ from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path, find_axes, find_point
 from slam.evaluation.metrics.association import (
-    count_detections,
     evaluate_associations,
     find_aliases,
     identify_landmarks,
@@ -30,7 +28,7 @@ from slam.evaluation.metrics.landmarks import evaluate_landmarks, match_by_detec
 from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
-from slam.evaluation.place_recognition.revisits import describe_revisits, find_revisits
+from slam.evaluation.place_recognition.revisits import NO_TRUTH, describe_revisits, find_revisits
 
 NO_ESTIMATE = {
     "estimate": "no final trajectory (/slam/trajectory_stamped): the run was not finished",
@@ -38,7 +36,6 @@ NO_ESTIMATE = {
     "online": "no /slam/pose in the log",
 }
 NO_ORIENTATIONS = "the truth has positions only; closures are judged with the orientations of the estimate"
-NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 
 _Measured = TypeVar("_Measured")
 
@@ -107,9 +104,9 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     T_world_map = best.T_world_map if best else None
     labelled = measure("associations", _label_detections)
     matches = _match_by_detections(records, labelled)
-    landmarks = measure("landmarks", _landmarks, protocol, labelled, matches, T_world_map)
-    judged = _judge_closures(records, protocol)
-    queries = measure("closures", _find_revisits, judged, protocol)
+    landmarks = measure("landmarks", evaluate_landmarks, protocol, labelled, matches, T_world_map)
+    judged = judge_closures(records, protocol)
+    queries = measure("closures", find_revisits, judged, protocol)
     calibration, missing = ({}, NO_ORIENTATIONS) if axes is None else evaluate_calibration(records, matches, judged)
     if missing:
         unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
@@ -221,48 +218,6 @@ def _match_by_detections(records: EvaluationRecords, labelled: pd.DataFrame | No
     if labelled is None or map_est is None or map_gt is None:
         return None
     return match_by_detections(map_est, map_gt, identify_landmarks(labelled), has_prior_map=records.has_prior_map)
-
-
-def _landmarks(
-    records: EvaluationRecords,
-    protocol: Protocol,
-    labelled: pd.DataFrame | None,
-    matches: pd.DataFrame | None,
-    T_world_map: FloatArray | None,
-) -> dict[str, Any]:
-    map_est, map_gt = records.object_map, records.true_objects
-    if map_est is None:
-        raise EvaluationError("no object map in the log (/slam/map)")
-    if map_gt is None:
-        raise EvaluationError("no true objects: pass --reference LOG.mcap or record /ground_truth/objects")
-    if labelled is None or matches is None:
-        raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
-    return evaluate_landmarks(
-        map_est,
-        map_gt,
-        matches,
-        protocol,
-        path_gt=records.true_path,
-        T_world_map=T_world_map,
-        object_detection_counts=count_detections(labelled),
-    )
-
-
-def _judge_closures(records: EvaluationRecords, protocol: Protocol) -> pd.DataFrame | None:
-    """The candidates; None without any, where it is not known either that there should be one."""
-    if not records.closures and (records.graph is None or not len(records.true_path)):
-        return None
-    return judge_closures(find_final_decisions(records.closures), records.true_path, protocol)
-
-
-def _find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, protocol: Protocol) -> pd.DataFrame:
-    graph, truth = records.graph, records.true_path
-    _require({"no loop-closure candidate in the log": judged is not None, NO_TRUTH: truth})
-    if graph is None:
-        raise EvaluationError("no keyframes in the log (/slam/graph), so revisits are unknown")
-    if records.has_prior_map:
-        raise EvaluationError("closures with keyframes of a given map have no truth in this log: see relocalization")
-    return find_revisits(graph.keyframe_ids, graph.keyframe_stamps_ns, truth, protocol)
 
 
 def _require(needed: Mapping[str, object]) -> None:

@@ -11,9 +11,9 @@ from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.alignment import align_yaw_translation, aligned_errors_m
-from slam.evaluation.metrics.association import FALSE_POSITIVE
+from slam.evaluation.metrics.association import FALSE_POSITIVE, count_detections
 from slam.evaluation.metrics.statistics import fraction, percentile
 
 
@@ -76,14 +76,11 @@ def compute_windowed_errors_m(
 
 
 def evaluate_landmarks(
-    map_est: ObjectMapRecord,
-    map_gt: ObjectMapRecord,
-    matches: pd.DataFrame,
+    records: EvaluationRecords,
     protocol: Protocol,
-    *,
-    path_gt: PoseSeries,
+    labelled: pd.DataFrame | None,
+    matches: pd.DataFrame | None,
     T_world_map: FloatArray | None,
-    object_detection_counts: Mapping[str, int],
 ) -> dict[str, Any]:
     """Position errors, classes, precision and recall of the confirmed landmarks, by the keys of the JSON.
 
@@ -91,17 +88,22 @@ def evaluate_landmarks(
     Fractions without a denominator are None.
 
     Args:
-        map_est: final map, map frame.
-        map_gt: true objects, world frame.
-        matches: from :func:`match_by_detections`.
+        records: of the log; the true path cuts the windows, so without it the windowed error is undefined.
         protocol: the thresholds.
-        path_gt: true path, which cuts the windows; without a pose the windowed error is undefined.
+        labelled: detections, from :func:`slam.evaluation.metrics.association.label_detections`.
+        matches: from :func:`match_by_detections`.
         T_world_map: (4, 4) alignment of the trajectory; None leaves the error in the global frame undefined.
-        object_detection_counts: how often each true object was detected.
 
     Raises:
-        EvaluationError: a matched position is not finite.
+        EvaluationError: a map or the truth of the detections is missing, or a matched position is not finite.
     """
+    map_est, map_gt, path_gt = records.object_map, records.true_objects, records.true_path
+    if map_est is None:
+        raise EvaluationError("no object map in the log (/slam/map)")
+    if map_gt is None:
+        raise EvaluationError("no true objects: pass --reference LOG.mcap or record /ground_truth/objects")
+    if labelled is None or matches is None:
+        raise EvaluationError("the true objects of landmarks are known by detections with truth: see associations")
     rows_est, rows_gt = matches.loc[matches["object"] >= 0, ["landmark", "object"]].to_numpy().T
     positions_est, positions_gt = map_est.positions[rows_est], map_gt.positions[rows_gt]
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
@@ -115,7 +117,8 @@ def evaluate_landmarks(
         windowed_m = compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, length_m, protocol.window_m)
     if T_world_map is not None:
         global_m = aligned_errors_m(T_world_map, positions_est, positions_gt)
-    often = {name for name in map_gt.ids if object_detection_counts.get(name, 0) >= protocol.least_detections}
+    counts = count_detections(labelled)
+    often = {name for name in map_gt.ids if counts.get(name, 0) >= protocol.least_detections}
     found = {map_gt.ids[row] for row in rows_gt}
     class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
     return {

@@ -1,7 +1,6 @@
 """Evaluation of loop closures: a table of all candidates, each compared with the truth, and its figures."""
 
 from collections import Counter
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -9,10 +8,10 @@ import numpy as np
 import pandas as pd
 from scipy.special import betaincinv, expit
 
-from logs.messages import LoopClosureRecord
+from logs.closures import find_final_decisions
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.statistics import CONFIDENCE, fraction, percentile
 from slam.evaluation.place_recognition.revisits import count_stages
 
@@ -31,23 +30,27 @@ _COLUMNS = {
 """Of the table of candidates, what is copied from their records."""
 
 
-def judge_closures(candidates: Sequence[LoopClosureRecord], truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
-    """Compare each candidate with the relative pose that the truth gives its keyframes.
+def judge_closures(records: EvaluationRecords, protocol: Protocol) -> pd.DataFrame | None:
+    """Compare the final decision on each candidate with the relative pose that the truth gives its keyframes.
 
     A candidate is right if its transform is within ``closure_translation_m`` and ``closure_rotation_deg``, both
     inclusive, of the true one. Without a transform, or without truth at one of the stamps, it is undecided.
 
     Args:
-        candidates: final decisions, by query stamp; there may be none.
-        truth: may hold no pose.
+        records: of the log; there may be no candidate, and no truth.
         protocol: the thresholds.
 
     Returns:
-        A row a candidate: the ``record``; of it ``query`` (id), ``stamp_ns``, ``reference_stamp_ns``,
+        A row a candidate, by query stamp: the ``record``; of it ``query`` (id), ``stamp_ns``, ``reference_stamp_ns``,
         ``accepted``, ``stage``, ``seed`` (id) and ``log_odds``, NaN where it has none; ``decided``, ``true`` (false
         where undecided); errors of where it puts the query keyframe, NaN where undecided: ``error_m``,
-        ``rotation_rad``; ``travelled_m``: true path up to the query keyframe.
+        ``rotation_rad``; ``travelled_m``: true path up to the query keyframe. None without a candidate where it is not
+        known either that there should be one.
     """
+    truth = records.true_path
+    if not records.closures and (records.graph is None or not len(truth)):
+        return None
+    candidates = find_final_decisions(records.closures)
     rows = [
         (c, c.query_keyframe_id, c.stamp_ns, c.reference_stamp_ns, c.accepted, c.stage, c.seed_query_keyframe_id,
          c.posterior_log_odds)

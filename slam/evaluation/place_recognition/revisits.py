@@ -10,17 +10,20 @@ from scipy.spatial import cKDTree
 
 from logs.closures import Stage
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries, are_known
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.synchronization import are_known
 from slam.evaluation.metrics.statistics import fraction
 
 DIRECTIONS = ("same", "opposite", "crossing")
 NO_TRUE_CANDIDATE = "no true candidate"
+NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 _RANKS: dict[str, int] = {stage: rank for rank, stage in enumerate(Stage)}
 """A stage that is not among them comes before all."""
 
 
-def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
+def find_revisits(records: EvaluationRecords, judged: pd.DataFrame | None, protocol: Protocol) -> pd.DataFrame:
     """Thin the keyframes to queries, and find those that are near an earlier keyframe after much travel.
 
     * Queries: keyframes with truth, in the order of time; the first, then each that is at least ``query_spacing_m`` of
@@ -30,15 +33,27 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
     * Its direction is the angle between the forward (x) axes of the two, the nearest such keyframe standing for all.
 
     Args:
-        keyframe_ids: (K,) int64; K may be 0.
-        stamps_ns: (K,) int64, in any order.
-        truth: may hold no pose, which leaves no query.
+        records: of the log, the stamps of its keyframes in any order.
+        judged: the candidates, None without any.
         protocol: the thresholds.
 
     Returns:
         A row a query, in the order of time: ``keyframe`` (id), ``stamp_ns``, and ``direction``, one of
         :data:`DIRECTIONS`, "" where it is no revisit.
+
+    Raises:
+        EvaluationError: no candidate, truth or keyframe, or a given map.
     """
+    graph, truth = records.graph, records.true_path
+    if judged is None:
+        raise EvaluationError("no loop-closure candidate in the log")
+    if not truth:
+        raise EvaluationError(NO_TRUTH)
+    if graph is None:
+        raise EvaluationError("no keyframes in the log (/slam/graph), so revisits are unknown")
+    if records.has_prior_map:
+        raise EvaluationError("closures with keyframes of a given map have no truth in this log: see relocalization")
+    keyframe_ids, stamps_ns = graph.keyframe_ids, graph.keyframe_stamps_ns
     T_world_body = truth.poses_at(stamps_ns)
     rows = np.flatnonzero(are_known(T_world_body))
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]

@@ -8,7 +8,7 @@ import numpy as np
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
-from slam.evaluation.evaluate import Evaluation, evaluate
+from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
 from tests.slam.evaluation.drives import START_NS
@@ -76,16 +76,14 @@ def closure(
     )
 
 
-def evaluate_closures(
+def drive_with(
     records: list[LoopClosureRecord], truth: PoseSeries, ids: IntArray, stamps_ns: IntArray
-) -> Evaluation:
+) -> EvaluationRecords:
     """Candidates of a drive with keyframes at the poses of the truth."""
-    return evaluate(
-        EvaluationRecords(
-            true_path=truth,
-            closures=tuple(records),
-            graph=replace(graph(stamps_ns, np.tile(np.eye(4), (len(ids), 1, 1))), keyframe_ids=ids),
-        )
+    return EvaluationRecords(
+        true_path=truth,
+        closures=tuple(records),
+        graph=replace(graph(stamps_ns, np.tile(np.eye(4), (len(ids), 1, 1))), keyframe_ids=ids),
     )
 
 
@@ -93,5 +91,5 @@ def judge(
     records: list[LoopClosureRecord], truth: PoseSeries, indices: range | list[int] = range(0, 241, 2)
 ) -> dict[str, Any]:
     """Figures of closures by the keys of the JSON."""
-    figures: dict[str, Any] = evaluate_closures(records, truth, *keyframes(indices)).to_json_dict()["closures"]
+    figures: dict[str, Any] = evaluate(drive_with(records, truth, *keyframes(indices))).to_json_dict()["closures"]
     return figures

@@ -1,6 +1,7 @@
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from logs.messages import ObjectMapRecord
@@ -8,6 +9,7 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
 from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import compute_windowed_errors_m, evaluate_landmarks, match_by_detections
 from tests.helpers.poses import pose_at
@@ -38,16 +40,10 @@ def quality(
     counts: dict[str, int] | None = None,
     T_world_map: FloatArray | None = None,
 ) -> dict[str, Any]:
+    records = EvaluationRecords(object_map=map_est, true_objects=map_gt, true_path=WALK)
+    labelled = pd.DataFrame({"object": [name for name, count in (counts or {}).items() for _ in range(count)]})
     matches = match_by_detections(map_est, map_gt, shows)
-    return evaluate_landmarks(
-        map_est,
-        map_gt,
-        matches,
-        Protocol(),
-        path_gt=WALK,
-        T_world_map=T_world_map,
-        object_detection_counts=counts or {},
-    )
+    return evaluate_landmarks(records, Protocol(), labelled, matches, T_world_map)
 
 
 def test_windowed_errors_ignore_drift_and_measure_noise() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from logs.closures import Stage, find_final_decisions
 from logs.messages import LoopClosureRecord
+from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
 from slam.evaluation.place_recognition.revisits import NO_TRUE_CANDIDATE
 from tests.helpers.poses import motion_by
@@ -15,7 +16,7 @@ from tests.slam.evaluation.drives import straight_path
 from tests.slam.evaluation.loops import (
     THERE_AND_BACK_REVISITS,
     closure,
-    evaluate_closures,
+    drive_with,
     judge,
     keyframes,
     series_of,
@@ -157,6 +158,6 @@ def test_decisions_and_stages_are_in_order() -> None:
 def test_two_keyframes_with_one_stamp() -> None:
     ids, stamps_ns = keyframes([40, 200, 200])
     ids[2] = 999
-    found = evaluate_closures([replace(loop(200), query_keyframe_id=999)], TRUTH, ids, stamps_ns)
-    figures = found.to_json_dict()["closures"]
+    found = drive_with([replace(loop(200), query_keyframe_id=999)], TRUTH, ids, stamps_ns)
+    figures = evaluate(found).to_json_dict()["closures"]
     assert (figures["precision"], figures["recall"], figures["revisit_count"]) == (1.0, 0.0, 1)

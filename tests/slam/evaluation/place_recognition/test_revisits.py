@@ -2,16 +2,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from slam.common.arrays import IntArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
 from slam.evaluation.place_recognition.revisits import find_revisits
 from tests.slam.evaluation.drives import straight_path
-from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, keyframes, series_of, there_and_back
+from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, drive_with, keyframes, series_of, there_and_back
 
 
 def find(truth: PoseSeries, indices: range | list[int]) -> pd.DataFrame:
-    return find_revisits(*keyframes(indices), truth, Protocol())
+    return find_among(truth, *keyframes(indices))
+
+
+def find_among(truth: PoseSeries, ids: IntArray, stamps_ns: IntArray) -> pd.DataFrame:
+    return find_revisits(drive_with([], truth, ids, stamps_ns), pd.DataFrame(), Protocol())
 
 
 def is_revisit_of(queries: pd.DataFrame) -> pd.Series:
@@ -69,7 +74,7 @@ def test_keyframes_without_truth_are_not_queries() -> None:
 
 def test_duplicated_stamps_disorder_and_one_pose() -> None:
     ids, stamps_ns = np.array([7, 5, 3], int), np.array([at_ns(2), at_ns(2), at_ns(0)], int)
-    found = find_revisits(ids, stamps_ns, there_and_back(), Protocol())
+    found = find_among(there_and_back(), ids, stamps_ns)
     assert found["keyframe"].tolist() == [3, 5]
     one = series_of(np.eye(4)[None])
     assert find(one, range(5))["keyframe"].tolist() == [0]
