@@ -36,14 +36,19 @@ class Change:
 def find_changes(part: Part, presence: Presence, stamps_ns: Sequence[int]) -> tuple[Change, ...]:
     """What changed in a part of the map, by the presence of its landmarks in the sessions with these stamps."""
     dates = [datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() for stamp_ns in stamps_ns]
-    appeared, gone = (
-        {
-            row: _change(part.objects, row, kind, float(probability[row]), presence.changed[row, :, column], dates)
-            for row in np.flatnonzero(probability >= REPORTED).tolist()
-        }
-        for column, (kind, probability) in enumerate((("appeared", presence.appeared), ("gone", presence.gone)))
-    )
-    for new, old, probability in _moves(part.objects, presence, list(appeared), list(gone)):
+    objects, labels, changed = part.objects, part.objects.labels, presence.changed
+    appeared, gone = dict[int, Change](), dict[int, Change]()
+    kinds = ("appeared", presence.appeared, appeared), ("gone", presence.gone, gone)
+    for column, (kind, probabilities, found) in enumerate(kinds):
+        for row in np.flatnonzero(probabilities >= REPORTED).tolist():
+            likely = changed[row, :, column]
+            # All sessions among which the change may lie: those that did not pass leave it open.
+            span = np.flatnonzero(likely > 0.05 * likely.max())
+            after, before = dates[span[0]], dates[span[-1] + 1]
+            x, y, z = objects.positions[row].tolist()
+            probability = round(float(probabilities[row]), 4)
+            found[row] = Change(kind, objects.ids[row], labels[row], probability, after, before, (x, y, z))
+    for new, old, probability in _moves(objects, presence, list(appeared), list(gone)):
         earlier = gone.pop(old)
         appeared[new] = replace(
             appeared[new],
@@ -55,17 +60,6 @@ def find_changes(part: Part, presence: Presence, stamps_ns: Sequence[int]) -> tu
         )
     changes = [*appeared.values(), *gone.values()]
     return tuple(sorted(changes, key=lambda change: (change.before, change.kind, int(change.landmark))))
-
-
-def _change(
-    objects: ObjectMapRecord, row: int, kind: str, probability: float, likely: FloatArray, dates: Sequence[str]
-) -> Change:
-    """A change of one landmark, which lies between two sessions with the probabilities ``likely`` (M - 1,)."""
-    # All sessions among which the change may lie: those that did not pass leave it open.
-    span = np.flatnonzero(likely > 0.05 * likely.max())
-    x, y, z = objects.positions[row].tolist()
-    after, before = dates[span[0]], dates[span[-1] + 1]
-    return Change(kind, objects.ids[row], objects.labels[row], round(probability, 4), after, before, (x, y, z))
 
 
 def _moves(

@@ -229,7 +229,7 @@ def write_report(folder: Path, fleet: Fleet) -> dict[str, Any]:
             **of_map,
         },
         "parts": parts,
-        "changes": len(fleet.maps[0].changes),
+        "changes": len(fleet.maps[0].changes) if fleet.maps else 0,
     }
     write_text(folder / REPORT_NAME, json.dumps(report, indent=1) + "\n")
     return report

@@ -93,8 +93,6 @@ def seen_probabilities(seen: BoolArray, distances_m: FloatArray) -> FloatArray:
     By what :func:`find_passes` returns; learned from landmarks that an earlier and a later session saw, so that they
     certainly stood there; the sessions are in the order of their dates.
     """
-    if not seen.any():
-        return np.zeros(seen.shape)
     # Farther away than nearly all sightings nothing is in reach of the sensors.
     passed = distances_m <= np.quantile(distances_m[seen], 0.99)
     limits_m = np.quantile(distances_m[seen & passed], np.arange(1, CELLS) / CELLS)

@@ -154,7 +154,17 @@ def map_session(log: FleetLog, folder: Path, config: Config) -> Session:
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir(parents=True)
     try:
-        session = _mapped(log, scratch, config)
+        summary = replay(log.path, scratch / "replay.mcap", config, map_path=scratch / MAP_NAME)
+        saved = load_map(scratch / MAP_NAME)
+        write_map(scratch / MAP_NAME, condense_map(saved, recorded_config(saved.metadata)))
+        session = Session(
+            sha256=log.sha256,
+            reason="",
+            landmarks=len(saved.objects.ids),
+            travel_m=round(summarize_map(saved)["path_m"], 3),
+            first_ns=int(saved.graph.keyframe_stamps_ns.min()),
+            notes=summary.notes,
+        )
         (scratch / MAP_NAME).replace(target / MAP_NAME)
     except (LogError, SlamError) as error:
         reason = " ".join([str(error), *getattr(error, "__notes__", ())]).replace(f"{scratch}/", "")
@@ -163,21 +173,6 @@ def map_session(log: FleetLog, folder: Path, config: Config) -> Session:
         shutil.rmtree(scratch, ignore_errors=True)
     write_text(target / LEDGER_NAME, _LEDGER.dump_json(session, indent=1).decode() + "\n")
     return session
-
-
-def _mapped(log: FleetLog, scratch: Path, config: Config) -> Session:
-    """Map a log; the condensed map is in the scratch folder."""
-    summary = replay(log.path, scratch / "replay.mcap", config, map_path=scratch / MAP_NAME)
-    saved = load_map(scratch / MAP_NAME)
-    write_map(scratch / MAP_NAME, condense_map(saved, recorded_config(saved.metadata)))
-    return Session(
-        sha256=log.sha256,
-        reason="",
-        landmarks=len(saved.objects.ids),
-        travel_m=round(summarize_map(saved)["path_m"], 3),
-        first_ns=int(saved.graph.keyframe_stamps_ns.min()),
-        notes=summary.notes,
-    )
 
 
 def _read_session(folder: Path) -> Session | None:
