@@ -24,16 +24,15 @@ class Scan:
     sources: IntArray
 
 
-def noise_sigma_m(range_m: FloatArray, config: SensorConfig) -> FloatArray:
-    """Standard deviation (N,) of the position noise on each axis at true ranges (N,), metres."""
-    return config.noise_base_m + config.noise_per_m * range_m
+def bearings_rad(positions: FloatArray) -> FloatArray:
+    """Bearings (N,) of positions (N, 2 or more), metres, body frame; 0 is ahead, positive to the left."""
+    return np.arctan2(positions[:, 1], positions[:, 0])
 
 
 def in_view(positions: FloatArray, config: SensorConfig) -> BoolArray:
     """Which of the positions (N, 3), metres, body frame, are within range and within the field of view: (N,)."""
-    bearing = np.arctan2(positions[:, 1], positions[:, 0])
     near = np.linalg.norm(positions, axis=1) <= config.max_range_m
-    return near & (np.abs(bearing) <= 0.5 * np.deg2rad(config.field_of_view_deg))
+    return near & (np.abs(bearings_rad(positions)) <= 0.5 * np.deg2rad(config.field_of_view_deg))
 
 
 def unshadowed(positions: FloatArray, radius_m: float) -> BoolArray:
@@ -43,7 +42,7 @@ def unshadowed(positions: FloatArray, radius_m: float) -> BoolArray:
     behind its centre on, so that a sign on a lamp post stays visible. What the sensor itself stands in hides nothing.
     """
     distance_m = np.hypot(positions[:, 0], positions[:, 1])
-    bearing = np.arctan2(positions[:, 1], positions[:, 0])
+    bearing = bearings_rad(positions)
     outside = distance_m > radius_m
     half_angle = np.arcsin(np.divide(radius_m, distance_m, out=np.zeros_like(distance_m), where=outside))
     # [i, j]: whether i hides j; in place, since this is most of the time of a simulation.
@@ -81,7 +80,7 @@ def scan_objects(
         kept &= unshadowed(seen, config.occluder_radius_m)
 
     range_m = np.linalg.norm(seen, axis=1)
-    sigmas_m = noise_sigma_m(range_m, config)
+    sigmas_m = config.noise_base_m + config.noise_per_m * range_m
     measured = seen + sigmas_m[:, None] * normals
     wrong = label_draw < config.misclassification * range_m / config.max_range_m
     classes = class_indices[rows]
@@ -93,7 +92,7 @@ def scan_objects(
     detected = (measured, classes, scores, sigmas_m, rows)
     invented = _false_positives(class_count, config, rngs["false_positive"])
     columns = [np.concatenate([each[kept], false]) for each, false in zip(detected, invented, strict=True)]
-    order = np.argsort(np.arctan2(columns[0][:, 1], columns[0][:, 0]), kind="stable")
+    order = np.argsort(bearings_rad(columns[0]), kind="stable")
     positions, classes, scores, sigmas_m, sources = (column[order] for column in columns)
     return Scan(positions, classes, scores.clip(0.05, 1.0), sigmas_m, sources)
 
@@ -105,7 +104,7 @@ def _false_positives(
     count = rng.poisson(config.false_positives_per_scan)
     range_m = config.max_range_m * np.sqrt(rng.random(count))
     bearing = (rng.random(count) - 0.5) * np.deg2rad(config.field_of_view_deg)
-    sigmas_m = noise_sigma_m(range_m, config)
+    sigmas_m = config.noise_base_m + config.noise_per_m * range_m
     positions = np.stack(
         [range_m * np.cos(bearing), range_m * np.sin(bearing), sigmas_m * rng.standard_normal(count)], axis=1
     )

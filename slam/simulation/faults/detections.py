@@ -18,6 +18,7 @@ from slam.common.errors import SimulationError
 from slam.common.geometry import make_transform
 from slam.simulation.faults.parameters import Degrees, Factor, Metres, Share, Sigma
 from slam.simulation.faults.recording import Recording, Scan, joined
+from slam.simulation.sensor import bearings_rad
 
 _Angle = Annotated[float, Field(gt=0.0, le=360.0, description="deg")]
 _Reach = Annotated[float, Field(gt=0.0, allow_inf_nan=False, description="m")]
@@ -61,7 +62,7 @@ def field_of_view(log: Recording, angle_deg: _Angle = 180.0) -> None:
     """The sensor has a field of view of DEG, centred ahead."""
     limit_rad = 0.5 * np.deg2rad(angle_deg)
     for scan, from_sensor in _from_sensor(log):
-        scan.keep(np.abs(np.arctan2(from_sensor[:, 1], from_sensor[:, 0])) <= limit_rad)
+        scan.keep(np.abs(bearings_rad(from_sensor)) <= limit_rad)
 
 
 def max_range(log: Recording, range_m: _Reach = 20.0) -> None:
