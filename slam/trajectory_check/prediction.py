@@ -46,7 +46,7 @@ class VisitPredictor:
         self._labels = np.concatenate([scan.labels for scan in scans])[in_range]
         self._scan_of = np.repeat(np.arange(len(scans)), [len(scan.positions) for scan in scans])[in_range]
         self._starts = np.searchsorted(self._scan_of, np.arange(len(scans) + 1))
-        self._shares = np.bincount(self._labels) / max(len(self._labels), 1)
+        self._shares = np.bincount(self._labels) / len(self._labels)
         self._view = _FieldOfView(self._positions, sensor_range_m)
 
     def predict(self, T_world_body: FloatArray, queries: IntArray) -> tuple[FloatArray, IntArray]:

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -56,13 +56,15 @@ def robots(
 
     config = load_config(config_file, settings)
     drives = find_drives(data, drive or ())
-    runs = {}
+    runs, rows = {}, []
     for name, folder in drives.items():
         run = runs[name] = map_robot(folder, config)
+        used = {} if run.error else {"speed": run.log_s / run.replay_s, "gigabytes": 1e-9 * run.peak_memory_bytes}
+        rows.append({"name": name, **used, **run.evaluation})
         how = f"failed: {run.error}" if run.error else f"{run.replay_s:.0f} s"
         typer.echo(f"{len(runs)} of {len(drives)}: {name}, {how}", err=True)
     report(
-        [_figures(name, run) for name, run in runs.items()],
+        rows,
         *(f"{name}: {', '.join(notes)}" for name, run in runs.items() if (notes := notes_of(run))),
         columns=COLUMNS,
         markdown=markdown,
@@ -98,9 +100,3 @@ def notes_of(run: "MappedDrive") -> list[str]:
         return [run.error]
     doubts = run.reported[0].removeprefix("optimised").removeprefix("; ")
     return [*noted_counters(run.evaluation["counters"]), *filter(None, [doubts])]
-
-
-def _figures(name: str, run: "MappedDrive") -> dict[str, Any]:
-    """What the columns show of a drive."""
-    used = {} if run.error else {"speed": run.log_s / run.replay_s, "gigabytes": 1e-9 * run.peak_memory_bytes}
-    return {"name": name, **used, **run.evaluation}
