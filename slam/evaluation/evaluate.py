@@ -17,12 +17,7 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path, find_axes, find_point
-from slam.evaluation.metrics.association import (
-    evaluate_associations,
-    find_aliases,
-    identify_landmarks,
-    label_detections,
-)
+from slam.evaluation.metrics.association import evaluate_associations, label_detections
 from slam.evaluation.metrics.calibration import evaluate_calibration
 from slam.evaluation.metrics.landmarks import evaluate_landmarks, match_by_detections
 from slam.evaluation.metrics.relocalization import evaluate_relocalization
@@ -102,8 +97,8 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
         }
     best = trajectories["estimate"] or trajectories["online"]
     T_world_map = best.T_world_map if best else None
-    labelled = measure("associations", _label_detections)
-    matches = _match_by_detections(records, labelled)
+    labelled = measure("associations", label_detections)
+    matches = match_by_detections(records, labelled)
     landmarks = measure("landmarks", evaluate_landmarks, protocol, labelled, matches, T_world_map)
     judged = judge_closures(records, protocol)
     queries = measure("closures", find_revisits, judged, protocol)
@@ -188,44 +183,8 @@ def _describe_turn(R: FloatArray | None) -> str | None:
 
 
 def _trajectory(records: EvaluationRecords, protocol: Protocol, name: str, path: PoseSeries) -> TrajectoryErrors:
-    truth = records.true_path
-    _require({NO_ESTIMATE[name]: path, NO_TRUTH: truth})
-    return evaluate_trajectory(path, truth, kidnapping_m=protocol.revisit_m)
-
-
-def _label_detections(records: EvaluationRecords) -> pd.DataFrame:
-    path = records.odometry_path or records.true_path
-    _require(
-        {
-            "no associations in the log (/slam/associations)": records.associations,
-            "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections": (
-                records.detection_truths
-            ),
-            "neither odometry nor ground truth, so travel between measurements is unknown": path,
-        }
-    )
-    aliases = find_aliases(records.object_map)
-    labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
-    count = len(records.associations)
-    _require({f"none of {count} frames has detections with truth: the reference is of another drive":
-              not labelled.empty})  # fmt: skip
-    return labelled
-
-
-def _match_by_detections(records: EvaluationRecords, labelled: pd.DataFrame | None) -> pd.DataFrame | None:
-    """Landmarks with their objects by the truth of the detections."""
-    map_est, map_gt = records.object_map, records.true_objects
-    if labelled is None or map_est is None or map_gt is None:
-        return None
-    return match_by_detections(map_est, map_gt, identify_landmarks(labelled), has_prior_map=records.has_prior_map)
-
-
-def _require(needed: Mapping[str, object]) -> None:
-    """Raise the first reason, of those by which things are missing, that applies.
-
-    Raises:
-        EvaluationError: something is empty or false.
-    """
-    for reason, thing in needed.items():
-        if not thing:
-            raise EvaluationError(reason)
+    if not path:
+        raise EvaluationError(NO_ESTIMATE[name])
+    if not records.true_path:
+        raise EvaluationError(NO_TRUTH)
+    return evaluate_trajectory(path, records.true_path, kidnapping_m=protocol.revisit_m)

@@ -39,14 +39,14 @@ def finish(
     Raises:
         Exit: with code 1, a requirement is not met, or there are failures.
     """
-    from slam.evaluation.requirements import parse_requirement
+    from slam.evaluation.requirements import check_requirement
     from tools import console
 
     unmet = []
     for name, results in runs.items():
         run = f"{name}: " if name else ""
-        for requirement in map(parse_requirement, requirements or ()):
-            is_met, text = requirement.check(results)
+        for requirement in requirements or ():
+            is_met, text = check_requirement(requirement, results)
             if not is_met:
                 unmet.append(run + text)
             elif not quiet:

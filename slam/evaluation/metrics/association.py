@@ -1,14 +1,12 @@
 """Assignments of detections to the landmark of the object that they show."""
 
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
 
 import numpy as np
 import pandas as pd
 
-from logs.messages import DetectionAssociations, DetectionTruth, ObjectMapRecord
 from slam.common.errors import EvaluationError
-from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.statistics import fraction
 
 FALSE_POSITIVE = ""
@@ -17,27 +15,15 @@ UNASSIGNED = ""
 """Landmark id of a detection that was given to no landmark."""
 
 
-def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
-    """Id of each merged landmark -> id of the one that stands for it."""
-    if object_map is None:
-        return {}
-    return {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=False) if kept}
-
-
-def label_detections(
-    associations: Iterable[DetectionAssociations],
-    truths: Iterable[DetectionTruth],
-    path: PoseSeries,
-    *,
-    aliases: Mapping[str, str],
-) -> pd.DataFrame:
+def label_detections(records: EvaluationRecords) -> pd.DataFrame:
     """Join the landmark that the estimator gave each detection with the object that the detection shows.
 
+    Of several associations with one stamp, the k-th belongs to the k-th truth with that stamp. Landmarks that were
+    merged count as the one that stands for them.
+
     Args:
-        associations: in any order; of several with one stamp, the k-th belongs to the k-th truth with that stamp.
-        truths: in any order.
-        path: along which the distance between two measurements is measured (odometry or truth).
-        aliases: landmark id -> id of the landmark into which it was merged.
+        records: of the log; the path along which the distance between two measurements is measured is the odometry,
+            or else the truth.
 
     Returns:
         A row a detection, in the order of time: ``frame`` (number), ``travelled_m`` (path length at its time),
@@ -45,14 +31,26 @@ def label_detections(
         out.
 
     Raises:
-        EvaluationError: a frame with truth has another number of associations.
+        EvaluationError: associations, truth or path are missing, a frame with truth has another number of
+            associations, or none has detections.
     """
+    path, object_map = records.odometry_path or records.true_path, records.object_map
+    if not records.associations:
+        raise EvaluationError("no associations in the log (/slam/associations)")
+    if not records.detection_truths:
+        raise EvaluationError(
+            "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
+        )
+    if not path:
+        raise EvaluationError("neither odometry nor ground truth, so travel between measurements is unknown")
+    merged = zip(object_map.ids, object_map.merged_into, strict=False) if object_map else ()
+    aliases = {name: kept for name, kept in merged if kept}
     truth_at: defaultdict[int, deque[tuple[str, ...]]] = defaultdict(deque)
-    for truth in truths:
+    for truth in records.detection_truths:
         truth_at[truth.stamp_ns].append(truth.object_ids)
     stamps: list[int] = []
     rows: list[tuple[int, str, str, bool]] = []
-    for frame in sorted(associations, key=lambda record: record.stamp_ns):
+    for frame in sorted(records.associations, key=lambda record: record.stamp_ns):
         if not truth_at[frame.stamp_ns]:
             continue
         object_ids = truth_at[frame.stamp_ns].popleft()
@@ -64,10 +62,12 @@ def label_detections(
         landmark_ids = (aliases.get(name, name) for name in frame.landmark_ids)
         rows += ((len(stamps), *row) for row in zip(landmark_ids, object_ids, frame.created.tolist(), strict=True))
         stamps.append(frame.stamp_ns)
+    if not rows:
+        raise EvaluationError(
+            f"none of {len(records.associations)} frames has detections with truth: the reference is of another drive"
+        )
     table = pd.DataFrame(rows, columns=["frame", "landmark", "object", "created"])
-    table = table.astype({"frame": np.int64, "landmark": object, "object": object, "created": np.bool_})
-    travelled_m = path.travelled_at_m(np.array(stamps, dtype=np.int64))
-    return table.assign(travelled_m=travelled_m[table["frame"]])
+    return table.assign(travelled_m=path.travelled_at_m(np.array(stamps, dtype=np.int64))[table["frame"]])
 
 
 def identify_landmarks(table: pd.DataFrame) -> dict[str, str]:
@@ -93,7 +93,7 @@ def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> d
     A fraction is None where its denominator is 0.
 
     Args:
-        table: from :func:`label_detections`; may be empty.
+        table: from :func:`label_detections`.
         revisit_m: travel beyond which an object is recognised by a loop closure only.
     """
     assigned, is_object = (table["landmark"] != UNASSIGNED) & ~table["created"], table["object"] != FALSE_POSITIVE
@@ -112,8 +112,3 @@ def evaluate_associations(table: pd.DataFrame, *, revisit_m: float = 100.0) -> d
     }
     precision = fraction(counts["right_count"], counts["assigned_count"])
     return {**counts, "precision": precision, "recall": fraction(counts["made_count"], counts["possible_count"])}
-
-
-def count_detections(table: pd.DataFrame) -> dict[str, int]:
-    """Number of detections of each true object."""
-    return dict(table["object"][table["object"] != FALSE_POSITIVE].value_counts())

@@ -1,41 +1,42 @@
 """Position errors and classes of the landmarks of the final map, and the objects without a landmark."""
 
-from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.alignment import align_yaw_translation, aligned_errors_m
-from slam.evaluation.metrics.association import FALSE_POSITIVE, count_detections
+from slam.evaluation.metrics.association import FALSE_POSITIVE, identify_landmarks
 from slam.evaluation.metrics.statistics import fraction, percentile
 
 
-def match_by_detections(
-    map_est: ObjectMapRecord,
-    map_gt: ObjectMapRecord,
-    landmark_object_ids: Mapping[str, str],
-    *,
-    has_prior_map: bool = False,
-) -> pd.DataFrame:
+def match_by_detections(records: EvaluationRecords, labelled: pd.DataFrame | None) -> pd.DataFrame | None:
     """Match confirmed landmarks by the true object of their detections.
 
-    A landmark without detections with truth shows no object. With ``has_prior_map`` landmarks without detections are
-    left out: they are of earlier drives.
+    A landmark without detections with truth shows no object. In a given map landmarks without detections are left out:
+    they are of earlier drives.
+
+    Args:
+        records: of the log.
+        labelled: detections, from :func:`slam.evaluation.metrics.association.label_detections`.
 
     Returns:
         A row a landmark: ``landmark``, its row in the estimated map; ``object``, the row in the true map, -1 where
         there is none; ``is_object``: it shows an object, though the true map may lack it (a moving one, for instance).
+        None where a map or the truth of the detections is missing.
     """
+    map_est, map_gt = records.object_map, records.true_objects
+    if labelled is None or map_est is None or map_gt is None:
+        return None
+    landmark_object_ids = identify_landmarks(labelled)
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
     rows = np.flatnonzero(map_est.is_confirmed)
-    if has_prior_map:
+    if records.has_prior_map:
         rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
     shown = pd.Series([landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows], dtype=object)
     objects = np.array([row_of_object.get(name, -1) for name in shown], dtype=np.int64)
@@ -117,7 +118,7 @@ def evaluate_landmarks(
         windowed_m = compute_windowed_errors_m(positions_est, positions_gt, seen_at_m, length_m, protocol.window_m)
     if T_world_map is not None:
         global_m = aligned_errors_m(T_world_map, positions_est, positions_gt)
-    counts = count_detections(labelled)
+    counts = labelled["object"].value_counts()
     often = {name for name in map_gt.ids if counts.get(name, 0) >= protocol.least_detections}
     found = {map_gt.ids[row] for row in rows_gt}
     class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
