@@ -140,14 +140,19 @@ def run_sweep(
     Raises:
         LogError: the input cannot be read or the folder cannot be written.
     """
-    kept = ResultFolder(folder, tasks[0].log)
-    results = {task: result for task in tasks if (result := kept.finished(task)) is not None}
+    cells, input_sha256 = folder / "cells", file_sha256(tasks[0].log)
+    try:
+        cells.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnwritableLogError(f"cannot write into {cells}: {error.strerror}") from error
+    paths = {task: cells / result_name(task, input_sha256) for task in tasks}
+    results = {task: result for task, path in paths.items() if (result := _finished(path)) is not None}
     # Seed by seed, so that a sweep that is stopped has some results of each degradation.
     new = sorted((task for task in tasks if task not in results), key=lambda task: task.seed)
     with closing(compute_all(compute, new, jobs=jobs)) as outcomes:
         for task, outcome in outcomes:
             result = outcome or MappedDrive(error=DIED)
-            kept.keep(task, result)
+            write_text(paths[task], json.dumps(asdict(result), indent=1, allow_nan=False) + "\n")
             results[task] = result
             _log.info("%s: %s", task.name, result.error or "done")
             on_progress(len(results) / len(tasks))
@@ -166,41 +171,20 @@ def _named(degradations: Sequence[str]) -> dict[str, bool]:
     return found
 
 
-class ResultFolder:
-    """A JSON file for each drive, named by a key of all that the result depends on."""
+def result_name(task: DriveTask, input_sha256: str) -> str:
+    """The name of the file of a result: for people the faults and the seed, for the program a key of all that it
+    depends on.
+    """
+    made_from = (input_sha256, task.topics, task.faults, task.seed, task.variant)
+    key = content_key(*made_from, task.config.model_dump_json(), version("descriptellation-slam"))
+    faults = re.sub(r"[^\w.,=+-]", "_", task.faults or "undegraded")[:80]
+    return f"{faults}_seed{task.seed}_{key}.json"
 
-    def __init__(self, path: Path, log: Path) -> None:
-        """Make the folder if need be.
 
-        Raises:
-            UnwritableLogError: it cannot be made.
-        """
-        self._cells = path / "cells"
-        self._input_sha256 = file_sha256(log)
-        try:
-            self._cells.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UnwritableLogError(f"cannot write into {self._cells}: {error.strerror}") from error
-
-    def path_of(self, task: DriveTask) -> Path:
-        """The file of a drive: for people the faults and the seed, for the program the key."""
-        made_from = (self._input_sha256, task.topics, task.faults, task.seed, task.variant)
-        key = content_key(*made_from, task.config.model_dump_json(), version("descriptellation-slam"))
-        faults = re.sub(r"[^\w.,=+-]", "_", task.faults or "undegraded")[:80]
-        return self._cells / f"{faults}_seed{task.seed}_{key}.json"
-
-    def finished(self, task: DriveTask) -> MappedDrive | None:
-        """The result of a drive that was mapped before; one that failed or cannot be read is to be tried again."""
-        try:
-            result = TypeAdapter(MappedDrive).validate_json(self.path_of(task).read_bytes())
-        except (OSError, ValidationError):
-            return None
-        return None if result.error else result
-
-    def keep(self, task: DriveTask, result: MappedDrive) -> None:
-        """Write the result, whole or not at all.
-
-        Raises:
-            UnwritableLogError: it cannot be written.
-        """
-        write_text(self.path_of(task), json.dumps(asdict(result), indent=1, allow_nan=False) + "\n")
+def _finished(path: Path) -> MappedDrive | None:
+    """The result of a drive that was mapped before; one that failed or cannot be read is to be tried again."""
+    try:
+        result = TypeAdapter(MappedDrive).validate_json(path.read_bytes())
+    except (OSError, ValidationError):
+        return None
+    return None if result.error else result
