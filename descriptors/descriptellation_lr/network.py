@@ -42,9 +42,19 @@ class DescriptellationLR(nn.Module):
         owners = torch.as_tensor(pairs.owners, device=device)
         gates = self.gate(torch.as_tensor(pairs.features, device=device)).exp()  # (K, 1)
         edges = torch.as_tensor(sizes.edges, dtype=torch.float32, device=device)
-        rings, sectors = self._kernels(pairs, owners, edges)
+        radii, angles, lengths = (edges.new_tensor(each) for each in (pairs.radii, pairs.angles, pairs.lengths))
+        along, across, heading = self.log_widths.exp().unbind()
+        # What share of each neighbour falls into each ring, between the edges, and each sector. The width along its
+        # direction is a constant; across it the noise of the neighbour itself adds to that of the heading of the pair,
+        # which grows with the distance and falls with the length of the pair.
+        rings = torch.special.ndtr((edges - radii[:, None]) / along).diff(dim=1)  # (K, R)
+        sigma = torch.hypot(across / radii.clamp(min=MIN_RADIUS), heading / lengths[owners]).clamp(max=MAX_SIGMA)
+        step = 2.0 * np.pi / sizes.sectors
+        borders = torch.arange(sizes.sectors, device=device) * step
+        apart = torch.remainder(borders - angles[:, None] + np.pi, 2.0 * np.pi) - np.pi  # (K, S) of the first border
+        upper, lower = (torch.special.ndtr(border / sigma[:, None]) for border in (apart + step, apart))
         area = (edges[1:].square() - edges[:-1].square()) * (np.pi / sizes.sectors)  # (R,)
-        laid = torch.einsum("kr,ks->krs", gates * rings, sectors)
+        laid = torch.einsum("kr,ks->krs", gates * rings, upper - lower)
         mass = torch.zeros(len(pairs), sizes.rings, sizes.sectors, device=device).index_add(0, owners, laid)
         return torch.log1p(mass / (DENSITY * area[:, None])) - self.threshold[:, None]
 
@@ -57,22 +67,6 @@ class DescriptellationLR(nn.Module):
         """Nats (K,) that a neighbour gives where its bit is set, and that it takes where it is not."""
         nats = nn.functional.softplus(self.worth(torch.as_tensor(features, device=self.threshold.device)))
         return nats[:, 0], nats[:, 1]
-
-    def _kernels(self, pairs: Pairs, owners: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:
-        """What share of each neighbour falls into each ring (K, R), between ``edges`` (R + 1,), and each sector (K, S).
-
-        The width along the direction of a neighbour is a constant; across it the noise of the neighbour itself adds to
-        that of the heading of the pair, which grows with the distance and falls with the length of the pair.
-        """
-        radii, angles, lengths = (edges.new_tensor(each) for each in (pairs.radii, pairs.angles, pairs.lengths))
-        along, across, heading = self.log_widths.exp().unbind()
-        below = torch.special.ndtr((edges - radii[:, None]) / along)  # (K, R + 1)
-        sigma = torch.hypot(across / radii.clamp(min=MIN_RADIUS), heading / lengths[owners]).clamp(max=MAX_SIGMA)
-        step = 2.0 * np.pi / self.architecture.sectors
-        borders = torch.arange(self.architecture.sectors, device=edges.device) * step
-        apart = torch.remainder(borders - angles[:, None] + np.pi, 2.0 * np.pi) - np.pi  # (K, S) of the first border
-        upper, lower = (torch.special.ndtr(border / sigma[:, None]) for border in (apart + step, apart))
-        return below.diff(dim=1), upper - lower
 
 
 def query_scores(

@@ -11,7 +11,7 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 from scipy.spatial import cKDTree
 
-from descriptors.arrays import ComplexArray, Float32Array, FloatArray, IntArray, frozen
+from descriptors.arrays import Float32Array, FloatArray, IntArray, frozen
 
 FEATURES = 5
 """Numbers that :attr:`Pairs.features` gives for each neighbour."""
@@ -64,7 +64,8 @@ class Pairs:
 
     ``ends`` (P, 2) rows of the objects, the lower class first; ``lengths`` (P,) spacings; ``owners`` (K,), ascending:
     which pair each neighbour belongs to; ``radii`` (K,) spacings and ``angles`` (K,) rad of the neighbours in the frame
-    of their pair, turned by their class; ``features`` (K, FEATURES).
+    of their pair, turned by their class; ``features`` (K, FEATURES): its distance, the length of the pair, how many
+    neighbours there are, how many of its class, and how many of those are about as far away.
     """
 
     ends: IntArray
@@ -145,18 +146,22 @@ def gather_pairs(
     is_other = np.isfinite(distances) & (near != ends[:, :1]) & (near != ends[:, 1:])
     owners, rows = np.nonzero(is_other)[0], np.asarray(near)[is_other]
     local = (plane[rows] - middles[owners]) * ((second - first) / lengths)[owners].conj()
-    counts = np.bincount(owners, minlength=len(ends))
+    radii, classes = np.abs(local), labels[rows]
+    counts = np.bincount(owners, minlength=len(ends))[owners]
+    keys = np.unique(owners * (classes.max(initial=0) + 1) + classes, return_inverse=True)[1]
+    bands = keys * 64 + np.minimum(radii, 63.0).astype(np.int64)
+    features = [
+        np.log(np.maximum(radii, MIN_RADIUS)),
+        np.log(lengths[owners]),
+        np.log(counts) - 2.0,
+        np.log(np.bincount(keys)[keys] / counts),
+        np.log(np.bincount(bands)[bands]),
+    ]
     # Each class is turned against the one before by the golden section: patterns of different classes then fall into
     # different cells, with as many bits as one class needs.
-    turns = 2.0 * np.pi * 0.6180339887498949 * labels[rows]
-    return Pairs(
-        ends,
-        lengths,
-        owners,
-        np.abs(local),
-        np.angle(local * np.exp(1j * turns)),
-        _features(local, lengths[owners], owners, counts[owners], labels[rows]),
-    )
+    turns = 2.0 * np.pi * 0.6180339887498949 * classes
+    angles = np.angle(local * np.exp(1j * turns))
+    return Pairs(ends, lengths, owners, radii, angles, np.column_stack(features).astype(np.float32))
 
 
 def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> IntArray:
@@ -166,27 +171,6 @@ def cells_of(pairs: Pairs, architecture: DescriptellationLRArchitecture) -> IntA
     sectors = np.floor(turns * architecture.sectors).astype(np.int64) % architecture.sectors
     is_inside = (rings >= 0) & (rings < architecture.rings)
     return np.where(is_inside, rings * architecture.sectors + sectors, -1)
-
-
-def _features(
-    local: ComplexArray, lengths: FloatArray, owners: IntArray, counts: IntArray, labels: IntArray
-) -> Float32Array:
-    """Of each neighbour: its distance, the length of the pair, how many neighbours there are, how many of its class,
-    and how many of those are about as far away.
-    """
-    keys = np.unique(owners * (labels.max(initial=0) + 1) + labels, return_inverse=True)[1]
-    bands = np.minimum(np.abs(local), 63.0).astype(np.int64)
-    of_class = np.bincount(keys)[keys]
-    beside = np.bincount(keys * 64 + bands)[keys * 64 + bands]
-    return np.column_stack(
-        [
-            np.log(np.maximum(np.abs(local), MIN_RADIUS)),
-            np.log(lengths),
-            np.log(counts) - 2.0,
-            np.log(of_class / counts),
-            np.log(beside),
-        ]
-    ).astype(np.float32)
 
 
 def query_features(pairs: Pairs, sigmas: FloatArray) -> Float32Array:
