@@ -47,7 +47,13 @@ class VisitPredictor:
         self._scan_of = np.repeat(np.arange(len(scans)), [len(scan.positions) for scan in scans])[in_range]
         self._starts = np.searchsorted(self._scan_of, np.arange(len(scans) + 1))
         self._shares = np.bincount(self._labels) / len(self._labels)
-        self._view = _FieldOfView(self._positions, sensor_range_m)
+        # The density of the detections around the body, in the plane in which they are spread most.
+        offsets = self._positions - self._positions.sum(axis=0) / max(len(self._positions), 1)
+        self._axes = np.linalg.eigh(offsets.T @ offsets)[1][:, 1:]
+        counts = np.zeros((RINGS, SECTORS))
+        np.add.at(counts, self._cells(self._positions), 1.0)
+        widths = np.diff(np.linspace(0.0, sensor_range_m, RINGS + 1) ** 2)
+        self._densities = counts / (np.pi / SECTORS * widths[:, None] * max(len(self._positions), 1))
 
     def predict(self, T_world_body: FloatArray, queries: IntArray) -> tuple[FloatArray, IntArray]:
         """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans.
@@ -76,45 +82,28 @@ class VisitPredictor:
         Each source is expected in view as often as detections are there. The kernel has the same weight for all orders
         of magnitude between the noise and the sensor range, so that a smaller error always predicts better.
         """
-        expected = self._view.density(seen)
+        expected = self._density(seen)
         if not expected.sum() > 0.0:
             return 0.0, 0
         chosen = _thinned(np.arange(self._starts[query], self._starts[query + 1]), 64)  # more would be redundant
         positions = self._positions[chosen]
-        offsets = self._view.project(positions)[:, None] - self._view.project(seen)
+        offsets = (positions @ self._axes)[:, None] - seen @ self._axes
         squares = np.einsum("dmi,dmi->dm", offsets, offsets)
         span = np.pi * np.log1p((self._range_m / self._sigma_m) ** 2)
         own_labels = self._labels[chosen]
         may_match = (squares < self._range_m**2) & (own_labels[:, None] == labels)
         kernels = np.where(may_match, 1.0 / (span * (squares + self._sigma_m**2)), 0.0)
-        chance = self._view.density(positions) * self._shares[own_labels]
+        chance = self._density(positions) * self._shares[own_labels]
         ratios = kernels @ expected / (expected.sum() * np.maximum(chance, np.finfo(np.float64).tiny))
         return np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum(), len(chosen)
 
-
-class _FieldOfView:
-    """Density of the detections around the body, in the plane in which they are spread most."""
-
-    def __init__(self, positions: FloatArray, range_m: float) -> None:
-        """``positions`` (N, 3) m, body frame, within the range."""
-        offsets = positions - positions.sum(axis=0) / max(len(positions), 1)
-        self._axes = np.linalg.eigh(offsets.T @ offsets)[1][:, 1:]
-        self._range_m = range_m
-        counts = np.zeros((RINGS, SECTORS))
-        np.add.at(counts, self._cells(positions), 1.0)
-        widths = np.diff(np.linspace(0.0, range_m, RINGS + 1) ** 2)
-        self._densities = counts / (np.pi / SECTORS * widths[:, None] * max(len(positions), 1))
-
-    def project(self, positions: FloatArray) -> FloatArray:
-        """Positions (N, 3) m in that plane, (N, 2) m."""
-        return positions @ self._axes
-
-    def density(self, positions: FloatArray) -> FloatArray:
+    def _density(self, positions: FloatArray) -> FloatArray:
         """Share of the detections per area [1/m^2] at positions (N, 3) m, body frame, within the range."""
         return self._densities[self._cells(positions)]
 
     def _cells(self, positions: FloatArray) -> tuple[IntArray, IntArray]:
-        rings, sectors = polar_cells(self.project(positions), self._range_m, RINGS, SECTORS)
+        """Cells of the field of view at positions (N, 3) m."""
+        rings, sectors = polar_cells(positions @ self._axes, self._range_m, RINGS, SECTORS)
         return np.minimum(rings, RINGS - 1), sectors
 
 
