@@ -97,7 +97,11 @@ def map_fleet(
         LogError: a file that cannot be written.
     """
     sessions = map_sessions(logs, folder, config, workers=workers, tell=tell)
-    mapped = _by_date(logs, sessions)
+    by_date = sorted(sessions.values(), key=lambda session: (session.first_ns, session.sha256))
+    mapped = [session for session in by_date if not session.reason]
+    if not mapped:
+        reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
+        raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
     tell(f"joining {len(mapped)} maps")
     order = tuple(session.sha256 for session in mapped)
     paths = [session_folder(folder, digest, config) / MAP_NAME for digest in order]
@@ -118,15 +122,6 @@ def map_fleet(
     places = np.array([change.position for change in changes]).reshape(-1, 3)
     write_points(folder / "changes.geojson", places, map(asdict, changes), georeference)
     return Fleet(tuple(logs), sessions, order, alone, tuple(maps))
-
-
-def _by_date(logs: Sequence[FleetLog], sessions: Mapping[str, Session]) -> list[Session]:
-    """The sessions that were mapped."""
-    mapped = [session for session in sessions.values() if not session.reason]
-    if not mapped:
-        reasons = "; ".join(f"{log.name}: {sessions[log.sha256].reason}" for log in logs)
-        raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
-    return sorted(mapped, key=lambda session: (session.first_ns, session.sha256))
 
 
 def _join_sessions(paths: Sequence[Path], folder: Path) -> _Joined:

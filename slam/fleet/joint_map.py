@@ -51,17 +51,16 @@ class _Group:
         return [edge for number, part in parts for edge in edges_of(part.saved.graph, self.places(number))]
 
     def closures(self) -> list[Edge]:
-        """Edges of the joins."""
-        return [self._closure(join) for join in self.joins]
-
-    def _closure(self, join: Join) -> Edge:
-        """From the nearest place of the reference map to the recognised place."""
-        T_reference = self.parts[join.reference_map].saved.graph.T_map_body
-        offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
-        nearest = np.linalg.norm(offsets, axis=1).argmin()
-        T_from_to = invert(T_reference[nearest]) @ join.T_reference_place
-        ends = self.rows(join.reference_map)[nearest], self.rows(join.query_map)[join.place]
-        return Edge(int(ends[0]), int(ends[1]), T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE)
+        """Edges of the joins, each from the nearest place of the reference map to the recognised place."""
+        found = []
+        for join in self.joins:
+            T_reference = self.parts[join.reference_map].saved.graph.T_map_body
+            offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
+            nearest = np.linalg.norm(offsets, axis=1).argmin()
+            T_from_to = invert(T_reference[nearest]) @ join.T_reference_place
+            ends = self.rows(join.reference_map)[nearest], self.rows(join.query_map)[join.place]
+            found.append(Edge(int(ends[0]), int(ends[1]), T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE))
+        return found
 
 
 def join_parts(parts: Sequence[Part], joins: Sequence[Join], config: Config) -> list[Part]:
