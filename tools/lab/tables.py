@@ -47,17 +47,6 @@ def compared_descriptors(named: Sequence[str] | None) -> list[str]:
     return names
 
 
-def row_of(columns: Mapping[str, str], figures: Mapping[str, Any]) -> dict[str, str]:
-    """The cells of ``figures``; ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}".
-
-    Of a template with parts between "|" those are left out that name an undefined figure.
-    """
-    from slam.evaluation.report.figures import fill
-
-    cells = {heading: fill(figures, *template.split("|")) for heading, template in columns.items()}
-    return {heading: cell.replace(" %", "") or UNDEFINED for heading, cell in cells.items()}
-
-
 def rows_of(spreads: "pd.DataFrame") -> list[dict[str, str]]:
     """A row for each group of runs, with some of the figures, and the extremes of the ATE."""
     rows = []
@@ -89,12 +78,21 @@ def report(
     markdown: bool = False,
     json: Mapping[str, Any] | None = None,
 ) -> None:
-    """Print a row of each of the ``figures`` by the templates of the ``columns`` (:func:`row_of`), without which they
-    are rows themselves; the first column and ``texts`` are to the left. Or print ``json`` instead.
+    """Print a row of each of the ``figures``, or ``json`` instead; the first column and ``texts`` are to the left.
+
+    ``columns``: heading -> template of :meth:`str.format_map`, shares as "{share:.1%}"; of a template with parts
+    between "|" those are left out that name an undefined figure. Without columns the figures are rows themselves.
     """
+    from slam.evaluation.report.figures import fill
     from tools import console
 
-    rows = figures if columns is None else [row_of(columns, each) for each in figures]
+    rows = figures
+    if columns is not None:
+        cells = {heading: template.split("|") for heading, template in columns.items()}
+        rows = [
+            {heading: fill(each, *parts).replace(" %", "") or UNDEFINED for heading, parts in cells.items()}
+            for each in figures
+        ]
     if json is not None:
         console.show_json(json)
     elif markdown:

@@ -120,36 +120,32 @@ def _measure(
     search: PlaceSearch, objects: LabelledMap, queries: Sequence[PathQuery], range_m: float
 ) -> dict[str, float]:
     """Shares and times of a search in a map."""
-    tree = cKDTree(objects.positions[:, :2])
-    answers = pd.DataFrame([_answer(search, objects, tree, query, range_m) for query in queries])
+    tree, rows = cKDTree(objects.positions[:, :2]), []
+    for query in queries:
+        truth = query.T_map_query_gt[None]
+        started = time.process_time()
+        poses = search.find_poses(query.submap, map_sigma_m=SURVEYED_SIGMA_M, count=RECALL_AT[-1])
+        proposed = time.process_time()
+        most_likely = poses[: Config().loop_closure.max_candidates]
+        T_verified, is_accepted = verify(query.submap, most_likely, objects, tree, range_m)
+        verified = time.process_time()
+        found = T_verified is not None and bool(is_right(T_verified[None], truth)[0])
+        rows.append(
+            {
+                "rank": rank_of(poses, truth),
+                "right": found,
+                "wrong": is_accepted and not found,
+                "propose_ms": 1e3 * (proposed - started),
+                "verify_ms": 1e3 * (verified - proposed),
+            }
+        )
+    answers = pd.DataFrame(rows)
     return {
         **{f"at_{k}": (answers["rank"] < k).mean() for k in RECALL_AT},
         **answers[["right", "wrong"]].mean(),
         "propose_ms": answers["propose_ms"].median(),
         "propose_p95_ms": answers["propose_ms"].quantile(0.95),
         "verify_ms": answers["verify_ms"].median(),
-    }
-
-
-def _answer(
-    search: PlaceSearch, objects: LabelledMap, tree: cKDTree, query: PathQuery, range_m: float
-) -> dict[str, float]:
-    """The rank of the first right proposal from 0, whether the verified pose is right, or accepted and wrong; times."""
-    truth = query.T_map_query_gt[None]
-    started = time.process_time()
-    poses = search.find_poses(query.submap, map_sigma_m=SURVEYED_SIGMA_M, count=RECALL_AT[-1])
-    proposed = time.process_time()
-    T_verified, is_accepted = verify(
-        query.submap, poses[: Config().loop_closure.max_candidates], objects, tree, range_m
-    )
-    verified = time.process_time()
-    found = T_verified is not None and bool(is_right(T_verified[None], truth)[0])
-    return {
-        "rank": rank_of(poses, truth),
-        "right": found,
-        "wrong": is_accepted and not found,
-        "propose_ms": 1e3 * (proposed - started),
-        "verify_ms": 1e3 * (verified - proposed),
     }
 
 
