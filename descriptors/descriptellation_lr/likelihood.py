@@ -46,7 +46,12 @@ class LearnedLikelihood:
         radii = np.linspace(0.0, sizes.outer, RADIUS_STEPS)
         self._rings = np.diff(ndtr((edges - radii[:, None]) / along), axis=1).astype(np.float32)  # (steps, R)
         self._sigmas = np.geomspace(0.01, MAX_SIGMA, SIGMA_STEPS)
-        self._sectors = _sector_shares(self._sigmas, sizes.sectors)  # (sigmas, turns, S)
+        # Share of a neighbour in each sector by its width and its direction in the first sector: (sigmas, turns, S).
+        step = 2.0 * np.pi / sizes.sectors
+        turns = (np.arange(TURN_STEPS) + 0.5) / TURN_STEPS * step
+        apart = (np.arange(sizes.sectors) * step - turns[:, None] + np.pi) % (2.0 * np.pi) - np.pi
+        wide = self._sigmas[:, None, None]
+        self._sectors = (ndtr((apart + step) / wide) - ndtr(apart / wide)).astype(np.float32)
         area = np.diff(edges**2) * (np.pi / sizes.sectors)
         self._least = (np.expm1(self._weights["threshold"]) * DENSITY * area).astype(np.float32)
 
@@ -83,15 +88,6 @@ class LearnedLikelihood:
     def _perceive(self, name: str, features: Float32Array) -> Float32Array:
         hidden = np.tanh(features @ self._weights[f"{name}.0.weight"].T + self._weights[f"{name}.0.bias"])
         return hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"]
-
-
-def _sector_shares(sigmas: FloatArray, sectors: int) -> Float32Array:
-    """Share of a neighbour in each sector (S,), for widths and directions within the first sector, flat."""
-    step = 2.0 * np.pi / sectors
-    angles = (np.arange(TURN_STEPS) + 0.5) / TURN_STEPS * step
-    apart = (np.arange(sectors) * step - angles[:, None] + np.pi) % (2.0 * np.pi) - np.pi
-    wide = sigmas[:, None, None]
-    return (ndtr((apart + step) / wide) - ndtr(apart / wide)).astype(np.float32).ravel()
 
 
 def _load(path: Path) -> tuple[dict[str, NDArray[Any]], DescriptellationLRArchitecture]:

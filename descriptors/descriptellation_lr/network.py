@@ -53,7 +53,7 @@ class DescriptellationLR(nn.Module):
         borders = torch.arange(sizes.sectors, device=device) * step
         apart = torch.remainder(borders - angles[:, None] + np.pi, 2.0 * np.pi) - np.pi  # (K, S) of the first border
         upper, lower = (torch.special.ndtr(border / sigma[:, None]) for border in (apart + step, apart))
-        area = (edges[1:].square() - edges[:-1].square()) * (np.pi / sizes.sectors)  # (R,)
+        area = edges.square().diff() * (np.pi / sizes.sectors)  # (R,)
         laid = torch.einsum("kr,ks->krs", gates * rings, upper - lower)
         mass = torch.zeros(len(pairs), sizes.rings, sizes.sectors, device=device).index_add(0, owners, laid)
         return torch.log1p(mass / (DENSITY * area[:, None])) - self.threshold[:, None]

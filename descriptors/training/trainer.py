@@ -131,7 +131,12 @@ def train(
     epochs = []
     for number in range(0 if recipe.is_trained_further else 1, recipe.config.epochs + 1):
         started = time.perf_counter()
-        train_loss = _train_epoch(recipe, number, on_progress) if number else None
+        losses: list[float] = []
+        recipe.network.train()
+        while number and len(losses) < STEPS_PER_EPOCH:
+            losses.append(recipe.step())
+            on_progress((number - 1 + len(losses) / STEPS_PER_EPOCH) / recipe.config.epochs)
+        train_loss = float(np.mean(losses)) if losses else None
         row: Epoch = {"epoch": number, "train_loss": train_loss, **recipe.validate()}
         epochs.append(row | {"seconds": time.perf_counter() - started})
         if best_of(epochs) is epochs[-1]:
@@ -146,13 +151,3 @@ def train(
             save_weights(folder / WEIGHTS, weights)
         write_file(folder / CURVES, pd.DataFrame(epochs).to_csv(index=False, lineterminator="\n").encode())
     return epochs
-
-
-def _train_epoch(recipe: Recipe, number: int, on_progress: Callable[[float], None]) -> float:
-    """The mean loss of the steps of an epoch, counted from 1."""
-    recipe.network.train()
-    losses: list[float] = []
-    while len(losses) < STEPS_PER_EPOCH:
-        losses.append(recipe.step())
-        on_progress((number - 1 + len(losses) / STEPS_PER_EPOCH) / recipe.config.epochs)
-    return float(np.mean(losses))
