@@ -104,12 +104,12 @@ def evaluate(records: EvaluationRecords, *, map_alignment: FloatArray | None = N
     queries = measure("closures", find_revisits, judged, protocol)
     calibration, missing = ({}, NO_ORIENTATIONS) if axes is None else evaluate_calibration(records, matches, judged)
     if missing:
-        unavailable["calibration"] = missing if len(records.true_path) else NO_TRUTH
+        unavailable["calibration"] = missing if records.true_path else NO_TRUTH
     if map_alignment is not None and not records.has_prior_map:
         unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
     relocalization = measure("relocalization", evaluate_relocalization, protocol, map_alignment, T_world_map)
     if relocalization and relocalization["undecided_count"]:
-        reason = "no truth at their stamps" if len(records.true_path) else NO_TRUTH
+        reason = "no truth at their stamps" if records.true_path else NO_TRUTH
         unavailable["relocalization"] = "{undecided_count} of {fix_count} fixes: ".format_map(relocalization) + reason
     results = {
         "trajectory": _describe_trajectories(trajectories)

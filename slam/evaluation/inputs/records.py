@@ -30,7 +30,7 @@ from logs.records import frozen
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
 from logs.storage.regular_file import AnyPath
-from logs.topics import RecordKind, TopicInfo
+from logs.topics import RecordKind
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries, clean_poses, series_of
 from slam.evaluation.report.figures import value_at
@@ -177,7 +177,15 @@ def _read(path: AnyPath, topics: Mapping[str, str] | None) -> EvaluationRecords:
     with LogReader(path, RESULT_LIMITS) as reader:
         there = reader.topics()
         provenance = reader.metadata().get("dslam", {})
-        used = _topics_used(provenance.get("topics", ""), there)
+        # What the replay used, as it recorded it: the kinds of each topic.
+        kinds_of_topic = _read_tree(provenance.get("topics", ""))
+        used: dict[str, str] = {
+            kind: info.topic
+            for info in there
+            if isinstance(kinds_of_topic.get(info.topic), list)
+            for kind in info.kinds
+            if kind in _INPUT_KINDS and kind in kinds_of_topic[info.topic]
+        }
         inputs = select_topics(there, {**used, **(topics or {})}, needed=()).kinds
         outputs = select_all(info for info in there if info.topic.startswith(OUTPUT_PREFIX)).kinds
         wanted = {
@@ -188,17 +196,6 @@ def _read(path: AnyPath, topics: Mapping[str, str] | None) -> EvaluationRecords:
         }
         found = collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
         return replace(found, provenance=provenance)
-
-
-def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
-    """Kind -> topic from the JSON, topic -> kinds, that a replay recorded; what the log does not hold is left out."""
-    kinds_of_topic = _read_tree(recorded)
-    used: dict[str, str] = {}
-    for info in there:
-        kinds = kinds_of_topic.get(info.topic)
-        if isinstance(kinds, list):
-            used |= {kind: info.topic for kind in info.kinds if kind in _INPUT_KINDS and kind in kinds}
-    return used
 
 
 def _read_tree(recorded: str) -> dict[str, Any]:

@@ -39,7 +39,7 @@ class PoseSeries:
         """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends; 0 without
         a pose.
         """
-        if not len(self):
+        if not self:
             return np.zeros(len(at_ns))
         origin_ns = self.stamps_ns[0]  # Offsets are exact in float64, epoch nanoseconds are not.
         return np.interp(at_ns - origin_ns, self.stamps_ns - origin_ns, self.travelled_m)
@@ -51,7 +51,7 @@ class PoseSeries:
         ``max_truth_gap_s`` of the protocol apart.
         """
         T_world_body = np.full((len(at_ns), 4, 4), np.nan)
-        if not len(self):
+        if not self:
             return T_world_body
         after = np.searchsorted(self.stamps_ns, at_ns).clip(0, len(self) - 1)
         gaps_ns = self.stamps_ns[after] - self.stamps_ns[(after - 1).clip(0)]
@@ -99,8 +99,8 @@ def synchronize(estimate: PoseSeries, truth: PoseSeries) -> tuple[PoseSeries, Po
     Raises:
         EvaluationError: no stamp of the estimate has truth; the message gives both spans.
     """
-    if not len(estimate) or not len(truth):
-        raise EvaluationError(f"no {'true' if len(estimate) else 'estimated'} pose to compare")
+    if not estimate or not truth:
+        raise EvaluationError(f"no {'true' if estimate else 'estimated'} pose to compare")
     stamps_ns = estimate.stamps_ns
     T_world_body = truth.poses_at(stamps_ns)
     known = are_known(T_world_body)

@@ -110,7 +110,7 @@ def evaluate_landmarks(
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
         raise EvaluationError("the position of a landmark or a true object is not finite")
     windowed_m = global_m = np.zeros(0)
-    if len(path_gt):
+    if path_gt:
         seen_ns = map_est.first_seen_ns[rows_est]
         known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
         seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)

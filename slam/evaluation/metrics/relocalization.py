@@ -107,7 +107,7 @@ def _describe_loss(
 def _travel_m(records: EvaluationRecords, from_ns: int, to_ns: int) -> float | None:
     """Along the truth where it spans the time, else along the odometry, which may jump on the way."""
     for path in (records.true_path, records.odometry_path):
-        if len(path.stamps_ns) and path.stamps_ns[0] <= from_ns and to_ns <= path.stamps_ns[-1]:
+        if path and path.stamps_ns[0] <= from_ns and to_ns <= path.stamps_ns[-1]:
             return float(np.ptp(path.travelled_at_m(np.array([from_ns, to_ns]))))
     return None
 

@@ -48,7 +48,7 @@ def judge_closures(records: EvaluationRecords, protocol: Protocol) -> pd.DataFra
         known either that there should be one.
     """
     truth = records.true_path
-    if not records.closures and (records.graph is None or not len(truth)):
+    if not records.closures and (records.graph is None or not truth):
         return None
     candidates = find_final_decisions(records.closures)
     rows = [

@@ -103,7 +103,7 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> tuple[FloatArray,
 
 def _start_in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
     """``T_map_odom`` (4, 4) by the first pose of the estimate."""
-    if not len(odometry):
+    if not odometry:
         return np.eye(4)
     first = np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0]))
     return estimate.T_world_body[0] @ invert(odometry.T_world_body[first])

@@ -30,7 +30,7 @@ def read_true_drive(
         selection = select_topics(reader.topics(), topics, needed=needed)
         records = [entry.record for entry in reader.records(selection) if isinstance(entry.record, DriveRecord)]
     truth = truth_of(records)
-    if not len(truth):
+    if not truth:
         raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
     if config.calibrate:
         config = calibrate_logs([path], config, topics=topics).config
