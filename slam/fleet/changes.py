@@ -10,7 +10,6 @@ from scipy.spatial.distance import cdist
 
 from logs.messages import ObjectMapRecord
 from logs.records import frozen
-from slam.common.arrays import FloatArray
 from slam.fleet.part import Part
 from slam.fleet.presence import REPORTED, Presence
 
@@ -77,14 +76,11 @@ def _moves(
     apart_m[labels[new][:, None] != labels[old]] = np.inf
     nearest = apart_m.argmin(axis=1)
     is_mutual = apart_m.argmin(axis=0)[nearest] == np.arange(len(new))
-    density = (labels[new][:, None] == labels[new]).sum(axis=1) / _area_m2(objects.positions[:, :2])
+    # Points at random are half a mean spacing from the nearest other.
+    plane = objects.positions[:, :2]
+    spacing_m = 2.0 * float(np.median(cKDTree(plane).query(plane, k=[2])[0])) + 1e-3
+    density = (labels[new][:, None] == labels[new]).sum(axis=1) / (len(plane) * spacing_m**2)
     alone = np.exp(-density * np.pi * apart_m.min(axis=1) ** 2)
     probability = presence.appeared[new] * presence.gone[old[nearest]] * alone
     is_move = is_mutual & (probability >= REPORTED)
     return list(zip(new[is_move].tolist(), old[nearest[is_move]].tolist(), probability[is_move].tolist(), strict=True))
-
-
-def _area_m2(positions: FloatArray) -> float:
-    """Area that positions (N, 2) cover, N >= 2: points at random are half a mean spacing from the nearest other."""
-    nearest_m = cKDTree(positions).query(positions, k=[2])[0]
-    return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2

@@ -142,8 +142,8 @@ def _scale_errors(path_m: FloatArray, normals: FloatArray, config: OdometryConfi
     c = config.scale_correlation_m
     sigma = config.scale_drift_percent / np.sqrt(2.0 * c**2 * (100.0 / c + np.expm1(-100.0 / c)))
     kept = np.exp(-path_m / c)
-    fresh = np.sqrt(-np.expm1(-2.0 * path_m / c)) * normals
-    errors = np.empty(len(path_m))
-    for i in range(len(path_m)):
-        errors[i] = normals[0] if i == 0 else kept[i] * errors[i - 1] + fresh[i]
+    errors = np.sqrt(-np.expm1(-2.0 * path_m / c)) * normals
+    errors[:1] = normals[:1]
+    for i in range(1, len(errors)):
+        errors[i] += kept[i] * errors[i - 1]
     return sigma * errors

@@ -48,12 +48,13 @@ class VisitPredictor:
         self._starts = np.searchsorted(self._scan_of, np.arange(len(scans) + 1))
         self._shares = np.bincount(self._labels) / len(self._labels)
         # The density of the detections around the body, in the plane in which they are spread most.
-        offsets = self._positions - self._positions.sum(axis=0) / max(len(self._positions), 1)
+        count = max(len(self._positions), 1)
+        offsets = self._positions - self._positions.sum(axis=0) / count
         self._axes = np.linalg.eigh(offsets.T @ offsets)[1][:, 1:]
         counts = np.zeros((RINGS, SECTORS))
         np.add.at(counts, self._cells(self._positions), 1.0)
         widths = np.diff(np.linspace(0.0, sensor_range_m, RINGS + 1) ** 2)
-        self._densities = counts / (np.pi / SECTORS * widths[:, None] * max(len(self._positions), 1))
+        self._densities = counts / (np.pi / SECTORS * widths[:, None] * count)
 
     def predict(self, T_world_body: FloatArray, queries: IntArray) -> tuple[FloatArray, IntArray]:
         """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans.

@@ -79,7 +79,18 @@ def _measure(
     started = time.process_time()
     localizer = ScanLocalizer(objects.to_record(), localizer_config(method, noisy=scenario.noisy))
     build_s = time.process_time() - started
-    answers = pd.DataFrame([{"seed": seed, **_localize(localizer, objects, query)} for seed, query in drawn])
+    rows = []
+    for seed, query in drawn:
+        scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query.labels)))
+        asked = localizer.query(scan)
+        started = time.process_time()
+        verified = localizer.propose(asked)
+        accepted = localizer.decide(asked, verified).accepted
+        candidates = [each for each in verified if isinstance(each, Candidate)]
+        seconds = time.process_time() - started
+        likeliest = max(candidates, key=lambda each: each.score, default=None)
+        rows.append((seed, _error_m(accepted, query), _error_m(likeliest, query), seconds))
+    answers = pd.DataFrame(rows, columns=["seed", "accepted_error_m", "likeliest_error_m", "seconds"])
     # 1 m, and 10 m where a query is misplaced, are the paper's limits of an error.
     accepted_m = answers["accepted_error_m"]
     success = (accepted_m < 1.0).groupby(answers["seed"]).mean()
@@ -90,23 +101,6 @@ def _measure(
         "likeliest": (answers["likeliest_error_m"] < 1.0).mean(),
         "query_ms": 1e3 * answers["seconds"].median(),
         "build_s": build_s,
-    }
-
-
-def _localize(localizer: ScanLocalizer, objects: LabelledMap, query: LocalQuery) -> dict[str, float]:
-    """The errors of the accepted and of the likeliest pose, infinite where there is none, and the time it took."""
-    scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query.labels)))
-    asked = localizer.query(scan)
-    started = time.process_time()
-    verified = localizer.propose(asked)
-    accepted = localizer.decide(asked, verified).accepted
-    candidates = [each for each in verified if isinstance(each, Candidate)]
-    seconds = time.process_time() - started
-    likeliest = max(candidates, key=lambda each: each.score, default=None)
-    return {
-        "accepted_error_m": _error_m(accepted, query),
-        "likeliest_error_m": _error_m(likeliest, query),
-        "seconds": seconds,
     }
 
 
