@@ -12,7 +12,6 @@ from slam.common.geometry import apply
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.metrics.association import UNASSIGNED
 from slam.evaluation.metrics.landmarks import compute_windowed_errors_m, evaluate_landmarks, match_by_detections
 from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import straight_path
@@ -43,15 +42,10 @@ def quality(
     T_world_map: FloatArray | None = None,
 ) -> dict[str, Any]:
     records = EvaluationRecords(object_map=map_est, true_objects=map_gt, true_path=WALK)
-    labelled = detections(shows, counts or {})
+    others = [("", name) for name, count in (counts or {}).items() for _ in range(count - 1)]
+    labelled = pd.DataFrame([*shows.items(), *others], columns=["landmark", "object"])
     matches = match_by_detections(records, labelled)
     return evaluate_landmarks(records, Protocol(), labelled, matches, T_world_map)
-
-
-def detections(shows: dict[str, str], counts: dict[str, int]) -> pd.DataFrame:
-    """One of each landmark, and of each object so many in all."""
-    others = [(UNASSIGNED, name) for name, count in counts.items() for _ in range(count - 1)]
-    return pd.DataFrame([*shows.items(), *others], columns=["landmark", "object"])
 
 
 def test_windowed_errors_ignore_drift_and_measure_noise() -> None:
@@ -116,8 +110,8 @@ def test_quality_by_hand() -> None:
 def test_unseen_landmarks_of_prior_map_are_left_out() -> None:
     names = ("a", "b", "c")
     map_gt = object_map(names, np.eye(3), ("tree",) * 3)
-    shows = {"a": "a", "b": ""}
-    records, labelled = EvaluationRecords(object_map=map_gt, true_objects=map_gt), detections(shows, {})
+    records = EvaluationRecords(object_map=map_gt, true_objects=map_gt)
+    labelled = pd.DataFrame({"landmark": ["a", "b"], "object": ["a", ""]})
     own = match_by_detections(records, labelled)
     assert own["is_object"].tolist() == [True, False, False]
     localized = match_by_detections(replace(records, provenance={"map_drives": "1"}), labelled)
