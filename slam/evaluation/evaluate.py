@@ -14,7 +14,7 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import make_transform, roll_pitch_yaw_deg
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.records import NO_TRUTH, EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path, find_axes, find_point
 from slam.evaluation.metrics.association import evaluate_associations, label_detections
@@ -23,7 +23,7 @@ from slam.evaluation.metrics.landmarks import evaluate_landmarks, match_by_detec
 from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
-from slam.evaluation.place_recognition.revisits import NO_TRUTH, describe_revisits, find_revisits
+from slam.evaluation.place_recognition.revisits import describe_revisits, find_revisits
 
 NO_ESTIMATE = {
     "estimate": "no final trajectory (/slam/trajectory_stamped): the run was not finished",

@@ -36,6 +36,7 @@ from slam.evaluation.inputs.synchronization import NO_POSES, PoseSeries, clean_p
 from slam.evaluation.report.figures import value_at
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
 
+NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 _ESTIMATED_KINDS = frozenset(
     {
         RecordKind.ASSOCIATIONS,

@@ -12,13 +12,12 @@ from logs.closures import Stage
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.records import NO_TRUTH, EvaluationRecords
 from slam.evaluation.inputs.synchronization import are_known
 from slam.evaluation.metrics.statistics import fraction
 
 DIRECTIONS = ("same", "opposite", "crossing")
 NO_TRUE_CANDIDATE = "no true candidate"
-NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 _RANKS: dict[str, int] = {stage: rank for rank, stage in enumerate(Stage)}
 """A stage that is not among them comes before all."""
 
