@@ -4,12 +4,10 @@ climb or a turn, by the time or by the way: what brings the detections of scans 
 The terms are found one after another, the one that explains most first, each by a search from what was found so far. If
 lengths or turns of the odometry that are wrong by a share, or a sensor that sits elsewhere, explain more, no further
 term but a climb is found: over pairs of scans all these look much the same, and objects that are followed tell them
-apart. Over them a climb also looks like the pitch of a sensor, and a turn like its yaw: that is corrected for which
-there is more evidence when all other terms are fitted beside it. A climb that is less steep than the least angle that
-is corrected stays.
+apart. They also tell a climb from the pitch of a sensor, and a turn from its yaw.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -39,7 +37,7 @@ _Values = dict[str, float]
 
 
 def find_alignment(
-    logs: Sequence[SurveyedLog], calibration: Calibration, terms: Sequence[str]
+    logs: Sequence[SurveyedLog], calibration: Calibration, terms: Collection[str]
 ) -> tuple[_Values, _Values]:
     """Values of the ``terms``, of those of ``MIN_VALUES``, on top of what the calibration corrects: those to be
     corrected, and others that bring scans nearer to one another but are too small.
@@ -51,7 +49,7 @@ def find_alignment(
     distances, steps = _compared(logs, calibration)
     values, suspected = dict.fromkeys([*MIN_VALUES, *RIVALS], 0.0), _Values()
 
-    def better(candidates: Sequence[str]) -> dict[str, _Values]:
+    def better(candidates: Collection[str]) -> dict[str, _Values]:
         """What raises the evidence, by term."""
         found, now = {}, distances(values)
         for term in candidates:
@@ -75,24 +73,7 @@ def find_alignment(
         if nearest not in large:
             break
         values = large[nearest]
-    for angle, growing in GROWING.items():
-        least = MIN_VALUES[angle] if "climb_share" in growing else 0.0
-        if angle in terms and any(abs(values[term]) > least for term in growing):
-            others = [each for each in values if each not in (angle, *growing)]
-            without = values | dict.fromkeys(growing, 0.0)
-            with_terms = _best(distances, values, others, steps)
-            steady = _best(distances, without, [angle, *others], steps)
-            for_terms, for_angle = (np.sum(evidence(distances(each))) for each in (with_terms, steady))
-            if for_terms <= for_angle:
-                values = without | {angle: steady[angle] if abs(steady[angle]) > MIN_VALUES[angle] else 0.0}
     return {term: value for term, value in values.items() if value}, suspected
-
-
-def _best(distances: Callable[[_Values], FloatArray], values: _Values, terms: Sequence[str], steps: _Values) -> _Values:
-    """The values with those of the terms for which there is most evidence, one after the other, and again."""
-    for term in (*terms, *terms):
-        values = _search(distances, values, term, steps[term], COARSE)
-    return values
 
 
 def _search(

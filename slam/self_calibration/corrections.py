@@ -22,7 +22,7 @@ A term *changes* at the begin of a block if a second value of it from there on i
 terms.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -178,6 +178,19 @@ def is_chance(tracks: ObjectTracks, motion: BodyMotion, term: str, value: float)
     parts[:, number] = value * regression.scale[number]
     gain, is_sure = _gain(regression.squared, regression.left_of(parts))
     return gain != 0.0 and not is_sure
+
+
+def explains_most(tracks: ObjectTracks, motion: BodyMotion, terms: Sequence[str]) -> tuple[str, float]:
+    """Of the terms the one that alone explains most of what is held out, with its value: the first one, where objects
+    do not tell.
+    """
+    regression = _regression(tracks, motion)
+    if regression is None:
+        return terms[0], 0.0
+    alone = {term: regression.held_out(np.array(TERMS) == term) for term in terms}
+    best = min(terms, key=lambda term: alone[term][1].sum())
+    number = TERMS.index(best)
+    return best, float(alone[best][0][:, number].mean() / regression.scale[number])
 
 
 def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:

@@ -1,6 +1,6 @@
 """The survey of a robot's logs: corrections of the input, and noise and lengths of the corrected scans."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
@@ -10,12 +10,13 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import apply, gravity_frame, invert, roll_pitch_yaw_deg, rotation_of, travelled_m
 from slam.frontend.input.sensor_frames import corrected_mount
-from slam.self_calibration.alignment import ANGLES, GROWING, find_alignment
+from slam.self_calibration.alignment import ANGLES, GROWING, MIN_VALUES, find_alignment
 from slam.self_calibration.corrections import (
     Change,
     Correction,
     centroid_biases,
     estimate_corrections,
+    explains_most,
     find_change,
     is_chance,
     without_bias,
@@ -141,15 +142,8 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration) -> Survey | None:
     labels = estimate_label_noise(scans_of(logs, known)[0])
     if labels.is_useless:
         known = known.with_values({"objects.max_classes": 1})
-    aligned, unaligned = find_alignment(logs, known, _unknown(given))
+    aligned, unaligned = _alignment(logs, known, _unknown(given))
     delay_s = aligned.pop("delay_s", 0.0)
-    late = {"detection.time_offset_s": known.detection.time_offset_s + delay_s}
-    for term in [each for growing in GROWING.values() for each in growing if each in aligned]:
-        others = {each: value for each, value in aligned.items() if each != term}
-        scans, motion = scans_of(logs, known.with_values(late | _of_sensor(others, known)))
-        tracks = objects_among(follow_objects(scans))
-        if is_chance(tracks, motion, term, aligned[term]):  # by how followed objects seem to move
-            aligned, unaligned = others, unaligned | {term: aligned[term]}
     corrected |= _of_sensor(aligned, known)
     absent = TURNS.keys() - aligned.keys() if TURNS.keys() & aligned.keys() else ()
     for _ in range(ROUNDS):
@@ -181,6 +175,28 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration) -> Survey | None:
         change=later,
         change_s=0.0 if later is None else seconds_of(scans)[later.scan],
     )
+
+
+def _alignment(
+    logs: Sequence[SurveyedLog], known: Calibration, terms: Collection[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Terms of the alignment that followed objects do not contradict, and others that are suspected."""
+    aligned, unaligned = find_alignment(logs, known, terms)
+    for angle, growing in GROWING.items():
+        found = {term: aligned.pop(term) for term in growing if term in aligned}
+        if not found:
+            continue
+        late = {"detection.time_offset_s": known.detection.time_offset_s + aligned.get("delay_s", 0.0)}
+        scans, motion = scans_of(logs, known.with_values(late | _of_sensor(aligned, known)))
+        tracks = objects_among(follow_objects(scans))
+        best, value = explains_most(tracks, motion, [*found, angle])
+        if best == angle and angle in terms:
+            value += aligned.pop(angle, 0.0)
+            (aligned if abs(value) > MIN_VALUES[angle] else unaligned)[angle] = value
+            continue
+        for term, value in found.items():
+            (unaligned if is_chance(tracks, motion, term, value) else aligned)[term] = value
+    return aligned, unaligned
 
 
 def estimate_label_noise(scans: Sequence[SurveyScan]) -> LabelNoise:

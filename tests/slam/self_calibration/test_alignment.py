@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from logs.dslam_codec import take_rows
 from logs.importers.text_log import read_text_log
 from logs.messages import ObjectDetections
 from slam.common.calibration import Calibration, DetectionCalibration
 from slam.self_calibration.alignment import MIN_VALUES, find_alignment
+from slam.self_calibration.survey import _alignment
 from slam.self_calibration.surveyed_log import SurveyedLog
 from tests.helpers.data import ROBOTS, needs_robots
 from tests.helpers.surveyed_drives import INTERVAL_S, NOISE, SurveyedDrive, records_of, with_odometry
 
 
 def found(*logs: SurveyedLog, known: Calibration | None = None) -> dict[str, float]:
-    return find_alignment(logs, known or Calibration(), list(MIN_VALUES))[0]
+    """With what objects that are followed tell."""
+    return _alignment(logs, known or Calibration(), list(MIN_VALUES))[0]
 
 
 def log_of(
@@ -108,6 +111,22 @@ def test_a_turn_that_the_odometry_lacks_is_no_yaw_and_a_small_climb_no_pitch(dri
         if isinstance(each, ObjectDetections):
             each.positions[each.positions[:, 1] > 0.0] *= near
     assert found(SurveyedLog(records)) == pytest.approx(right, abs=5e-3)
+
+
+@pytest.mark.slow
+@needs_robots
+def test_a_yaw_is_no_drift_where_only_near_objects_are_seen():
+    """Pairs of scans of a car that drives ahead tell no difference, followed objects do; the road's yaw is small."""
+    drive = ROBOTS / "cones"
+    log = read_text_log(detections=drive / "detections.csv.gz", odometry=drive / "odometry.tum.gz")
+    records = [
+        take_rows(each, N=np.flatnonzero(np.linalg.norm(each.positions, axis=1) < 9.7))
+        if isinstance(each, ObjectDetections)
+        else each
+        for each in log.records()
+    ]
+    assert find_alignment([SurveyedLog(records)], Calibration(), list(MIN_VALUES))[0].keys() == {"drift_rad_per_s"}
+    assert found(SurveyedLog(records)) == {}
 
 
 @pytest.mark.parametrize("scales", [{"length_scale": 0.7}, {"turn_scale": 0.6}])

@@ -311,7 +311,8 @@ def test_sensor_that_is_turned_on_the_way_is_told():
 @pytest.mark.parametrize(("climb", "is_corrected"), [(1e-9, False), (0.1, True)])
 def test_climb_that_may_be_chance_is_suspected_only(monkeypatch, climb, is_corrected):
     monkeypatch.setattr("slam.self_calibration.survey.find_alignment", lambda *_: ({"climb_share": -0.1}, {}))
-    found = survey(scaled_records(1.0, climb), ON_BODY)
+    given = DetectionCalibration(assume_body_frame=True, pitch_deg=0.0)
+    found = survey(scaled_records(1.0, climb), given)
     told = found.corrected if is_corrected else found.suspected
     assert told["odometry.climb"] == pytest.approx(-0.1)
     assert ("odometry.climb" in found.corrected) == is_corrected
