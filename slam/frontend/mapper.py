@@ -97,6 +97,8 @@ class Mapper:
 
     def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
         """Estimate the pose of a scan, predicted by ``pose``, among the landmarks, and associate its detections."""
+        if len(scan.positions):
+            self._map.detected_m = pose.travel_m
         self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
         return self.tracker.locate(scan, pose)

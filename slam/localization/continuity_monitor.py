@@ -38,11 +38,12 @@ seen there.
 
 @frozen
 class _Step:
-    """The pose of a keyframe, and the landmarks seen since the one before it."""
+    """The pose of a keyframe, the landmarks seen since the one before it, and whether nothing was detected."""
 
     pose: OdometryPose
     T_gravity_local: FloatArray
     seen: IntArray
+    is_blind: bool
 
 
 class ContinuityMonitor:
@@ -76,7 +77,8 @@ class ContinuityMonitor:
         self.kidnapping_probability = np.exp(self._log_prior)
         since_m = self._steps[-1].pose.travel_m if self._steps else -np.inf
         seen_since = rows[landmarks["last_seen_travel_m"] > since_m]
-        self._steps.append(_Step(pose, invert(gravity_frame(keyframe.T_local_body)), seen_since))
+        T_gravity_local = invert(gravity_frame(keyframe.T_local_body))
+        self._steps.append(_Step(pose, T_gravity_local, seen_since, object_map.detected_m <= since_m))
         while self._steps[-1].pose.travel_m - self._steps[0].pose.travel_m > self._memory_m:
             self._steps.popleft()
         # It happened after the last sighting of a landmark.
@@ -104,6 +106,8 @@ class ContinuityMonitor:
         T_gravity_local = np.array([step.T_gravity_local for step in self._steps])
         in_body = apply(T_gravity_local, landmarks["position_local"])  # (S, N, 3)
         shares = self._visibility.probability(in_body.reshape(-1, 3)).reshape(in_body.shape[:2])
+        # Where nothing is detected at all, misses have one cause.
+        shares[[step.is_blind for step in self._steps]] = 0.0
         log_missed = np.log1p(-np.minimum(shares, 0.99))
         sums = np.concatenate([np.zeros((1, len(landmarks))), np.cumsum(log_missed, axis=0)])
         # A keyframe stands for the sightings since the one before it; the one that a time falls between does not count.

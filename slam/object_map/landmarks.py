@@ -148,6 +148,8 @@ class ObjectMap:
         self._merges: list[tuple[int, int, int | None]] = []  # kept, dropped, and the factor of the closure, if any
         self.canonical = np.zeros(0, dtype=np.int64)
         """The row (L,) of the landmark that each row is in the map: its own, or that of what it was merged into."""
+        self.detected_m = -np.inf
+        """Travel [m] at the last scan with detections."""
 
     def __len__(self) -> int:
         return self._size

@@ -70,7 +70,7 @@ class Street:
         rows = np.zeros(len(self.positions), dtype=LANDMARK)
         rows["state"], rows["segment"], rows["position_local"] = LandmarkState.CONFIRMED, self.segment, self.positions
         rows["first_seen_travel_m"], rows["last_seen_travel_m"] = self.first_m, self.last_m
-        return SimpleNamespace(rows=rows)
+        return SimpleNamespace(rows=rows, detected_m=self.last_m.max())
 
 
 @pytest.fixture
@@ -96,8 +96,10 @@ def test_kidnappings_are_sought_within_two_sensor_ranges(street):
     assert last.pose.travel_m - first.pose.travel_m == 2.0 * RANGE_M
 
 
-def test_a_blind_sensor_is_no_kidnapping(street):
-    assert street.drive(10, blind=True) is None
+@pytest.mark.parametrize("count", [10, 20, 25])
+def test_a_sensor_that_is_blind_on_the_way_is_no_kidnapping(street, count):
+    assert street.drive(count, blind=True) is None
+    assert street.drive(15) is None
 
 
 def test_many_new_objects_are_none(street):
