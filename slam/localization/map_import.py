@@ -5,7 +5,6 @@ from importlib.metadata import version
 import numpy as np
 
 from logs.importers.maps.map_objects import MapObjects
-from slam.common.arrays import FloatArray
 from slam.common.errors import SavedMapError
 from slam.common.georeference import Georeference
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
@@ -31,7 +30,14 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
             origin = Georeference(latitude, longitude)
         positions = origin.to_map(positions)
     if origin is not None:
-        _check_origin(objects.source, positions, origin)
+        nearest_m = np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf)
+        # Coordinates that are farther away count from elsewhere, as those of national grids do.
+        if 200_000.0 < nearest_m < np.inf:
+            raise SavedMapError(
+                f"{objects.source}: the nearest object is {nearest_m / 1000.0:.0f} km from the origin at latitude "
+                f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the origin of the coordinates, "
+                "or convert those of a national grid (such as UTM) to latitude and longitude"
+            )
     provenance = {"source": objects.source, "input_sha256": objects.sha256, "version": version("descriptellation-slam")}
     try:
         return make_imported_map(
@@ -39,14 +45,3 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
         )
     except SavedMapError as error:
         raise SavedMapError(f"{objects.source}: {error}") from error
-
-
-def _check_origin(source: str, positions: FloatArray, origin: Georeference) -> None:
-    nearest_m = np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf)
-    # Coordinates that are farther away count from elsewhere, as those of national grids do.
-    if 200_000.0 < nearest_m < np.inf:
-        raise SavedMapError(
-            f"{source}: the nearest object is {nearest_m / 1000.0:.0f} km from the origin at latitude "
-            f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the origin of the coordinates, "
-            "or convert those of a national grid (such as UTM) to latitude and longitude"
-        )

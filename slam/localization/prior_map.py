@@ -50,31 +50,15 @@ def restore_prior_map(
 ) -> tuple[list[Keyframe], ImportedPlaces | None]:
     """Put a map of either kind into an empty object map and an empty graph.
 
-    Returns its keyframes, and the places of one without a trajectory; without a map none.
+    ``fixed``: keep the map as it is: its keyframes and landmarks are constants, and its factors are not restored.
+    Returns its keyframes, renumbered from 0, and the places of one without a trajectory; without a map none.
     """
     if prior_map is None:
         return [], None
     if isinstance(prior_map, ImportedMap):
         graph.add_fixed_keyframe(0, np.eye(4))
         return [map_frame(0)], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
-    return restore(prior_map, object_map, graph, fixed=fixed), None
-
-
-def map_frame(number: int) -> Keyframe:
-    """The frame of a map without a trajectory as a keyframe and a segment of that number, at the origin of the map."""
-    return Keyframe(number, _prior_pose(np.eye(4), number), np.eye(4), is_prior=True, is_map_frame=True)
-
-
-def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
-    """Put a prior map into an empty object map and an empty graph; returns its keyframes, renumbered from 0.
-
-    Args:
-        saved: the map.
-        object_map: empty.
-        graph: empty.
-        fixed: keep the map as it is: its keyframes and landmarks are constants, and its factors are not restored.
-    """
-    objects, record = saved.objects, saved.graph
+    objects, record = prior_map.objects, prior_map.graph
     rows = object_map.restore(objects, travel_m=TRAVEL_M)
     if fixed:
         for number, T_map_body in enumerate(record.T_map_body):
@@ -90,10 +74,16 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         number_of = {keyframe: number for number, keyframe in enumerate(record.keyframe_ids.tolist())}
         edges, observations = edges_of(record, number_of), observations_of(record, number_of, landmarks)
         graph.restore(record.T_map_body, edges, observations)
-    return [
+    keyframes = [
         Keyframe(number, _prior_pose(T_map_body), T_map_body, is_prior=True)
         for number, T_map_body in enumerate(record.T_map_body)
     ]
+    return keyframes, None
+
+
+def map_frame(number: int) -> Keyframe:
+    """The frame of a map without a trajectory as a keyframe and a segment of that number, at the origin of the map."""
+    return Keyframe(number, _prior_pose(np.eye(4), number), np.eye(4), is_prior=True, is_map_frame=True)
 
 
 def _prior_pose(T_map_body: FloatArray, segment: int = SEGMENT) -> OdometryPose:

@@ -13,7 +13,7 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert
 from slam.library import save_map
-from slam.localization.prior_map import load_prior_map, restore, with_heights_of
+from slam.localization.prior_map import load_prior_map, restore_prior_map, with_heights_of
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
 from slam.place_recognition.imported_map import make_imported_map
@@ -44,7 +44,8 @@ def saved() -> SavedMap:
 
 def loaded(saved: SavedMap, *, fixed: bool) -> tuple[ObjectMap, FactorGraph]:
     object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(kernel_width=PLAIN)
-    assert [keyframe.id for keyframe in restore(saved, object_map, graph, fixed=fixed)] == [0, 1, 2]
+    keyframes, _ = restore_prior_map(saved, object_map, graph, fixed=fixed)
+    assert [keyframe.id for keyframe in keyframes] == [0, 1, 2]
     return object_map, graph
 
 
