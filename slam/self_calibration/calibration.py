@@ -201,7 +201,10 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     rise = found.rise + found.rise_by_travel * survey.median_range_m
     # The least noise that is believed of any robot.
     least_m, root = MIN_SIGMA * survey.range_m, np.sqrt(survey.range_m)
-    across = found.tangential + found.tangential_by_range * survey.median_range_m**2
+    square_m = survey.median_range_m**2
+    across = found.tangential + found.tangential_by_range * square_m
+    along = found.radial + found.radial_by_range * square_m
+    range_sigma_ratio = np.sqrt(max(along, least_m**2) / max(across, least_m**2))
     height = max(found.height - across, 0.0)
     return {
         "odometry.translation_sigma": max(np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * root),
@@ -213,7 +216,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "detection.base_sigma_m": max(np.sqrt(found.tangential), least_m),
         "detection.sigma_per_m": np.sqrt(found.tangential_by_range),
-        "detection.range_sigma_ratio": _range_sigma_ratio(survey, found),
+        "detection.range_sigma_ratio": min(range_sigma_ratio, 1.0 / MIN_SIGMA),
         "detection.common_sigma_m": np.sqrt(found.view),
         # So large that what all objects in view have in common is not averaged out by them.
         "detection.height_sigma_m": np.sqrt(height + max(survey.objects, 1.0) * rise),
@@ -243,14 +246,6 @@ def _tilt_sigma(survey: Survey) -> float:
         np.pi**2 / survey.range_m,
     )
     return float(np.sqrt(max(certain, usual**2)))
-
-
-def _range_sigma_ratio(survey: Survey, found: NoiseComponents) -> float:
-    """Standard deviation along the line of sight by that across it, at the median range."""
-    square_m, least = survey.median_range_m**2, (MIN_SIGMA * survey.range_m) ** 2
-    across = max(found.tangential + found.tangential_by_range * square_m, least)
-    along = max(found.radial + found.radial_by_range * square_m, least)
-    return min(float(np.sqrt(along / across)), 1.0 / MIN_SIGMA)
 
 
 def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:

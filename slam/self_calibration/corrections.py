@@ -115,7 +115,7 @@ class Change:
 
 
 @frozen
-class _Regression:
+class Regression:
     """Normal matrices (B, T, T), right sides (B, T) and squared sides (B,) of the blocks, units (T,) of the terms, and
     the first scan (B,) of each block.
     """
@@ -139,6 +139,21 @@ class _Regression:
         fitted = np.einsum("bt,btu,bu->b", parts, self.normal, parts)
         return self.squared - 2.0 * np.einsum("bt,bt->b", parts, self.right) + fitted
 
+    def explains_most(self, terms: Sequence[str]) -> tuple[str, float]:
+        """Of the terms the one that alone explains most of what is held out, with its value."""
+        alone = {term: self.held_out(np.array(TERMS) == term) for term in terms}
+        best = min(terms, key=lambda term: alone[term][1].sum())
+        number = TERMS.index(best)
+        return best, float(alone[best][0][:, number].mean() / self.scale[number])
+
+    def is_chance(self, term: str, value: float) -> bool:
+        """Whether a value found otherwise explains blocks no better than chance; not where they do not tell."""
+        number = TERMS.index(term)
+        parts = np.zeros((BLOCKS, len(TERMS)))
+        parts[:, number] = value * self.scale[number]
+        gain, is_sure = _gain(self.squared, self.left_of(parts))
+        return gain != 0.0 and not is_sure
+
 
 def estimate_corrections(
     tracks: ObjectTracks, motion: BodyMotion, absent: Collection[str] = ()
@@ -147,7 +162,7 @@ def estimate_corrections(
 
     ``absent``: terms that are 0, as another one that looks like them was found.
     """
-    regression = _regression(tracks, motion)
+    regression = regress(tracks, motion)
     if regression is None:
         return ()
     everything = np.array([term not in absent for term in TERMS])
@@ -168,36 +183,11 @@ def estimate_corrections(
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
-def is_chance(tracks: ObjectTracks, motion: BodyMotion, term: str, value: float) -> bool:
-    """Whether a value that was found otherwise explains blocks no better than chance; not where they do not tell."""
-    regression = _regression(tracks, motion)
-    if regression is None:
-        return False
-    number = TERMS.index(term)
-    parts = np.zeros((BLOCKS, len(TERMS)))
-    parts[:, number] = value * regression.scale[number]
-    gain, is_sure = _gain(regression.squared, regression.left_of(parts))
-    return gain != 0.0 and not is_sure
-
-
-def explains_most(tracks: ObjectTracks, motion: BodyMotion, terms: Sequence[str]) -> tuple[str, float]:
-    """Of the terms the one that alone explains most of what is held out, with its value: the first one, where objects
-    do not tell.
-    """
-    regression = _regression(tracks, motion)
-    if regression is None:
-        return terms[0], 0.0
-    alone = {term: regression.held_out(np.array(TERMS) == term) for term in terms}
-    best = min(terms, key=lambda term: alone[term][1].sum())
-    number = TERMS.index(best)
-    return best, float(alone[best][0][:, number].mean() / regression.scale[number])
-
-
 def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
     """The change of a term that explains most, if it is earned. Each value must be held out, so that it has two blocks
     at least.
     """
-    regression = _regression(tracks, motion)
+    regression = regress(tracks, motion)
     if regression is None:
         return None
     everything = np.ones(len(TERMS) + 1, dtype=np.bool_)
@@ -217,7 +207,7 @@ def find_change(tracks: ObjectTracks, motion: BodyMotion) -> Change | None:
     return best
 
 
-def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
+def regress(tracks: ObjectTracks, motion: BodyMotion) -> Regression | None:
     """Apparent motion by the differences of all terms; None where too few objects could be tracked."""
     first, second = tracks.pairs(2, 4, 8, 16)
     every = max(-(-len(first) // MAX_PAIRS), 1)
@@ -234,7 +224,7 @@ def _regression(tracks: ObjectTracks, motion: BodyMotion) -> _Regression | None:
     block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
     scans = np.sort(tracks.scan[second])[np.searchsorted(np.sort(block), np.arange(BLOCKS))]
-    return _Regression(*_block_sums(X / scale, y, block), scale, scans)
+    return Regression(*_block_sums(X / scale, y, block), scale, scans)
 
 
 def _views(tracks: ObjectTracks) -> float:
@@ -330,9 +320,9 @@ def centroid_biases(tracks: ObjectTracks) -> FloatArray:
         blocks = np.unique(block[chosen])
         if np.count_nonzero(chosen) < MIN_PAIRS or len(blocks) < STRETCHES // 2:
             continue
-        found = _regress(turned[chosen], moved[chosen])
+        found = _slope(turned[chosen], moved[chosen])
         others = (chosen & (block != each) for each in blocks)
-        error = np.sqrt(len(blocks) - 1) * np.std([_regress(turned[each], moved[each]) for each in others])
+        error = np.sqrt(len(blocks) - 1) * np.std([_slope(turned[each], moved[each]) for each in others])
         biases[label] = found if found > 4.0 * error else 0.0
     return biases
 
@@ -343,7 +333,7 @@ def without_bias(tracks: ObjectTracks, biases: FloatArray) -> ObjectTracks:
     return replace(tracks, offsets=tracks.offsets + outwards, points=tracks.points + outwards)
 
 
-def _regress(x: FloatArray, y: FloatArray) -> float:
+def _slope(x: FloatArray, y: FloatArray) -> float:
     """Slope of y (P, 2) over x (P, 2), robustly."""
     x, y = x.ravel(), y.ravel()
     weights = np.ones_like(x)

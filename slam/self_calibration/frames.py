@@ -11,14 +11,13 @@ evidence has one maximum, at the right octave, if scans that are so far apart sh
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import make_transform
-from slam.self_calibration.object_tracks import SurveyScan, poses_of
+from slam.self_calibration.object_tracks import SurveyScan
 from slam.self_calibration.scan_pairs import ScanPairs, evidence, is_better, is_positive, median_range, spacing_of
 
 FACTOR = 1.25
@@ -103,7 +102,7 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
         return 1.0
     # A factor that is too large chooses scans of a short way, which share objects, and has evidence for it where scans
     # of a longer way share none: it must bring its own scans nearer to one another than lengths as they are.
-    pairs = _pairs_of_unit(scans, spacing_m, factors[best])
+    pairs = ScanPairs.by_travel(scans, spacing_m, factors[best])
     as_they_are = pairs.motions.copy()
     as_they_are[:, :3, 3] /= factors[best]
     nearer = pairs.log_distances(as_they_are)[:, 0] - pairs.log_distances(pairs.motions)[:, 0]
@@ -112,12 +111,5 @@ def find_unit(scans: Sequence[SurveyScan]) -> float:
 
 def _evidence(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> FloatArray:
     """Evidence (P,) of pairs of scans, where the lengths of the odometry are multiplied by a factor."""
-    pairs = _pairs_of_unit(scans, spacing_m, factor)
+    pairs = ScanPairs.by_travel(scans, spacing_m, factor)
     return evidence(pairs.log_distances(pairs.motions))
-
-
-def _pairs_of_unit(scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> ScanPairs:
-    poses = poses_of(scans)
-    poses[:, :3, 3] *= factor
-    moved = [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
-    return ScanPairs.by_travel(moved, spacing_m)

@@ -128,8 +128,12 @@ def follow_objects(scans: Sequence[SurveyScan], *, by_class: bool = True) -> Obj
     for _ in range(RATIO_ROUNDS):
         tracks = objects_among(_follow(scans[:SAMPLED_SCANS], MOST_MISSED, ratio, by_class=by_class))
         ratio = _noise_ratio(tracks)
-    missed = _missed_scans(detectability_of(tracks))
-    return _follow(scans, missed, ratio, by_class=by_class)
+    found, missed_scans = detectability_of(tracks), MISSED_SCANS
+    if np.isfinite(found.probability):
+        detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)
+        periods = np.log(LOST_PROBABILITY) / np.log1p(-detected)
+        missed_scans = int(np.clip(found.period * periods, MISSED_SCANS, MOST_MISSED))
+    return _follow(scans, missed_scans, ratio, by_class=by_class)
 
 
 def _noise_ratio(tracks: ObjectTracks) -> float:
@@ -243,15 +247,6 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
     return Detectability(period, counts[period] / len(gaps))
 
 
-def _missed_scans(found: Detectability) -> int:
-    """Number of consecutive scans in which an object may be missed."""
-    if not np.isfinite(found.probability):
-        return MISSED_SCANS
-    detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)
-    periods = np.log(LOST_PROBABILITY) / np.log1p(-detected)
-    return int(np.clip(found.period * periods, MISSED_SCANS, MOST_MISSED))
-
-
 def _follow(scans: Sequence[SurveyScan], missed_scans: int, ratio: float, *, by_class: bool) -> ObjectTracks:
     c, s = (turn(headings_of(scans)) for turn in (np.cos, np.sin))
     turns = np.column_stack([c, s, -s, c]).reshape(-1, 2, 2)
@@ -312,7 +307,8 @@ def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
 def _nearest(
     points: FloatArray, labels: IntArray, tracks: FloatArray, track_labels: IntArray, axes: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
-    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels, along ``axes`` (N, 2, 2).
+    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels. ``axes`` (N, 2, 2): of each
+    point, by rows, whose lengths scale the distances along them.
 
     Returns for each point the nearest track (N,), its distance (N,) and that of the next object (N,), be it another
     track or another of the points, inf where there is none of the class; and for each track the nearest point (M,).
@@ -324,7 +320,10 @@ def _nearest(
     size = max(MAX_DISTANCES // max(len(all_points), 1), 1)  # as many rows of distances as are held
     for start in range(0, count, size):
         part = slice(start, start + size)
-        apart = _squares(points[part], labels[part], all_points, all_labels, axes[part])
+        x, y = (np.subtract.outer(points[part, axis], all_points[:, axis]) for axis in range(2))
+        x, y = (axes[part, row, 0, None] * x + axes[part, row, 1, None] * y for row in range(2))
+        apart = x * x + y * y
+        apart[labels[part, None] != all_labels] = np.inf
         rows = np.arange(len(apart))
         apart[rows, start + rows] = np.inf
         if len(tracks):
@@ -338,17 +337,3 @@ def _nearest(
             of_tracks[rows, chosen] = np.inf
         following[part] = apart.min(axis=1)
     return index, np.sqrt(nearest), np.sqrt(following), back
-
-
-def _squares(
-    points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray, axes: FloatArray
-) -> FloatArray:
-    """(N, M) m^2: squared distances of points (N, 2) from others (M, 2), inf where labels differ.
-
-    ``axes`` (N, 2, 2): of each point, by rows, whose lengths scale the distances along them.
-    """
-    x, y = (np.subtract.outer(points[:, axis], others[:, axis]) for axis in range(2))
-    x, y = (axes[:, row, 0, None] * x + axes[:, row, 1, None] * y for row in range(2))
-    squares = x * x + y * y
-    squares[labels[:, None] != other_labels] = np.inf
-    return squares

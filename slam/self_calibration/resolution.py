@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from slam.common.arrays import BoolArray, FloatArray
+from slam.common.arrays import BoolArray
 from slam.common.geometry import apply, gravity_frame
 from slam.self_calibration.object_tracks import MAX_DISTANCES, SurveyScan, poses_of
 from slam.self_calibration.scan_pairs import MIN_PAIRS, median_range
@@ -32,24 +32,17 @@ def find_resolution(scans: Sequence[SurveyScan]) -> float:
     scans = [scan for scan in scans if len(scan.labels) ** 2 <= MAX_DISTANCES]
     if not scans:
         return 0.0
-    size_m = _cluster_size(_distances(scans), 0.5 * median_range(scans))
-    stay = _offsets_that_stay(scans, size_m)
-    return size_m if len(stay) >= MIN_PAIRS and stay.mean() < KEPT_OFFSETS else 0.0
-
-
-def _distances(scans: Sequence[SurveyScan]) -> FloatArray:
-    """Distances (N,) m between detections of one class in one scan, about ``MAX_DISTANCES`` at most, sorted."""
-    count = sum(len(scan.labels) ** 2 for scan in scans)
-    some = scans[:: 1 + count // MAX_DISTANCES]
-    return np.sort(np.concatenate([pdist(scan.positions)[pdist(scan.labels[:, None]) == 0.0] for scan in some]))
-
-
-def _cluster_size(distances: FloatArray, limit_m: float) -> float:
-    """Distance [m] below the limit, of sorted ones (N,), up to which most are those of clusters; 0 without clusters."""
-    sizes = distances[distances < limit_m]
+    # Of one class in one scan, about ``MAX_DISTANCES`` at most.
+    some = scans[:: 1 + sum(len(scan.labels) ** 2 for scan in scans) // MAX_DISTANCES]
+    distances = np.sort(np.concatenate([pdist(scan.positions)[pdist(scan.labels[:, None]) == 0.0] for scan in some]))
+    sizes = distances[distances < 0.5 * median_range(scans)]
     within_twice = np.searchsorted(distances, 2.0 * sizes, side="right")
     excess = CLUSTERED * np.arange(1, len(sizes) + 1) - within_twice
-    return sizes[np.argmax(excess)] if excess.max(initial=0.0) > 0.0 else 0.0
+    if excess.max(initial=0.0) <= 0.0:  # most distances are not those of clusters, whatever their size
+        return 0.0
+    size_m = float(sizes[np.argmax(excess)])
+    stay = _offsets_that_stay(scans, size_m)
+    return size_m if len(stay) >= MIN_PAIRS and stay.mean() < KEPT_OFFSETS else 0.0
 
 
 def _offsets_that_stay(scans: Sequence[SurveyScan], size_m: float) -> BoolArray:

@@ -1,6 +1,7 @@
 """Pairs of scans between which the body moved, and how near its motion brings their detections to one another."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -38,9 +39,12 @@ class ScanPairs:
         self._tree = cKDTree(reference)
 
     @classmethod
-    def by_travel(cls, scans: Sequence[SurveyScan], spacing_m: float) -> "ScanPairs":
-        """Pairs between which the body travels."""
-        return cls(scans, _evenly(_travels(scans, spacing_m), FEW), spacing_m)
+    def by_travel(cls, scans: Sequence[SurveyScan], spacing_m: float, factor: float) -> "ScanPairs":
+        """Pairs between which the body travels, where the lengths of the odometry are multiplied by a factor."""
+        poses = poses_of(scans)
+        poses[:, :3, 3] *= factor
+        moved = [replace(scan, T_odom_body=T) for scan, T in zip(scans, poses, strict=True)]
+        return cls(moved, _evenly(_travels(moved, spacing_m), FEW), spacing_m)
 
     @classmethod
     def of(cls, scans: Sequence[SurveyScan], spacing_m: float, *, fastest: bool = True) -> "ScanPairs":

@@ -16,9 +16,8 @@ from slam.self_calibration.corrections import (
     Correction,
     centroid_biases,
     estimate_corrections,
-    explains_most,
     find_change,
-    is_chance,
+    regress,
     without_bias,
 )
 from slam.self_calibration.frames import better_frame, find_level, find_orientation, find_unit, is_unit_right
@@ -72,16 +71,16 @@ odometry jumps, positions tell little.
 @frozen
 class LabelNoise:
     """``accuracy``: the probability that a label is right, NaN where too few objects could be followed or there is one
-    class only; ``renamed_ns``: the stamp of the scan from which on classes have other names, None where they keep them.
+    class only; ``is_renamed``: whether classes have other names from some scan on.
     """
 
     accuracy: float = float("nan")
-    renamed_ns: int | None = None
+    is_renamed: bool = False
 
     @property
     def is_useless(self) -> bool:
         """Whether objects are better distinguished without their labels."""
-        return self.renamed_ns is not None or self.accuracy**2 < SLIGHT
+        return self.is_renamed or self.accuracy**2 < SLIGHT
 
 
 @frozen
@@ -189,13 +188,17 @@ def _alignment(
         late = {"detection.time_offset_s": known.detection.time_offset_s + aligned.get("delay_s", 0.0)}
         scans, motion = scans_of(logs, known.with_values(late | _of_sensor(aligned, known)))
         tracks = objects_among(follow_objects(scans))
-        best, value = explains_most(tracks, motion, [*found, angle])
+        regression = regress(tracks, motion)
+        if regression is None:  # objects do not tell
+            aligned |= found
+            continue
+        best, value = regression.explains_most([*found, angle])
         if best == angle and angle in terms:
             value += aligned.pop(angle, 0.0)
             (aligned if abs(value) > MIN_VALUES[angle] else unaligned)[angle] = value
             continue
         for term, value in found.items():
-            (unaligned if is_chance(tracks, motion, term, value) else aligned)[term] = value
+            (unaligned if regression.is_chance(term, value) else aligned)[term] = value
     return aligned, unaligned
 
 
@@ -224,10 +227,10 @@ def estimate_label_noise(scans: Sequence[SurveyScan]) -> LabelNoise:
     changes = np.bincount(scan[changed], minlength=len(scans))
     in_view = np.array([len(each.labels) for each in scans])
     is_renamed = _log_likelihood_ratio(followed, changes) > np.log(len(scans) / RENAMING)
-    renamed = np.flatnonzero(is_renamed & (followed > FOLLOWED * in_view))
+    is_renamed &= followed > FOLLOWED * in_view
     # Where none of n pairs differs, one of n + 2 is expected to (Laplace): no label is right for certain.
     accuracy = min(np.sqrt(max(kappa, 0.0)), 1.0 - 1.0 / (len(changed) + 2.0))
-    return LabelNoise(accuracy, scans[renamed[0]].stamp_ns if len(renamed) else None)
+    return LabelNoise(accuracy, bool(is_renamed.any()))
 
 
 def _log_likelihood_ratio(followed: IntArray, changes: IntArray) -> FloatArray:

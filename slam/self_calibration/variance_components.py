@@ -228,7 +228,10 @@ class _Fit:
         own, shared = _own_parts(pairs)[:, :, : axes.shape[1]], _shared_parts(pairs)
         self._parts = own, shared
         square = max(np.mean(self._y**2), ROUNDING)
-        sums = np.concatenate([own.mean(axis=(1, 2)), (shared * self._levers()).sum(axis=2).mean(axis=1)])
+        # Mean squares (G, 7) of the displacement by one unit of each entry of xi.
+        counts = np.diff(np.append(self._start, len(self._y)))[:, None]
+        levers = np.add.reduceat((self._A**2).mean(axis=1), self._start, axis=0) / counts
+        sums = np.concatenate([own.mean(axis=(1, 2)), (shared * levers).sum(axis=2).mean(axis=1)])
         share = 1.0 / (OWN + SHARED)
         self.variances = np.where(sums > 0.0, share * square / np.maximum(sums, 1e-300), 0.0)
         self._weights = np.ones(len(self._y)), np.ones(len(self._start))
@@ -249,11 +252,6 @@ class _Fit:
         without = np.where(is_known, fitted.sum(axis=1, keepdims=True) - fitted, 1.0) / np.where(is_known, rest, 1.0)
         spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean(axis=1, keepdims=True)) ** 2, axis=1))
         return np.maximum(self.variances * spread, self._held_errors)
-
-    def _levers(self) -> FloatArray:
-        """(G, 7) mean squares of the displacement by one unit of each entry of xi."""
-        counts = np.diff(np.append(self._start, len(self._y)))[:, None]
-        return np.add.reduceat((self._A**2).mean(axis=1), self._start, axis=0) / counts
 
     def _sums_of_groups(self, weights: FloatArray, values: FloatArray) -> FloatArray:
         """Sums (G, ...) of values (P, D, ...) times weights (P, D)."""

@@ -279,7 +279,7 @@ def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
 
 
 @pytest.mark.parametrize(
-    ("labels", "told"), [(LabelNoise(0.1), "change at random"), (LabelNoise(0.9, 1_500_000_000), "all at once")]
+    ("labels", "told"), [(LabelNoise(0.1), "change at random"), (LabelNoise(0.9, True), "all at once")]
 )
 def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
     useless = replace(surveyed, labels=labels)
