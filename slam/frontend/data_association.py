@@ -186,25 +186,19 @@ def _cheapest(detection: IntArray, landmark: IntArray, gain: FloatArray, contest
         return np.arange(len(detection))
     rows, row = np.unique(detection[contested], return_inverse=True)
     columns, column = np.unique(landmark[contested], return_inverse=True)
-    shape, partner = (len(rows), len(columns)), np.full(len(rows), -1)
+    partner = np.full(len(rows), -1)
     if len(rows) * len(columns) > FEW_DISTANCES:
-        chosen_row, chosen_column = min_weight_full_bipartite_matching(_costs(row, column, gain[contested], shape))
+        # An edge of each row to a column of its own means no landmark. One edge a row is taken, so a common shift
+        # changes nothing; a weight of exactly zero would mean "no edge".
+        none, cost = np.arange(len(rows)), np.append(-gain[contested], np.zeros(len(rows)))
+        edges = np.append(row, none), np.append(column, len(columns) + none)
+        chosen_row, chosen_column = min_weight_full_bipartite_matching(csr_array((cost + (1.0 - cost.min()), edges)))
     else:
-        gains = np.zeros(shape)
+        gains = np.zeros((len(rows), len(columns)))
         gains[row, column] = gain[contested]
         chosen_row, chosen_column = linear_sum_assignment(gains, maximize=True)
     partner[chosen_row] = chosen_column
     return np.sort(np.concatenate([np.flatnonzero(~contested), np.flatnonzero(contested)[partner[row] == column]]))
-
-
-def _costs(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> csr_array:
-    """Costs by the gains > 0 of the edges (E,); an edge of each row to a column of its own means no landmark."""
-    none = np.arange(shape[0])
-    cost = np.concatenate([-gain, np.zeros(shape[0])])
-    # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".
-    cost += 1.0 - cost.min()
-    edges = np.concatenate([row, none]), np.concatenate([column, shape[1] + none])
-    return csr_array((cost, edges), shape=(shape[0], sum(shape)))
 
 
 def label_likelihood(belief_in_label: FloatArray, classes: int, config: ObjectCalibration) -> FloatArray:

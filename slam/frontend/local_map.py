@@ -144,7 +144,11 @@ class LocalMap:
         size = len(self._P)
         gain, innovation = whitened[:, :size], whitened[:, size]
         self._P -= gain.T @ gain
-        self._apply(innovation @ gain)
+        change = innovation @ gain
+        R, V = rotation_of(change[:3]), left_jacobian(change[:3])
+        shifts = change[3:].reshape(-1, 3) @ V.T
+        self._place(make_transform(R @ self._T[:3, :3], R @ self._T[:3, 3] + shifts[0]))
+        self._positions = self._positions @ R.T + shifts[1:]
         return innovation, whitened[:, size + 1 :]
 
     def update_landmarks(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
@@ -198,12 +202,6 @@ class LocalMap:
         self._P = self._P.take(columns, axis=0).take(columns, axis=1)  # faster than by np.ix_
         self._positions = self._positions[kept]
         self.ids = self.ids[kept]
-
-    def _apply(self, change: FloatArray) -> None:
-        R, V = rotation_of(change[:3]), left_jacobian(change[:3])
-        shifts = change[3:].reshape(-1, 3) @ V.T
-        self._place(make_transform(R @ self._T[:3, :3], R @ self._T[:3, 3] + shifts[0]))
-        self._positions = self._positions @ R.T + shifts[1:]
 
 
 def _columns(slots: IntArray) -> IntArray:

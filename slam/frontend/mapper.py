@@ -141,7 +141,11 @@ class Mapper:
         used = known | new
         self._pending.add(rows[used], in_keyframe.of(used))
         self._update_life_cycle(rows[used])
-        return _associations(scan, rows, new)
+        # One entry for each detection of the message, used or not.
+        rows_of_all, is_new = np.full(len(scan.used), NEW), np.zeros(len(scan.used), dtype=np.bool_)
+        rows_of_all[scan.used], is_new[scan.used] = rows, new
+        landmark_ids = tuple(str(row) if row >= 0 else "" for row in rows_of_all.tolist())
+        return DetectionAssociations(scan.stamp_ns, landmark_ids, is_new)
 
     def retire_gone(self, rows: IntArray) -> None:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
@@ -233,14 +237,6 @@ def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Ed
         sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
         covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
     return Edge(previous.id, keyframe.id, relative(before.T_odom_body, after.T_odom_body), covariance, kind)
-
-
-def _associations(scan: Scan, rows: IntArray, created: BoolArray) -> DetectionAssociations:
-    """One entry for each detection of the message, used or not."""
-    rows_of_all, created_of_all = np.full(len(scan.used), NEW), np.zeros(len(scan.used), dtype=np.bool_)
-    rows_of_all[scan.used], created_of_all[scan.used] = rows, created
-    landmark_ids = tuple(str(row) if row >= 0 else "" for row in rows_of_all.tolist())
-    return DetectionAssociations(scan.stamp_ns, landmark_ids, created_of_all)
 
 
 def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolArray:

@@ -205,11 +205,7 @@ class Tracker:
                 scan=tracked.scan.joined(scan.of(other)),
                 labels=np.concatenate([tracked.labels, earlier.labels[other]]),
             )
-        return replace(tracked, seen=self._in_local(tracked.scan))
-
-    def _in_local(self, scan: Scan) -> Scan:
-        """A scan in the local frame, seen from where the body is."""
-        return scan.seen_from(self.active.T_local_body)
+        return replace(tracked, seen=tracked.scan.seen_from(self.active.T_local_body))
 
     def _expected(self, pose: OdometryPose) -> OdometryPose:
         """The pose if the body has gone on as before."""
@@ -218,7 +214,7 @@ class Tracker:
     def _associated(self, scan: Scan) -> Tracked:
         """The scan with the assignment at the predicted pose."""
         labels = self._map.labels.indices(scan.labels)
-        seen = self._in_local(scan)
+        seen = scan.seen_from(self.active.T_local_body)
         assignment = self._assignment(seen, labels, *self.active.predict())
         return Tracked(scan, labels, seen, self.active.rows, assignment)
 
@@ -327,7 +323,7 @@ class Tracker:
         turn_rad2 = float(rotation_angle_rad(shift)) ** 2
         tilt, heading, position = np.diagonal(mode.covariance)[[0, 2, 3]]
         variances = np.array([position + shift_m2, tilt + turn_rad2, heading + turn_rad2])
-        seen = self._in_local(tracked.scan)
+        seen = tracked.scan.seen_from(self.active.T_local_body)
         assignment = mode.assignment.of(len(tracked.labels))
         return replace(tracked, seen=seen, assignment=assignment, correction=Correction(T_odom, variances))
 
@@ -337,7 +333,7 @@ class Tracker:
         ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
         ranges[known] = np.linalg.norm(self.active.positions[landmarks[known]] - xyz_m, axis=1)
         scan = with_expected_noise(tracked.scan, ranges, self._detection)
-        return replace(tracked, scan=scan, seen=self._in_local(scan))
+        return replace(tracked, scan=scan, seen=scan.seen_from(self.active.T_local_body))
 
     def _updated(self, tracked: Tracked) -> Tracked:
         """Correct the active landmarks and the pose among them by a scan, and the odometry if they show a slip."""
