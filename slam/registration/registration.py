@@ -206,8 +206,15 @@ def estimate(pose: LevelPose, pairs: Pairs, least: int) -> Registration:
     turn, place = pose.turn, [pose.shift.real, pose.shift.imag, pose.rise]
     R = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
     T = make_transform(R, pairs.reference_middle + place - R @ pairs.query_middle)
-    covariance = _covariance(information, pairs.query_middle)
-    return Registration(T, covariance, pairs.rows[chosen], "")
+    # Roll and pitch, which are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
+    # others by -G times the tilt, with G from the normal equations.
+    inverse = np.linalg.inv(information[2:, 2:])
+    G = np.vstack([np.eye(2), -inverse @ information[2:, :2]])
+    P = TILT_SIGMA_RAD**2 * G @ G.T
+    P[2:, 2:] += inverse
+    Ad = adjoint(make_transform(np.eye(3), pairs.query_middle))
+    covariance = Ad @ P @ Ad.T
+    return Registration(T, 0.5 * (covariance + covariance.T), pairs.rows[chosen], "")
 
 
 def _assign(ratio: FloatArray, rows: IntArray) -> IntArray:
@@ -230,18 +237,3 @@ def _information(pairs: Pairs, chosen: IntArray, weights: FloatArray) -> FloatAr
     sigmas = np.column_stack([pairs.sigmas, pairs.sigmas, pairs.sigmas_z])[chosen]
     rows = (J * (np.sqrt(weights)[:, None] / sigmas)[:, :, None]).reshape(-1, 6)
     return rows.T @ rows
-
-
-def _covariance(information: FloatArray, middle: FloatArray) -> FloatArray:
-    """(6, 6) at the query's origin from the information (6, 6) about its middle.
-
-    Roll and pitch, which are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
-    others by -G times the tilt, with G from the normal equations.
-    """
-    inverse = np.linalg.inv(information[2:, 2:])
-    G = np.vstack([np.eye(2), -inverse @ information[2:, :2]])
-    P = TILT_SIGMA_RAD**2 * G @ G.T
-    P[2:, 2:] += inverse
-    Ad = adjoint(make_transform(np.eye(3), middle))
-    covariance = Ad @ P @ Ad.T
-    return 0.5 * (covariance + covariance.T)
