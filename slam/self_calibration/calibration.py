@@ -200,11 +200,9 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     # What heights have in common is put down to the detector, because gravity and the ground hold the odometry.
     rise = found.rise + found.rise_by_travel * survey.median_range_m
     # The least noise that is believed of any robot.
-    least_m, root = MIN_SIGMA * survey.range_m, np.sqrt(survey.range_m)
-    square_m = survey.median_range_m**2
+    least_m, root, square_m = MIN_SIGMA * survey.range_m, np.sqrt(survey.range_m), survey.median_range_m**2
     across = found.tangential + found.tangential_by_range * square_m
     along = found.radial + found.radial_by_range * square_m
-    range_sigma_ratio = np.sqrt(max(along, least_m**2) / max(across, least_m**2))
     height = max(found.height - across, 0.0)
     return {
         "odometry.translation_sigma": max(np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * root),
@@ -216,7 +214,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "detection.base_sigma_m": max(np.sqrt(found.tangential), least_m),
         "detection.sigma_per_m": np.sqrt(found.tangential_by_range),
-        "detection.range_sigma_ratio": min(range_sigma_ratio, 1.0 / MIN_SIGMA),
+        "detection.range_sigma_ratio": min(np.sqrt(max(along, least_m**2) / max(across, least_m**2)), 1.0 / MIN_SIGMA),
         "detection.common_sigma_m": np.sqrt(found.view),
         # So large that what all objects in view have in common is not averaged out by them.
         "detection.height_sigma_m": np.sqrt(height + max(survey.objects, 1.0) * rise),

@@ -355,7 +355,7 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     median_range_m = np.median(ranges)
     distances = nearest_of_class_m(scans, is_level=True)
     distances = distances[np.isfinite(distances)]
-    components = _components(without_bias(tracks, biases), motion, is_planar=_is_planar(scans))
+    components = _components(scans, without_bias(tracks, biases), motion)
     # A detection errs by its own noise and by what changes with the view.
     variance = components.white(median_range_m**2) + components.variances.view if components is not None else 0.0
     return Survey(
@@ -378,22 +378,17 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
     )
 
 
-def _is_planar(scans: Sequence[SurveyScan]) -> bool:
-    """Whether the nearer half of the detections, without absurd ones, lies in one plane of the body, as all detections
-    of a sensor do that measures no heights.
+def _components(scans: Sequence[SurveyScan], tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
+    """The noise of odometry and detections. Where a body leans whose sensor measures no heights, those of all objects
+    seem to change: that is noise of heights, and tells nothing else.
     """
     T_odom_body = poses_of(scans)
     T_body_gravity = invert(T_odom_body) @ gravity_frame(T_odom_body)
     points = np.concatenate([apply(T, scan.positions) for T, scan in zip(T_body_gravity, scans, strict=True)])
     ranges = np.linalg.norm(points, axis=1)
     squares = np.linalg.eigvalsh(np.cov(points[ranges <= np.median(ranges)].T, bias=True))
-    return bool(squares[0] <= ROUNDING * squares[-1])
-
-
-def _components(tracks: ObjectTracks, motion: Motion, *, is_planar: bool) -> ComponentEstimate | None:
-    """The noise of odometry and detections. Where a body leans whose sensor measures no heights, those of all objects
-    seem to change: that is noise of heights, and tells nothing else.
-    """
+    # All detections of such a sensor lie in one plane of the body; the nearer half has no absurd ones.
+    is_planar = squares[0] <= ROUNDING * squares[-1]
     if not is_planar:
         return estimate_components(tracks, motion)
     estimate = estimate_components(replace(tracks, heights=np.zeros_like(tracks.heights)), motion)
