@@ -65,7 +65,7 @@ class Mapper:
         self._pending = PendingObservations(config, object_map)
         self._message_count = 0
         self._sensors: set[str] = set()
-        self._scan_count = 0
+        self._scan_count = 0  # several sensors share the view: a scan is counted when each has given one
         self.keyframes: list[Keyframe] = [*prior_keyframes]
 
     @property
@@ -105,13 +105,11 @@ class Mapper:
 
     def add_scan(self, tracked: Tracked, pose: OdometryPose) -> DetectionAssociations:
         """Bring the landmarks up to date by a scan, whose keyframe is the last one."""
-        scan, labels = tracked.scan, tracked.labels
+        scan, labels, rows = tracked.scan, tracked.labels, tracked.landmark_rows
         self._message_count += 1
         self._sensors.add(scan.sensor)
-        # Several sensors share the view: a scan is counted when each has given one.
         self._scan_count = self._message_count // len(self._sensors)
         in_keyframe = scan.seen_from(relative(self.keyframes[-1].T_local_body, self._active.T_local_body))
-        rows = tracked.landmark_rows
         # Keyframes since then may have made landmarks inactive.
         rows = np.where((rows[:, None] == self._active.rows).any(axis=1) | (rows == NEW), rows, AMBIGUOUS)
         known, new = rows >= 0, rows == NEW
@@ -120,12 +118,11 @@ class Mapper:
             tracked.seen.positions[known],
             tracked.seen.covariances[known],
             labels[known],
+            tracked.assignment.log_likelihood_ratios[known],
             stamp_ns=scan.stamp_ns,
             scan=self._scan_count,
             travel_m=pose.travel_m,
         )
-        ratios = self._map.rows["log_likelihood_ratio"][rows[known]] + tracked.assignment.log_likelihood_ratios[known]
-        self._map.assign(rows[known], log_likelihood_ratio=ratios)
         if new.any():
             corrected = scan.seen_from(self._active.T_local_body)
             rows[new] = self._map.add(
@@ -138,7 +135,7 @@ class Mapper:
                 segment=self.keyframes[-1].odometry.segment,
             )
             self._active.add(rows[new])
-        used = known | new
+        used = rows >= 0
         self._pending.add(rows[used], in_keyframe.of(used))
         self._update_life_cycle(rows[used])
         # One entry for each detection of the message, used or not.

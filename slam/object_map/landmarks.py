@@ -106,15 +106,6 @@ class ClassBeliefs:
         missing = np.maximum((rows, classes), self.label_counts.shape) - self.label_counts.shape
         self.label_counts = np.pad(self.label_counts, [(0, each) for each in missing.tolist()])
 
-    def count(self, rows: IntArray, labels: IntArray) -> None:
-        """Count one more label (N,) of each of different landmarks (N,)."""
-        self.label_counts[rows, labels] += 1.0
-
-    def restore(self, rows: IntArray, labels: IntArray, counts: FloatArray) -> None:
-        """Set how often landmarks (N,) were given labels (C,), (N, C)."""
-        self.label_counts[rows] = 0.0
-        np.add.at(self.label_counts, np.ix_(rows, labels), counts)
-
     def beliefs(self, rows: IntArray) -> FloatArray:
         """Class probabilities (N, C) of each landmark."""
         return self.posterior(self.label_counts[rows])
@@ -200,7 +191,7 @@ class ObjectMap:
             covariance_local=covariances_local,
             sum_c=covariances_local,
         )
-        self.labels.count(new, labels)
+        self.labels.label_counts[new, labels] += 1.0
         return new
 
     def restore(
@@ -236,7 +227,9 @@ class ObjectMap:
             position_map=saved.positions,
             covariance_map=saved.covariances,
         )
-        self.labels.restore(rows, labels, saved.class_probabilities * saved.observation_counts[:, None])
+        counts = saved.class_probabilities * saved.observation_counts[:, None]
+        self.labels.label_counts[rows] = 0.0
+        np.add.at(self.labels.label_counts, np.ix_(rows, labels), counts)
         return rows
 
     def record_observations(
@@ -245,26 +238,28 @@ class ObjectMap:
         measured_local: FloatArray,
         covariances: FloatArray,
         labels: IntArray,
+        log_likelihood_ratios: FloatArray,
         *,
         stamp_ns: int,
         scan: int,
         travel_m: float,
     ) -> None:
         """Count one more measurement of each of ``rows`` (N,), at ``measured_local`` (N, 3) m with ``covariances``
-        (N, 3, 3) m^2, with its label (N,).
+        (N, 3, 3) m^2, with its label (N,) and its log-likelihood ratio (N,) against a detection of no landmark.
         """
         landmarks = self._rows
         seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
         offset = measured_local - landmarks["first_position_local"][rows]
         self.assign(rows, last_scan=scan, last_seen_ns=stamp_ns, last_seen_travel_m=travel_m)
         landmarks["observations"][rows] += 1
+        landmarks["log_likelihood_ratio"][rows] += log_likelihood_ratios
         landmarks["sum_t"][rows] += seconds
         landmarks["sum_tt"][rows] += seconds**2
         landmarks["sum_p"][rows] += offset
         landmarks["sum_tp"][rows] += seconds[:, None] * offset
         for power, name in enumerate(("sum_c", "sum_tc", "sum_ttc")):
             landmarks[name][rows] += (seconds**power)[:, None, None] * covariances
-        self.labels.count(rows, labels)
+        self.labels.label_counts[rows, labels] += 1.0
 
     def velocities(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Apparent velocities (N, 3) m/s of landmarks (N,) in the odometry frame, by the least-squares lines through

@@ -45,6 +45,7 @@ def see(
         np.array([position]),
         np.array([np.eye(3) if covariance is None else covariance]),
         np.array([label]),
+        0.0,
         stamp_ns=round(seconds * SECOND_NS),
         scan=scan,
         travel_m=float(scan),
