@@ -95,7 +95,11 @@ class ActiveLandmarks:
             self._variances += variances[[2, 0, 0]]
             self._pose = pose
             if not is_guess:
-                self._change_view(T_before)
+                # The error of each landmark changes with the view of it: detections of one view share their error,
+                # which is part of where the landmark seems to be, and walks at random.
+                views = (self.positions - T[:3, 3] for T in (T_before, self.T_local_body))
+                of_views = view_change(*views)[:, None] * self._config.calibration.detection.view_variances
+                self._local.move(np.arange(len(of_views)), np.zeros_like(of_views), of_views)
             self._move(before.stamp_ns, pose.stamp_ns)
         return self.T_local_body
 
@@ -104,15 +108,6 @@ class ActiveLandmarks:
         if self._pose is not None and pose.stamp_ns < self._pose.stamp_ns:
             return self.T_local_odom @ pose.T_odom_body
         return self.advance(pose)
-
-    def _change_view(self, T_before: FloatArray) -> None:
-        """Let the error of each landmark change with the view of it, first from the pose ``T_before`` (4, 4).
-
-        Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
-        """
-        views = (self.positions - T[:3, 3] for T in (T_before, self.T_local_body))
-        variances = view_change(*views)[:, None] * self._config.calibration.detection.view_variances
-        self._local.move(np.arange(len(variances)), np.zeros_like(variances), variances)
 
     def _move(self, before_ns: int, after_ns: int) -> None:
         """Let landmarks that seem to move go on moving."""

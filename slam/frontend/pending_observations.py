@@ -76,15 +76,14 @@ class PendingObservations:
             np.concatenate([scan.covariances for _, scan in scans]),
             np.ones(len(rows)),
         )
-        guessed = set(rows[~own].tolist())
-        return [self._with_shared_error(each, is_guessed=each.landmark in guessed) for each in found]
-
-    def _with_shared_error(self, summed: Observation, *, is_guessed: bool) -> Observation:
-        covariance, inflation = summed.covariance_inflation * summed.covariance, 1.0
-        if is_guessed:
-            covariance = covariance + self._detection.common_sigma_m**2 * np.eye(3)
-            inflation = self._detection.covariance_inflation
-        return Observation(summed.keyframe, summed.landmark, summed.position, covariance, inflation)
+        guessed, observations = set(rows[~own].tolist()), []
+        for each in found:
+            covariance, inflation = each.covariance_inflation * each.covariance, 1.0
+            if each.landmark in guessed:
+                covariance = covariance + self._detection.common_sigma_m**2 * np.eye(3)
+                inflation = self._detection.covariance_inflation
+            observations.append(Observation(each.keyframe, each.landmark, each.position, covariance, inflation))
+        return observations
 
 
 class ObservationGroup:

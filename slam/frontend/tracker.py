@@ -133,7 +133,13 @@ class Tracker:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to, and
         correct them and the pose by it.
         """
-        tracked = self._updated(self._with_expected_noise(self._track(scan, pose)))
+        tracked = self._track(scan, pose)
+        # The noise of detections is that by the ranges of their landmarks.
+        xyz_m, landmarks = self.active.T_local_body[:3, 3], tracked.assignment.landmark_rows
+        ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
+        ranges[known] = np.linalg.norm(self.active.positions[landmarks[known]] - xyz_m, axis=1)
+        scan = with_expected_noise(tracked.scan, ranges, self._detection)
+        tracked = self._updated(replace(tracked, scan=scan, seen=scan.seen_from(self.active.T_local_body)))
         if not tracked.is_lost:
             self._follow(pose.stamp_ns)
         return tracked
@@ -326,14 +332,6 @@ class Tracker:
         seen = tracked.scan.seen_from(self.active.T_local_body)
         assignment = mode.assignment.of(len(tracked.labels))
         return replace(tracked, seen=seen, assignment=assignment, correction=Correction(T_odom, variances))
-
-    def _with_expected_noise(self, tracked: Tracked) -> Tracked:
-        """The scan with the noise of detections by the ranges of their landmarks."""
-        xyz_m, landmarks = self.active.T_local_body[:3, 3], tracked.assignment.landmark_rows
-        ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
-        ranges[known] = np.linalg.norm(self.active.positions[landmarks[known]] - xyz_m, axis=1)
-        scan = with_expected_noise(tracked.scan, ranges, self._detection)
-        return replace(tracked, scan=scan, seen=scan.seen_from(self.active.T_local_body))
 
     def _updated(self, tracked: Tracked) -> Tracked:
         """Correct the active landmarks and the pose among them by a scan, and the odometry if they show a slip."""

@@ -115,11 +115,8 @@ class ScanObjects:
             DatasetError: Open3D is missing.
         """
         key = (scan.frame_id, scan.stamp_ns)
-        if key not in self._found:
-            self._found[key] = self._objects(scan, body_frame)
-        return self._found[key]
-
-    def _objects(self, scan: LabelledScan, body_frame: str) -> ObjectDetections:
+        if key in self._found:
+            return self._found[key]
         from logs.clouds.objects import find_objects
 
         numbers = [number for number in np.unique(scan.cloud.classes).tolist() if number]
@@ -128,4 +125,5 @@ class ScanObjects:
         # The cosine of the tilt is 1 for a level frame and 0 for an optical one.
         is_upright = T_body_sensor is None or abs(T_body_sensor[2, 2]) > 0.7
         objects = find_objects(scan.cloud, names, viewpoint=np.zeros(3), upright=is_upright)
-        return objects.detections(scan.stamp_ns, scan.frame_id)
+        found = self._found[key] = objects.detections(scan.stamp_ns, scan.frame_id)
+        return found

@@ -24,7 +24,7 @@ class SensorFrames:
     def __init__(self) -> None:
         self._tracks: dict[_Edge, _Track] = {}
         self._neighbours: dict[str, list[str]] = {}
-        self._chains: dict[_Edge, list[str]] = {}
+        self._chains: dict[_Edge, list[str]] = {}  # of frames from the first to the last, empty where none leads there
 
     def add(self, transform: Transform) -> None:
         """Store a transform; a later one between the same frames replaces it from its stamp on."""
@@ -48,7 +48,15 @@ class SensorFrames:
         Raises:
             InputDataError: the transforms around the body form a loop.
         """
-        chain = self._chain(_plain(body_frame), _plain(sensor_frame))
+        start, end = _plain(body_frame), _plain(sensor_frame)
+        if (start, end) not in self._chains:
+            came_from = self._search(start)
+            self._refuse_loop(came_from)
+            chain = [end] if end in came_from else []
+            while chain and chain[0] != start:
+                chain.insert(0, came_from[chain[0]])
+            self._chains[start, end] = chain
+        chain = self._chains[start, end]
         if not chain:
             return None
         T_body_frame = np.eye(4)
@@ -62,17 +70,6 @@ class SensorFrames:
     def tree_of(self, frame: str) -> tuple[str, ...]:
         """All frames that transforms connect with ``frame``, sorted; it alone where there are none."""
         return tuple(sorted(self._search(_plain(frame))))
-
-    def _chain(self, start: str, end: str) -> list[str]:
-        """The frames from ``start`` to ``end``; empty if nothing connects them."""
-        if (start, end) not in self._chains:
-            came_from = self._search(start)
-            self._refuse_loop(came_from)
-            chain = [end] if end in came_from else []
-            while chain and chain[0] != start:
-                chain.insert(0, came_from[chain[0]])
-            self._chains[start, end] = chain
-        return self._chains[start, end]
 
     def _search(self, start: str) -> dict[str, str]:
         """Frame -> the frame before it on the shortest way from ``start``, for all that are connected with it."""
