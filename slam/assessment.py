@@ -32,7 +32,8 @@ def assess(
         counters: those of the drive, with ``odometry_corrected`` and ``closures_inserted``.
         check: whether the final trajectory is the best.
     """
-    share = moving_share(object_map)
+    gone = object_map.reasons.count("moving")
+    share = gone / max(gone + object_map.states.count("confirmed"), 1)
     moving = f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"
     doubts = (
         _unobserved(graph, calibration.detection.sensor_range_m),
@@ -65,7 +66,12 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> str:
     """A long way without landmarks; empty where there is none."""
     if not len(graph.observation_keyframe_ids):
         return ""  # see diagnose_uncorrected
-    travel_m = _travel_m(graph)
+    ends, _ = _driven(graph)
+    positions = graph.T_map_body[:, :3, 3]
+    # Discontinuities and the keyframes of a fixed prior map add nothing.
+    steps_m = np.zeros(len(positions))
+    steps_m[ends.max(axis=1)] = np.linalg.norm(np.diff(positions[ends], axis=1), axis=2)[:, 0]
+    travel_m = np.cumsum(steps_m)
     keyframes = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
     # Two landmarks fix the position and the heading of a keyframe in the plane.
     observed = np.bincount(keyframes, minlength=len(travel_m)) >= 2
@@ -133,25 +139,10 @@ def _doubled(object_map: ObjectMapRecord, calibration: Calibration) -> str:
     )
 
 
-def _travel_m(graph: FactorGraphRecord) -> FloatArray:
-    """Driven distance (K,) at each keyframe. Discontinuities and the keyframes of a fixed prior map add nothing."""
-    ends, _ = _driven(graph)
-    positions = graph.T_map_body[:, :3, 3]
-    steps_m = np.zeros(len(positions))
-    steps_m[ends.max(axis=1)] = np.linalg.norm(np.diff(positions[ends], axis=1), axis=2)[:, 0]
-    return np.cumsum(steps_m)
-
-
 def _driven(graph: FactorGraphRecord) -> tuple[IntArray, FloatArray]:
     """The rows (E, 2) of the keyframes between which the odometry measured T_from_to (E, 4, 4)."""
     is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     return np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_driven]), graph.edge_transforms[is_driven]
-
-
-def moving_share(object_map: ObjectMapRecord) -> float:
-    """Share of the objects that existed which seem to have moved."""
-    moving = object_map.reasons.count("moving")
-    return moving / max(moving + object_map.states.count("confirmed"), 1)
 
 
 def explain(check: TrajectoryCheck, moving_share: float, counters: Mapping[str, int], calibration: Calibration) -> str:
@@ -167,8 +158,20 @@ def explain(check: TrajectoryCheck, moving_share: float, counters: Mapping[str, 
         return ""
     name = "online estimate" if check.better == ONLINE else "odometry alone"
     gained = check.gains[check.better] - check.gains[FINAL]
-    reason = "; ".join(_signs_of_confusion(moving_share, counters, calibration))
-    if reason:
+    detection, spacing_m = calibration.detection, calibration.objects.spacing_m
+    across_m = detection.base_sigma_m + detection.sigma_per_m * detection.sensor_range_m
+    sigma_m = across_m * max(detection.range_sigma_ratio, 1.0)
+    corrected = counters.get("odometry_corrected", 0)
+    signs = {
+        # Objects that are closer together than four standard deviations of a detection are confused.
+        f"objects of a class are {spacing_m:.1f} m apart, and detections at the sensor range err by {sigma_m:.1f} m": (
+            spacing_m < 4.0 * sigma_m
+        ),
+        # More than what is moved between two drives.
+        f"{100.0 * moving_share:.0f} % of the objects seem to move": moving_share > 0.1,
+        f"they corrected the odometry {corrected} times": corrected > 0,
+    }
+    if reason := "; ".join(sign for sign, is_seen in signs.items() if is_seen):
         reason = f"detections were probably assigned to wrong landmarks: {reason}"
     elif counters.get("closures_inserted"):
         reason = f"some of the {counters['closures_inserted']} closures in the graph are probably false"
@@ -178,20 +181,3 @@ def explain(check: TrajectoryCheck, moving_share: float, counters: Mapping[str, 
         f"the {name} is better than the final trajectory: it predicts detections on other visits better by "
         f"{gained:.1f} nats; {reason}"
     )
-
-
-def _signs_of_confusion(moving_share: float, counters: Mapping[str, int], calibration: Calibration) -> list[str]:
-    signs = []
-    detection, spacing_m = calibration.detection, calibration.objects.spacing_m
-    across_m = detection.base_sigma_m + detection.sigma_per_m * detection.sensor_range_m
-    sigma_m = across_m * max(detection.range_sigma_ratio, 1.0)
-    # Objects that are closer together than four standard deviations of a detection are confused.
-    if spacing_m < 4.0 * sigma_m:
-        signs.append(
-            f"objects of a class are {spacing_m:.1f} m apart, and detections at the sensor range err by {sigma_m:.1f} m"
-        )
-    if moving_share > 0.1:  # more than what is moved between two drives
-        signs.append(f"{100.0 * moving_share:.0f} % of the objects seem to move")
-    if corrected := counters.get("odometry_corrected"):
-        signs.append(f"they corrected the odometry {corrected} times")
-    return signs
