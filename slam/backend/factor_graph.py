@@ -23,7 +23,6 @@ from slam.backend.factors import (
     Observation,
     between_factor,
     checked_pose,
-    landmark_prior_factor,
     observation_factors,
     pose_key,
     prior_factor,
@@ -127,8 +126,11 @@ class EditableGraph:
             sigmas_m: (3,) standard deviations of the coordinates.
             is_fixed: they are constants, and not estimated.
         """
+        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas_m)
         for landmark, position in landmarks.items():
-            self._known[landmark] = landmark_prior_factor(landmark, position, sigmas_m)
+            if not np.isfinite(position).all():
+                raise FactorGraphError(f"landmark {landmark}: the position {position} is not finite")
+            self._known[landmark] = gtsam.PriorFactorPoint3(L(landmark), position, noise)
         if is_fixed:
             self._fixed_landmarks.update(landmarks)
 
@@ -284,7 +286,14 @@ class FactorGraph(EditableGraph):
             values = self._moved_estimate(edge, away)
             joint = self._attached.edge(edge)
             number = self._number(joint)
-            self.replace_edges({**self._relaxed_breaks(away, values), number: joint}, values)
+            changed = {number: joint}
+            for each, gap in self.edges(EdgeKind.DISCONTINUITY).items():
+                start, end = gap.from_keyframe, gap.to_keyframe
+                # A break holds no information, and would pull at a segment that was moved far.
+                if (start in away) != (end in away):
+                    T_start_end = relative(self.pose(start, values), self.pose(end, values))
+                    changed[each] = replace(gap, T_from_to=T_start_end)
+            self.replace_edges(changed, values)
         self.update()
         return number
 
@@ -301,18 +310,6 @@ class FactorGraph(EditableGraph):
             if landmark not in self._known and keyframes <= away:
                 values.update(L(landmark), shift.transformFrom(values.atPoint3(L(landmark))))
         return values
-
-    def _relaxed_breaks(self, away: Set[int], values: gtsam.Values) -> dict[int, Edge]:
-        """Breaks of the odometry between keyframes ``away`` and the others, by number, as the estimate has them.
-
-        They hold no information, and would pull at a segment that was moved far.
-        """
-        relaxed = {}
-        for number, edge in self.edges(EdgeKind.DISCONTINUITY).items():
-            start, end = edge.from_keyframe, edge.to_keyframe
-            if (start in away) != (end in away):
-                relaxed[number] = replace(edge, T_from_to=relative(self.pose(start, values), self.pose(end, values)))
-        return relaxed
 
     def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
         """Restore an optimised graph in an empty one: keyframes 0 to K - 1 at (K, 4, 4), the first one held.
@@ -403,18 +400,13 @@ class FactorGraph(EditableGraph):
                     edges[number] = factor
         self._attached.attach(anchors, {keyframe: covariances[keyframe] for keyframe in anchors}, self.pose)
         for edge in edges.values():
-            self._add_condensed(edge, anchors)
+            is_between = edge.from_keyframe in anchors or edge.kind == EdgeKind.LOOP_CLOSURE
+            moved = self._attached.edge(edge)
+            if moved.from_keyframe != moved.to_keyframe and not (is_between and edge.to_keyframe in anchors):
+                self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
         self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
         self.remove_factors([*observations, *edges])
         self._solver.restart({}, self._solver.values_with_new())
-
-    def _add_condensed(self, edge: Edge, anchors: Mapping[int, int]) -> None:
-        """Add an edge of newly attached keyframes as one of their anchors, if it relates variables that stay."""
-        if edge.to_keyframe in anchors and (edge.from_keyframe in anchors or edge.kind == EdgeKind.LOOP_CLOSURE):
-            return
-        moved = self._attached.edge(edge)
-        if moved.from_keyframe != moved.to_keyframe:
-            self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
 
     def poses(self, keyframes: Iterable[int] | None = None) -> FloatArray:
         """``T_map_body`` (K, 4, 4) of all keyframes, as ``keyframes`` has them, or of some; nothing is solved."""
@@ -462,7 +454,11 @@ class FactorGraph(EditableGraph):
         """The whole graph at its current estimate, as a record of a log; ``pose_covariances`` (K, 6, 6), if known."""
         edges = [self._recorded(each) for each in self.factors.values() if isinstance(each, Edge)]
         # As stiff as the prior of the first keyframe.
-        edges += self._attached.rigid_edges(np.diag(self._prior_sigmas**2))
+        rigid, attached = np.diag(self._prior_sigmas**2), self._attached
+        edges += [
+            Edge(anchor, keyframe, attached.transforms[keyframe], rigid, EdgeKind.CONDENSED)
+            for keyframe, anchor in attached.anchors.items()
+        ]
         observations = [each for each in self.factors.values() if isinstance(each, Observation)]
         record = make_graph_record(
             stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), edges, observations, self._variable_of

@@ -71,13 +71,6 @@ def prior_factor(keyframe: int, pose: gtsam.Pose3, sigmas: FloatArray) -> gtsam.
     return gtsam.PriorFactorPose3(pose_key(keyframe), pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
 
 
-def landmark_prior_factor(landmark: int, position: FloatArray, sigmas_m: FloatArray) -> gtsam.PriorFactorPoint3:
-    """The GTSAM factor of the position (3,) m of a landmark of a prior map; ``sigmas_m`` (3,) of its coordinates."""
-    if not np.all(np.isfinite(position)):
-        raise FactorGraphError(f"landmark {landmark}: the position {position} is not finite")
-    return gtsam.PriorFactorPoint3(L(landmark), position, gtsam.noiseModel.Diagonal.Sigmas(sigmas_m))
-
-
 def between_factor(edge: Edge, T_map_from: FloatArray | None = None) -> gtsam.NonlinearFactor:
     """The GTSAM factor of an edge.
 
@@ -252,10 +245,3 @@ class AttachedKeyframes:
             position=T[:3, :3] @ observation.position + T[:3, 3],
             covariance=T[:3, :3] @ observation.covariance @ T[:3, :3].T,
         )
-
-    def rigid_edges(self, covariance: FloatArray) -> list[Edge]:
-        """An edge from the anchor of each to it, with this covariance (6, 6)."""
-        return [
-            Edge(anchor, keyframe, self.transforms[keyframe], covariance, EdgeKind.CONDENSED)
-            for keyframe, anchor in self.anchors.items()
-        ]

@@ -38,11 +38,15 @@ def hold_tilt(graph: FactorGraph) -> None:
     if not steps:
         return
     try:
-        freedom = _effective_freedom(graph, steps)
+        before = graph.log_determinant()
+        graph.replace_edges(_scaled(graph, steps, DIFFERENCE))
+        slope = (graph.log_determinant() - before) / np.log(DIFFERENCE)
     except FactorGraphError as error:
         logger.info("the noise of the tilt stays as it is configured: %s", error)
         graph.replace_edges(steps, estimate)
         return
+    # Degrees of freedom of the tilts of the steps that the rest of the graph determines.
+    freedom = max(2 * len(steps) + 0.5 * slope, 0.0)
     for factor in FACTORS:
         graph.replace_edges(_scaled(graph, steps, factor))
         held = graph.optimize(roughly=True)
@@ -50,14 +54,6 @@ def hold_tilt(graph: FactorGraph) -> None:
         if chdtrc(freedom, 2.0 * max(held.error - free.error, 0.0)) > 0.01:
             return
     graph.replace_edges(steps, estimate)
-
-
-def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:
-    """Degrees of freedom of the tilts of the steps that the rest of the graph determines."""
-    before = graph.log_determinant()
-    graph.replace_edges(_scaled(graph, steps, DIFFERENCE))
-    slope = (graph.log_determinant() - before) / np.log(DIFFERENCE)
-    return float(max(2 * len(steps) + 0.5 * slope, 0.0))
 
 
 def _scaled(graph: FactorGraph, steps: Mapping[int, Edge], factor: float) -> dict[int, Edge]:
