@@ -61,7 +61,15 @@ class GraphCondenser:
             return
         if len(self._anchors()) >= 0.25 * self._variable_count:
             self.fuse_landmarks()
-            self._condense(self._anchors())
+            anchors = self._anchors()
+            try:
+                self._graph.condense(anchors)
+            except FactorGraphError as error:
+                logger.info("the graph stays as it is: %s", error)
+            else:
+                self._closures.forget_condensed()
+                self._counters["keyframes_condensed"] += len(anchors)
+                logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variable_count)
         self._due_at = max(MIN_KEYFRAMES, 2 * self._variable_count)
 
     @property
@@ -73,16 +81,6 @@ class GraphCondenser:
         """Fuse duplicate landmarks at the optimum."""
         self._graph.optimize(roughly=True)
         self._counters["landmarks_fused"] += fuse_landmarks(self._map, self._graph, self._objects)
-
-    def _condense(self, anchors: dict[int, int]) -> None:
-        try:
-            self._graph.condense(anchors)
-        except FactorGraphError as error:
-            logger.info("the graph stays as it is: %s", error)
-            return
-        self._closures.forget_condensed()
-        self._counters["keyframes_condensed"] += len(anchors)
-        logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variable_count)
 
     def _anchors(self) -> dict[int, int]:
         variables = self._graph.keyframe_variables
@@ -129,7 +127,10 @@ def find_anchors(
         may_anchor: (K,), which may be anchors.
         min_travel_m: keyframes with less travel between them are of one traversal.
     """
-    seen = _incidence(observations, keyframes)
+    # Which keyframe observed which landmark, as ones in an array (K, L).
+    observers, landmarks = np.unique(np.array(list(observations), dtype=np.int64).reshape(-1, 2), axis=0).T
+    ones, rows = np.ones(len(observers), dtype=np.int64), np.searchsorted(keyframes, observers)
+    seen = sparse.csr_array((ones, (rows, landmarks)), shape=(len(keyframes), landmarks.max(initial=-1) + 1))
     totals = np.diff(seen.indptr)
     common = (seen @ seen.T).tocsr()
     common.sort_indices()
@@ -154,10 +155,3 @@ def find_anchors(
             anchors |= dict.fromkeys((*waiting, keyframe), int(keyframes[best]))
         waiting = []
     return anchors
-
-
-def _incidence(observations: Iterable[tuple[int, int]], keyframes: IntArray) -> sparse.csr_array:
-    """Which keyframe observed which landmark, as ones in an array (K, L)."""
-    observers, landmarks = np.unique(np.array(list(observations), dtype=np.int64).reshape(-1, 2), axis=0).T
-    ones, rows = np.ones(len(observers), dtype=np.int64), np.searchsorted(keyframes, observers)
-    return sparse.csr_array((ones, (rows, landmarks)), shape=(len(keyframes), landmarks.max(initial=-1) + 1))

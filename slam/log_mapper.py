@@ -115,13 +115,15 @@ class OutputLog:
 
     def write_final(self, final: FinalMap, log_time_ns: int) -> None:
         """Write the results of the drive."""
-        results: list[Message] = [
-            ("/slam/trajectory_stamped", final.trajectory),
-            ("/slam/map", final.object_map),
-            (LANDMARKS, make_markers(final.object_map)),
-            ("/slam/graph", final.graph),
-        ]
-        self.write_messages(results, log_time_ns)
+        self.write_messages(
+            [
+                ("/slam/trajectory_stamped", final.trajectory),
+                ("/slam/map", final.object_map),
+                (LANDMARKS, make_markers(final.object_map)),
+                ("/slam/graph", final.graph),
+            ],
+            log_time_ns,
+        )
         self.write_updates([final.status], log_time_ns)
         self.write_messages(final.snapshot, log_time_ns)
 
@@ -134,7 +136,8 @@ class OutputLog:
         if isinstance(update, SlamPose):
             self.tracked += 1
             if self._georeference is not None:
-                yield LOCATION, _location(update, self._georeference)
+                place = self._georeference.to_geodetic(update.T_map_body[None, :3, 3])[0]
+                yield LOCATION, GeodeticFix(update.stamp_ns, MAP_FRAME, *place.tolist())
         elif isinstance(update, Transform):
             if update.child_frame_id != update.parent_frame_id:  # as of an odometry in the frame of the map
                 self._frames[update.child_frame_id] = update
@@ -153,9 +156,3 @@ class OutputLog:
         elif isinstance(update, LoopClosureRecord) and update.inserted:
             text = f"loop closed: keyframe {update.query_keyframe_id} with {update.reference_keyframe_id}"
             yield LOG, LogMessage(update.stamp_ns, "info", text)
-
-
-def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
-    """The geodetic position of a pose in the map."""
-    latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
-    return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)

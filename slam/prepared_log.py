@@ -115,26 +115,26 @@ def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, c
     copied = _copied_topics(reader, selection, copy)
     used = {topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)}
     mapped = Selection(used, selection.mappings)
-    first_ns, last_ns = _span(reader, mapped)
+    infos = [info for info in reader.topics() if info.topic in mapped.topics]
+    ends = [ns for info in infos for ns in (info.first_log_time_ns, info.last_log_time_ns) if ns is not None]
     # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
     frames = SensorFrames()
     for entry in reader.records(mapped.only(RecordKind.TRANSFORMS)):
         if isinstance(entry.record, Transform):
             frames.add(entry.record)
-    lost = reader.decoding_counters
     labels = LabelMap(config.labels)
     return PreparedLog(
         selection,
         mapped.without(RecordKind.TRANSFORMS),
         copied,
-        first_ns,
-        last_ns,
+        min(ends, default=0),
+        max(ends, default=0),
         labels,
         frames,
         ScanObjects(labels, frames),
         CalibratedLog(config),
         NO_DRIFT,
-        lost,
+        reader.decoding_counters,
     )
 
 
@@ -153,13 +153,6 @@ def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[s
         if topic not in there:
             raise TopicSelectionError(f"the log has no topic {topic} to copy; it has {', '.join(sorted(there))}")
     return frozenset(copied.union(wanted))
-
-
-def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:
-    """First and last log time [ns] of the selected topics."""
-    infos = [info for info in reader.topics() if info.topic in selection.topics]
-    ends = [ns for info in infos for ns in (info.first_log_time_ns, info.last_log_time_ns) if ns is not None]
-    return min(ends, default=0), max(ends, default=0)
 
 
 def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[SurveyedLog, LoggingDelays, ClockDrift]:

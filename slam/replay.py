@@ -26,7 +26,7 @@ from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
 from slam.log_mapper import LogMapper, OutputLog
 from slam.object_map.map_io import METADATA
 from slam.place_recognition.initial_pose import InitialPose
-from slam.prepared_log import PreparedLog, prepare_log
+from slam.prepared_log import prepare_log
 from slam.provenance import settings_of
 from slam.trajectory_check.judgement import TrajectoryCheck
 
@@ -109,7 +109,14 @@ def replay(
         with LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = None if prior_map is None else prior_map.georeference
             mapper = LogMapper(slam, prepared.inputs(), clocks, OutputLog([writer.write], georeference))
-            final = _map(mapper, prepared, reader, writer, progress)
+            for item in reader.items(prepared.mapped, copy=prepared.copied):
+                if item.raw.topic in prepared.copied:
+                    writer.write_raw(item.raw)
+                mapper.process(item, item.raw.log_time_ns)
+                if progress is not None:
+                    done = (item.raw.log_time_ns - prepared.first_ns) / max(prepared.last_ns - prepared.first_ns, 1)
+                    progress(min(max(done, 0.0), 1.0))
+            final = mapper.finish(prepared.last_ns, Counter(reader.counters) + Counter(prepared.lost))
             calibration = slam.calibration if online else prepared.calibration
             provenance = settings_of(config, calibration, prior_map, extend=extend) | {
                 "input_sha256": reader.sha256(),
@@ -135,40 +142,16 @@ def replay(
         *_about_the_map(mapper, prior_map, final, config),
         *prepared.labels.notes(),
     )
-    return _summarize(mapper, final, notes, prepared.last_ns - prepared.first_ns, started)
-
-
-def _map(
-    mapper: LogMapper,
-    prepared: PreparedLog,
-    reader: LogReader,
-    writer: LogWriter,
-    progress: Callable[[float], None] | None,
-) -> FinalMap:
-    """Map the whole log, and write what each message makes known, and the topics that are copied."""
-    for item in reader.items(prepared.mapped, copy=prepared.copied):
-        if item.raw.topic in prepared.copied:
-            writer.write_raw(item.raw)
-        mapper.process(item, item.raw.log_time_ns)
-        if progress is not None:
-            done = (item.raw.log_time_ns - prepared.first_ns) / max(prepared.last_ns - prepared.first_ns, 1)
-            progress(min(max(done, 0.0), 1.0))
-    return mapper.finish(prepared.last_ns, Counter(reader.counters) + Counter(prepared.lost))
-
-
-def _summarize(
-    mapper: LogMapper, final: FinalMap, notes: tuple[str, ...], log_ns: int, started: float
-) -> ReplaySummary:
-    fixes, start_ns = mapper.slam.fixes, int(final.trajectory.stamps_ns[0])
+    counters, fixes, start_ns = dict(final.status.counters), slam.fixes, int(final.trajectory.stamps_ns[0])
     return ReplaySummary(
-        counters=dict(final.status.counters),
-        log_s=log_ns * 1e-9,
+        counters=counters,
+        log_s=(prepared.last_ns - prepared.first_ns) * 1e-9,
         wall_s=time.perf_counter() - started,
         final_status=final.status.message,
         notes=notes,
         relocalization_times_s=tuple((fix.stamp_ns - start_ns) * 1e-9 for fix in fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in fixes),
-        tracked_ratio=mapper.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
+        tracked_ratio=mapper.log.tracked / max(counters.get("odometry_used", 0), 1),
         trajectory_check=final.trajectory_check,
     )
 
