@@ -168,8 +168,9 @@ class Slam:
 
     def _retire_gone(self) -> None:
         """Retire landmarks of the prior map that this drive passed, where it closed loops, and did not see."""
-        closures = self._closer.closures
-        places = self._graph.poses(sorted(closures.localized_keyframes() & closures.closed.keys()))[:, :3, 3]
+        closures, keyframes = self._closer.closures, self._mapper.keyframes
+        closed = [each for each in sorted(closures.closed) if closures.is_localized(keyframes[each])]
+        places = self._graph.poses(closed)[:, :3, 3]
         self._mapper.retire_gone(find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m))
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
@@ -217,25 +218,19 @@ class Slam:
 
     def _take(self, placed: OdometryPose | DetectionAssociations) -> list[Record]:
         if isinstance(placed, OdometryPose):
-            return self._step(placed)
+            breaks = self._path.latest is not None and self._path.latest.segment != placed.segment
+            self.counters["odometry_used"] += 1
+            self._path.add(placed)
+            keyframe = self._mapper.add_odometry(placed)
+            return [] if keyframe is None else self._keyframe_updates(keyframe, began=DISCONTINUITY if breaks else "")
         if self._frontend.placed is not None:
             tracked, pose = self._frontend.placed
             self._check.add(tracked, pose, self._output.in_map(pose))
-        return [placed, self._certainty(placed.stamp_ns)]
-
-    def _certainty(self, stamp_ns: int) -> LocalizationRecord:
-        """Certainty of the robot's pose at a scan."""
         active, state = self._mapper.tracker.active, self.state
         kidnapped = 1.0 if state == State.LOST else self._closer.continuity.kidnapping_probability
         names, ratios = tuple(active.innovation_ratios), np.array(list(active.innovation_ratios.values()))
-        return LocalizationRecord(stamp_ns, state.value, kidnapped, names, ratios, active.pose_covariance)
-
-    def _step(self, pose: OdometryPose) -> list[Record]:
-        breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
-        self.counters["odometry_used"] += 1
-        self._path.add(pose)
-        keyframe = self._mapper.add_odometry(pose)
-        return [] if keyframe is None else self._keyframe_updates(keyframe, began=DISCONTINUITY if breaks else "")
+        certainty = LocalizationRecord(placed.stamp_ns, state.value, kidnapped, names, ratios, active.pose_covariance)
+        return [placed, certainty]
 
     def _keyframe_updates(self, keyframe: Keyframe, *, began: str) -> list[Record]:
         outcome = self._close_loops(keyframe)
@@ -246,13 +241,27 @@ class Slam:
             began = KIDNAPPED if is_kidnapped else began
             keyframe = self._mapper.keyframes[-1]
         self._output.place(keyframe.odometry, self._graph.pose(keyframe.id))
-        updates = [*closures, *self._change_state(keyframe, began)]
+        if began == DISCONTINUITY:
+            self.counters["odometry_breaks"] += 1
+        is_localized = self._closer.closures.is_localized(keyframe)
+        changes = self._localization.update(keyframe, is_localized=is_localized, began=began)
+        if any(state == State.RELOCALIZED for state, _, _ in changes):
+            self.counters["relocalizations"] += 1
+        updates: list[Record] = [*closures]
+        updates += [self.status(state, message, level=level) for state, message, level in changes]
         if self.state != State.LOST:
             updates.append(self._output.map_to_odom(keyframe.odometry))
         if self._extends:
             self._condenser.update()
-        self.counters["keyframes"] += 1
-        self.counters.update(_counted(closures, self._first_keyframe))
+        accepted = [each for each in closures if each.accepted]
+        self.counters.update(
+            keyframes=1,
+            # Those before the first one of this drive are of the prior map.
+            keyframes_recognised=sum(each.reference_keyframe_id < self._first_keyframe for each in accepted),
+            closures_accepted=len(accepted),
+            closures_retrieved=sum(each.seed_query_keyframe_id is None for each in accepted),
+            closures_inserted=sum(each.inserted for each in closures),
+        )
         if keyframe.id == self._first_keyframe:
             updates.append(self.status(self.state, "first odometry", level="info"))
         return updates
@@ -276,15 +285,6 @@ class Slam:
         else:
             self.counters["relocalizations_revoked"] += 1
         return revoked, is_kidnapped
-
-    def _change_state(self, keyframe: Keyframe, began: str) -> list[Record]:
-        if began == DISCONTINUITY:
-            self.counters["odometry_breaks"] += 1
-        is_localized = self._closer.closures.is_localized(keyframe)
-        changes = self._localization.update(keyframe, is_localized=is_localized, began=began)
-        if any(state == State.RELOCALIZED for state, _, _ in changes):
-            self.counters["relocalizations"] += 1
-        return [self.status(state, message, level=level) for state, message, level in changes]
 
     def _close_loops(self, keyframe: Keyframe) -> Outcome:
         if not self._config.loop_closure.enabled:
@@ -333,17 +333,6 @@ class PoseOutput:
     def map_to_odom(self, pose: OdometryPose) -> Transform:
         """The odometry frame in the map, at the time of ``pose``."""
         return Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom @ pose.T_odom_reported)
-
-
-def _counted(closures: Sequence[LoopClosureRecord], first_keyframe: int) -> dict[str, int]:
-    """Numbers of closures at a keyframe; those before the first one of this drive are of the prior map."""
-    accepted = [closure for closure in closures if closure.accepted]
-    return {
-        "keyframes_recognised": sum(closure.reference_keyframe_id < first_keyframe for closure in accepted),
-        "closures_accepted": len(accepted),
-        "closures_retrieved": sum(closure.seed_query_keyframe_id is None for closure in accepted),
-        "closures_inserted": sum(closure.inserted for closure in closures),
-    }
 
 
 @contextmanager

@@ -53,10 +53,6 @@ class AcceptedClosures:
         """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
         return self._component_of(0) == self._component_of(keyframe.id)
 
-    def localized_keyframes(self) -> set[int]:
-        """The keyframes that are localized: what they saw can be compared."""
-        return {each.id for each in self._keyframes if self.is_localized(each)}
-
     def add(self, candidate: Candidate) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one nearby represents it."""
         travel_m = candidate.query.odometry.travel_m

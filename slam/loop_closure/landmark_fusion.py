@@ -78,7 +78,7 @@ def _one_object(object_map: ObjectMap, graph: FactorGraph, config: ObjectCalibra
     except FactorGraphError as error:
         logger.info("duplicate landmarks are not merged: %s", error)
         return []
-    height_m = np.hypot(config.landmark_sigma_m, config.landmark_height_sigma_m)
+    height_m = np.hypot(noise_m, config.landmark_height_sigma_m)
     S = covariances + np.diag([noise_m, noise_m, height_m]) ** 2
     tail = (FREEDOM + 3.0) * np.log1p(squared_mahalanobis(d, S) / FREEDOM)
     log_area = np.log((2.0 * np.pi) ** 2 * np.linalg.det(S[:, :2, :2]))

@@ -59,29 +59,23 @@ class PlaceRetriever:
         counts = np.bincount(self._map.canonical[self._rows], minlength=len(self._map))
         behind &= counts[self._map.canonical] < INDEXED_TRAVERSALS
         for segment in np.unique(landmarks["segment"][behind]):
-            self._enter(np.flatnonzero(behind & (landmarks["segment"] == segment)), int(segment))
-
-    def _enter(self, new: IntArray, segment: int) -> None:
-        landmarks = self._map.rows
-        earliest_m = landmarks["last_seen_travel_m"][new].min() - self._extent_m
-        around = np.flatnonzero(
-            (landmarks["state"] == LandmarkState.CONFIRMED)
-            & (landmarks["segment"] == segment)
-            & (landmarks["last_seen_travel_m"] > earliest_m)
-        )
-        self._rows = np.concatenate([self._rows, new])
-        entry_of = np.full(len(landmarks), -1)
-        entry_of[self._rows] = np.arange(len(self._rows))
-        batch = Batch(
-            landmarks["position_local"][around],
-            self._map.labels.classes(around),
-            np.searchsorted(around, new),
-            entry_of[around],
-            segment,
-            self._map.labels.vocabulary,
-        )
-        self._pairs.enter(batch)
-        self._search = None
+            of_segment = landmarks["segment"] == segment
+            new = np.flatnonzero(behind & of_segment)
+            earliest_m = landmarks["last_seen_travel_m"][new].min() - self._extent_m
+            around = np.flatnonzero(confirmed & of_segment & (landmarks["last_seen_travel_m"] > earliest_m))
+            self._rows = np.concatenate([self._rows, new])
+            entry_of = np.full(len(landmarks), -1)
+            entry_of[self._rows] = np.arange(len(self._rows))
+            batch = Batch(
+                landmarks["position_local"][around],
+                self._map.labels.classes(around),
+                np.searchsorted(around, new),
+                entry_of[around],
+                int(segment),
+                self._map.labels.vocabulary,
+            )
+            self._pairs.enter(batch)
+            self._search = None
 
     def class_shares(self) -> FloatArray:
         """Share (C,) of each class among the objects of the index or of the imported map but one of that class."""
