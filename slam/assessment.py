@@ -32,8 +32,8 @@ def assess(
         counters: those of the drive, with ``odometry_corrected`` and ``closures_inserted``.
         check: whether the final trajectory is the best.
     """
-    gone = object_map.reasons.count("moving")
-    share = gone / max(gone + object_map.states.count("confirmed"), 1)
+    moved = object_map.reasons.count("moving")
+    share = moved / max(moved + object_map.states.count("confirmed"), 1)
     moving = f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"
     doubts = (
         _unobserved(graph, calibration.detection.sensor_range_m),

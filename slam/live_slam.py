@@ -102,7 +102,11 @@ class LiveSlam:
                 if self._scans >= 1.25 * self._surveyed:
                     self._begin_map(self._estimate)
             elif self._scans >= 2 * self._surveyed and self._successor is None:
-                self._calibrate()
+                # The calibration is estimated from all records so far, in a thread.
+                self._surveyed = self._scans
+                log, worker = SurveyedLog(self._records, deepcopy(self._frames)), ThreadPoolExecutor(1)
+                self._estimate = worker.submit(_estimate, self._given, log, self._delays())
+                worker.shutdown(wait=False)
         return updates
 
     def catch_up(self) -> list[Record]:
@@ -141,14 +145,6 @@ class LiveSlam:
         drives = None if prior_map is None else prior_map.drives
         about = provenance or settings_of(self._given, self.calibration, prior_map, extend=self._extend)
         save_map(Path(path), final.object_map, final.graph, about, earlier_drives=drives)
-
-    def _calibrate(self) -> None:
-        """Start to estimate the calibration from all records so far, in a thread."""
-        self._surveyed = self._scans
-        log = SurveyedLog(self._records, deepcopy(self._frames))
-        worker = ThreadPoolExecutor(1)
-        self._estimate = worker.submit(_estimate, self._given, log, self._delays())
-        worker.shutdown(wait=False)
 
     def _begin_map(self, estimate: Future[CalibratedLog | None]) -> None:
         """Begin a map by the calibration that was estimated."""

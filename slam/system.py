@@ -157,7 +157,11 @@ class Slam:
         if self._extends:
             self._condenser.fuse_landmarks()
             if self._first_keyframe:
-                self._retire_gone()
+                # Those of the prior map that this drive passed, where it closed loops, and did not see.
+                closures, keyframes = self._closer.closures, self._mapper.keyframes
+                closed = [each for each in sorted(closures.closed) if closures.is_localized(keyframes[each])]
+                places, radius_m = self._graph.poses(closed)[:, :3, 3], 0.5 * self._config.sensor_range_m
+                self._mapper.retire_gone(find_passed(self._object_map, SEGMENT, places, radius_m))
             if fixes := [*self._geodetic_fixes.values()]:
                 own = self._mapper.keyframes[self._first_keyframe :]
                 self.counters["gnss_fixes_used"] = tie_to_fixes(self._graph, own, self._trajectory, fixes)
@@ -165,13 +169,6 @@ class Slam:
         optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return optimization
-
-    def _retire_gone(self) -> None:
-        """Retire landmarks of the prior map that this drive passed, where it closed loops, and did not see."""
-        closures, keyframes = self._closer.closures, self._mapper.keyframes
-        closed = [each for each in sorted(closures.closed) if closures.is_localized(keyframes[each])]
-        places = self._graph.poses(closed)[:, :3, 3]
-        self._mapper.retire_gone(find_passed(self._object_map, SEGMENT, places, 0.5 * self._config.sensor_range_m))
 
     def _final_map(self, optimization: Optimization) -> FinalMap:
         stamp_ns, own = self._frontend.latest_ns, self._mapper.keyframes[self._first_keyframe :]
