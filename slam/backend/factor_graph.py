@@ -26,7 +26,8 @@ from slam.backend.factors import (
     observation_factors,
     pose_key,
     prior_factor,
-    summed,
+    stacked,
+    sum_observations,
 )
 from slam.backend.graph_record import make_graph_record
 from slam.backend.solver import Optimization, Solver, gtsam_errors
@@ -389,7 +390,7 @@ class FactorGraph(EditableGraph):
         Raises:
             FactorGraphError: the covariances of the poses are not known; nothing has changed.
         """
-        covariances = dict(zip(self._keyframes, self.covariances()[0], strict=True))
+        of_poses = dict(zip(self._keyframes, self.covariances()[0], strict=True))
         concerned = {*anchors, *anchors.values()}
         observations, edges = dict[int, Observation](), dict[int, Edge]()
         for number, factor in self.factors.items():
@@ -398,13 +399,19 @@ class FactorGraph(EditableGraph):
                     observations[number] = replace(factor, landmark=self._variable_of(factor.landmark))
                 case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
                     edges[number] = factor
-        self._attached.attach(anchors, {keyframe: covariances[keyframe] for keyframe in anchors}, self.pose)
+        self._attached.attach(anchors, {keyframe: of_poses[keyframe] for keyframe in anchors}, self.pose)
         for edge in edges.values():
-            is_between = edge.from_keyframe in anchors or edge.kind == EdgeKind.LOOP_CLOSURE
+            is_left_out = edge.to_keyframe in anchors and (
+                edge.from_keyframe in anchors or edge.kind == EdgeKind.LOOP_CLOSURE
+            )
             moved = self._attached.edge(edge)
-            if moved.from_keyframe != moved.to_keyframe and not (is_between and edge.to_keyframe in anchors):
+            if not is_left_out and moved.from_keyframe != moved.to_keyframe:
                 self.add_edge(replace(moved, kind=EdgeKind.CONDENSED) if edge.kind == EdgeKind.ODOMETRY else moved)
-        self.add_observations(summed([self._attached.observation(each) for each in observations.values()]))
+        keyframes, landmarks, positions, covariances, inflations = stacked(
+            [self._attached.observation(each) for each in observations.values()]
+        )
+        covariances = inflations[:, None, None] * covariances
+        self.add_observations(sum_observations(keyframes, landmarks, positions, covariances, inflations))
         self.remove_factors([*observations, *edges])
         self._solver.restart({}, self._solver.values_with_new())
 

@@ -158,12 +158,6 @@ def sum_observations(
     ]
 
 
-def summed(observations: Sequence[Observation]) -> list[Observation]:
-    """These observations, those of one landmark from one keyframe as one."""
-    keyframes, landmarks, positions, covariances, inflations = stacked(observations)
-    return sum_observations(keyframes, landmarks, positions, inflations[:, None, None] * covariances, inflations)
-
-
 def stacked(observations: Sequence[Observation]) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
     """Keyframes (N,), landmarks (N,), positions (N, 3) m, covariances (N, 3, 3) m^2 and their inflations (N,)."""
     return (
