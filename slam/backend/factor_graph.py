@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
-from itertools import count
+from itertools import chain, count
 
 import gtsam
 import numpy as np
@@ -34,7 +34,7 @@ from slam.backend.solver import Optimization, Solver, gtsam_errors
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import invert, relative
+from slam.common.geometry import apply_each, invert, relative
 
 logger = logging.getLogger(__name__)
 
@@ -219,19 +219,21 @@ class EditableGraph:
         """Positions (N, 3) m in the map of landmarks by their own observations, without those of landmarks that were
         merged into them, from the poses of the keyframes; NaN for landmarks without any.
         """
-        means = np.full((len(landmarks), 3), np.nan)
-        for row, landmark in enumerate(landmarks.tolist()):
-            if seen := [*self._observations.get(landmark, {}).values()]:
-                weights = [1.0 / (each.covariance_inflation * np.trace(each.covariance)) for each in seen]
-                means[row] = np.average(self._in_map(seen), axis=0, weights=weights)
-        return means
+        of_landmarks = [self._observations.get(landmark, {}).values() for landmark in landmarks.tolist()]
+        rows = np.repeat(np.arange(len(landmarks)), [len(each) for each in of_landmarks])
+        seen = [*chain.from_iterable(of_landmarks)]
+        keyframes, _, positions, covariances, inflations = stacked(seen)
+        weights = 1.0 / (inflations * np.trace(covariances, axis1=1, axis2=2))
+        sums = np.zeros((len(landmarks), 3))
+        np.add.at(sums, rows, weights[:, None] * self._in_map(keyframes, positions))
+        total = np.bincount(rows, weights, len(landmarks))
+        return np.divide(sums, total[:, None], out=np.full_like(sums, np.nan), where=total[:, None] > 0.0)
 
-    def _in_map(self, observations: Sequence[Observation]) -> FloatArray:
-        """Positions (N, 3) m in the map of what was observed, from the poses of the keyframes."""
-        poses = {keyframe: self.pose(keyframe) for keyframe in {each.keyframe for each in observations}}
-        T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
-        in_body = np.array([each.position for each in observations]).reshape(-1, 3, 1)
-        return (T[:, :3, :3] @ in_body)[..., 0] + T[:, :3, 3]
+    def _in_map(self, keyframes: IntArray, positions: FloatArray) -> FloatArray:
+        """Positions (N, 3) m in the map of what was seen at positions (N, 3) m in the bodies of keyframes (N,)."""
+        distinct, rows = np.unique(keyframes, return_inverse=True)
+        poses = np.array([self.pose(keyframe) for keyframe in distinct.tolist()]).reshape(-1, 4, 4)
+        return apply_each(poses[rows], positions)
 
     def _variable_of(self, landmark: int) -> int:
         """The landmark that this one was merged into, or itself."""
@@ -246,7 +248,9 @@ class EditableGraph:
         """Hand observations, by their numbers, to the solver; each is of the variable of its landmark."""
         seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations.values()]
         factors = observation_factors(seen, self._kernel_width, sensor_range_m=self._sensor_range_m)
-        for (number, each), factor, position in zip(observations.items(), factors, self._in_map(seen), strict=True):
+        keyframes, _, positions, _, _ = stacked(seen)
+        in_map = self._in_map(keyframes, positions)
+        for (number, each), factor, position in zip(observations.items(), factors, in_map, strict=True):
             self._observations.setdefault(each.landmark, {})[number] = each
             variable = self._variable_of(each.landmark)
             prior = self._known.get(variable)
