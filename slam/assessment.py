@@ -1,16 +1,18 @@
 """Reasons to doubt a finished map, for people: a way without landmarks, an odometry that tells little of the motion,
-parts of the drive that nothing joins, moving objects, and labels that may be identities but have several landmarks.
+parts of the drive that nothing joins, closures that it contradicts, moving objects, and labels that may be identities
+but have several landmarks.
 """
 
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
-from slam.common.geometry import relative, rotation_angle_rad
+from slam.common.geometry import relative, rotation_angle_rad, squared_mahalanobis
 from slam.object_map.map_io import are_of_kind
 from slam.object_map.map_validation import parts
 from slam.trajectory_check.judgement import FINAL, ONLINE, TrajectoryCheck
@@ -39,6 +41,7 @@ def assess(
         _unobserved(graph, calibration.detection.sensor_range_m),
         *_unexplained(graph, calibration.detection.sensor_range_m),
         _parted(graph),
+        _contradicted(graph),
         moving if share >= 0.25 else "",
         _doubled(object_map, calibration),
         explain(check, share, counters, calibration),
@@ -123,6 +126,21 @@ def _parted(graph: FactorGraphRecord) -> str:
     if count < 2:
         return ""
     return f"the drive is in {count} parts: the odometry broke off, and neither closures nor landmarks join them"
+
+
+def _contradicted(graph: FactorGraphRecord) -> str:
+    """Closures that the final trajectory all but leaves out, beyond ten standard deviations, or empty."""
+    is_closure = are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
+    ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_closure])
+    T_error = relative(graph.edge_transforms[is_closure], relative(*graph.T_map_body[ends.T]))
+    errors = RigidTransform.from_matrix(T_error).as_exp_coords()
+    count = np.count_nonzero(squared_mahalanobis(errors, graph.edge_covariances[is_closure]) > 100.0)
+    if count < 0.1 * max(len(ends), 1):
+        return ""
+    return (
+        f"the final trajectory contradicts {count} of {len(ends)} closures in the graph: the odometry slipped between "
+        "two visits, or they are false"
+    )
 
 
 def _doubled(object_map: ObjectMapRecord, calibration: Calibration) -> str:

@@ -34,7 +34,7 @@ def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGrap
         T_map_body=T,
         edge_keyframe_ids=np.column_stack([ids[:-1], ids[1:]]),
         edge_transforms=relative(T[:-1], T[1:]),
-        edge_covariances=np.tile(np.eye(6), (KEYFRAMES - 1, 1, 1)),
+        edge_covariances=np.tile(1e4 * np.eye(6), (KEYFRAMES - 1, 1, 1)),
         edge_kinds=(EdgeKind.ODOMETRY,) * (KEYFRAMES - 1),
         observation_keyframe_ids=observers,
         observation_landmark_ids=("0",) * count,
@@ -101,6 +101,17 @@ def test_parts_of_a_drive_that_nothing_joins_are_told(back_to: int, landmark: st
     seen = ("0",) * 102 + (landmark,) * 100
     said = doubts(replace(graph, edge_kinds=tuple(kinds), observation_landmark_ids=seen))
     assert said.startswith(f"the drive is in {parts} parts") if parts else said == ""
+
+
+@pytest.mark.parametrize(("error_m", "closures", "told"), [(9.9, 1, 0), (10.1, 1, 1), (10.1, 11, 0)])
+def test_closures_that_the_trajectory_contradicts_are_told(error_m: float, closures: int, told: int) -> None:
+    """The first of some closures, with a standard deviation of 1 m, is off."""
+    graph = drive(seen=range(KEYFRAMES))
+    graph.edge_covariances[:] = np.eye(6)
+    graph.edge_transforms[0, 1, 3] = error_m
+    kinds = (EdgeKind.LOOP_CLOSURE,) * closures + graph.edge_kinds[closures:]
+    said = doubts(replace(graph, edge_kinds=kinds))
+    assert (f"contradicts {told} of {closures} closures" in said) == (told > 0)
 
 
 def test_a_kidnapping_is_no_way_without_landmarks() -> None:
