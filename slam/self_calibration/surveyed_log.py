@@ -48,6 +48,7 @@ class SurveyedLog:
                 count += len(record.positions)
             if count >= max_detections:
                 break
+        self._odometry = _without_repeats(self._odometry)
 
     def detour(self) -> float:
         """Ratio of the length of the odometry's path to that of every second message; 1 at standstill."""
@@ -131,6 +132,20 @@ def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[lis
         motions.append(motion)
     joined = (np.concatenate([getattr(each, field.name) for each in motions]) for field in fields(BodyMotion))
     return scans, BodyMotion(*joined)
+
+
+def _without_repeats(odometry: list[Odometry]) -> list[Odometry]:
+    """The messages without repeated poses, where a source usually repeats each until it has the next one; the body
+    stands where it repeats one more than twice as often as usual.
+    """
+    poses = np.array([each.T_odom_body for each in odometry]).reshape(-1, 16)
+    starts = np.flatnonzero(np.any(np.diff(poses, axis=0, prepend=np.nan) != 0.0, axis=1))
+    lengths = np.diff(starts, append=len(poses))
+    usual = np.median(lengths) if len(lengths) else 1
+    if usual < 2:
+        return odometry
+    ends = (starts + lengths - 1)[(lengths > 2 * usual) | (starts == starts[-1])]
+    return [odometry[row] for row in np.union1d(starts, ends).tolist()]
 
 
 def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_ns: int) -> BodyMotion:

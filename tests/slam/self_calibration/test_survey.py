@@ -147,6 +147,15 @@ def test_motion_at_scans_is_that_of_the_odometry_around_them():
     np.testing.assert_allclose(motion.turn_rates, 0.5)
 
 
+def test_odometry_that_repeats_poses_moves_all_the_same():
+    """Each pose three times, 1 m apart, but that at 5 m fifteen times, where the body stands."""
+    x = np.repeat(np.arange(10.0), [15 if i == 5 else 3 for i in range(10)])
+    log = SurveyedLog([odometry(i, each) for i, each in enumerate(x)])
+    at = log.poses_at(10**9 * np.arange(36), Calibration(), 0.0)[:, 0, 3]
+    np.testing.assert_allclose(at[:16], np.arange(16) / 3.0)
+    np.testing.assert_allclose(at[16:30], 5.0)
+
+
 def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
     of_10_m = {"radial_by_range": 1e-4, "tangential_by_range": 2e-4}
     noise = replace(NO_NOISE, radial=0.02, tangential=0.03, view=0.05, **of_10_m)
