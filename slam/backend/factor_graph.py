@@ -226,8 +226,8 @@ class EditableGraph:
         weights = 1.0 / (inflations * np.trace(covariances, axis1=1, axis2=2))
         sums = np.zeros((len(landmarks), 3))
         np.add.at(sums, rows, weights[:, None] * self._in_map(keyframes, positions))
-        total = np.bincount(rows, weights, len(landmarks))
-        return np.divide(sums, total[:, None], out=np.full_like(sums, np.nan), where=total[:, None] > 0.0)
+        with np.errstate(invalid="ignore"):
+            return sums / np.bincount(rows, weights, len(landmarks))[:, None]
 
     def _in_map(self, keyframes: IntArray, positions: FloatArray) -> FloatArray:
         """Positions (N, 3) m in the map of what was seen at positions (N, 3) m in the bodies of keyframes (N,)."""

@@ -111,7 +111,7 @@ def test_closures_that_the_trajectory_contradicts_are_told(error_m: float, closu
     graph.edge_transforms[0, 1, 3] = error_m
     kinds = (EdgeKind.LOOP_CLOSURE,) * closures + graph.edge_kinds[closures:]
     said = doubts(replace(graph, edge_kinds=kinds))
-    assert (f"contradicts {told} of {closures} closures" in said) == (told > 0)
+    assert f"contradicts {told} of {closures} closures" in said if told else "contradicts" not in said
 
 
 def test_a_kidnapping_is_no_way_without_landmarks() -> None:
