@@ -86,16 +86,12 @@ class Solver:
 
     def pose(self, key: int) -> FloatArray:
         """Estimate (4, 4) of a pose."""
-        if key not in self._poses:
-            with gtsam_errors("the estimate of a pose"):
-                if self._new_values.exists(key):
-                    pose = self._new_values.atPose3(key)
-                elif self._isam is None or self._values is not None:
-                    pose = self.values().atPose3(key)
-                else:
-                    pose = self._isam.calculateEstimatePose3(key)
-            self._poses[key] = pose.matrix()
-        return self._poses[key].copy()
+        with gtsam_errors("the estimate of a pose"):
+            if self._new_values.exists(key):
+                return self._new_values.atPose3(key).matrix()
+            if self._isam is None or self._values is not None:
+                return self.values().atPose3(key).matrix()
+            return self._isam.calculateEstimatePose3(key).matrix()
 
     def values(self) -> gtsam.Values:
         """The estimate of all variables as of the last update; iSAM2 computes those that were not queried only here."""
@@ -172,7 +168,6 @@ class Solver:
         """Begin with an estimate of all variables: ``values``, or those of iSAM2."""
         self._isam, self._values = isam, values
         self._new_values = gtsam.Values()
-        self._poses: dict[int, FloatArray] = {}  # those that were asked for
         self._added: dict[int, gtsam.NonlinearFactor] = {}  # since the last update
         self._removed: list[int] = []  # of those that were there at the last update
 
