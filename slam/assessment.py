@@ -6,13 +6,12 @@ but have several landmarks.
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
-from slam.common.geometry import relative, rotation_angle_rad, squared_mahalanobis
+from slam.common.geometry import pose_errors, relative, rotation_angle_rad, squared_mahalanobis
 from slam.object_map.map_io import are_of_kind
 from slam.object_map.map_validation import parts
 from slam.trajectory_check.judgement import FINAL, ONLINE, TrajectoryCheck
@@ -132,8 +131,7 @@ def _contradicted(graph: FactorGraphRecord) -> str:
     """Closures that the final trajectory all but leaves out, beyond ten standard deviations, or empty."""
     is_closure = are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
     ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_closure])
-    T_error = relative(graph.edge_transforms[is_closure], relative(*graph.T_map_body[ends.T]))
-    errors = RigidTransform.from_matrix(T_error).as_exp_coords()
+    errors = pose_errors(graph.edge_transforms[is_closure], relative(*graph.T_map_body[ends.T]))
     count = np.count_nonzero(squared_mahalanobis(errors, graph.edge_covariances[is_closure]) > 100.0)
     if count < 0.1 * max(len(ends), 1):
         return ""

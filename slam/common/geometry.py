@@ -8,7 +8,7 @@ import math
 import warnings
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from slam.common.arrays import FloatArray, IntArray
 
@@ -101,6 +101,14 @@ def unit_vectors(vectors: FloatArray) -> FloatArray:
 def squared_mahalanobis(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     """Squared Mahalanobis distances (N,) of errors (N, D) with their covariances (N, D, D)."""
     return np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+
+
+def pose_errors(T_est: FloatArray, T_true: FloatArray) -> FloatArray:
+    """Errors (N, 6) of poses (N, 4, 4), rotation [rad] first: ``T_true = T_est Exp(error)``, in the body axes.
+
+    It is what the covariances of poses and closures are about.
+    """
+    return RigidTransform.from_matrix(relative(T_est, T_true)).as_exp_coords()
 
 
 def rotation_angle_rad(T: FloatArray) -> FloatArray:

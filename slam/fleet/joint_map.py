@@ -8,14 +8,13 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import RigidTransform
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.backend.graph_record import edges_of, observations_of
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import apply_each, invert, squared_mahalanobis
+from slam.common.geometry import apply_each, invert, pose_errors, relative, squared_mahalanobis
 from slam.fleet.joins import Join
 from slam.fleet.part import Part, Visit, common_metadata
 from slam.loop_closure.landmark_fusion import fuse_landmarks
@@ -106,8 +105,7 @@ def _placed(group: _Group, T_joint_map: FloatArray, sensor_range_m: float) -> tu
     graph.optimize()
     poses = graph.poses()
     T_from, T_to = (poses[[getattr(edge, end) for edge in closures]] for end in ("from_keyframe", "to_keyframe"))
-    T_error = invert(np.array([edge.T_from_to for edge in closures])) @ invert(T_from) @ T_to
-    errors = RigidTransform.from_matrix(T_error).as_exp_coords()
+    errors = pose_errors(np.array([edge.T_from_to for edge in closures]), relative(T_from, T_to))
     agree = squared_mahalanobis(errors, np.array([edge.covariance for edge in closures])) <= MAX_DEVIATIONS**2
     return poses, list(compress(group.joins, agree.tolist()))
 

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import RigidTransform
 
 from slam.common.arrays import FloatArray, least_eigenvalues
-from slam.common.geometry import apply, invert, squared_mahalanobis
+from slam.common.geometry import apply, invert, pose_errors, squared_mahalanobis
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, are_known
 
@@ -71,14 +70,6 @@ def evaluate_calibration(
     parts = {kind: measure_consistency(*errors.get(kind, nothing)) for kind in NEEDS}
     figures = {f"{kind}_{name}": value for kind, part in parts.items() for name, value in part.items()}
     return figures, "; ".join(NEEDS[kind] for kind, part in parts.items() if not part["count"])
-
-
-def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
-    """Errors (N, 6) of poses (N, 4, 4), rotation [rad] first: ``T_gt = T_est Exp(error)``, about the axes of the body.
-
-    It is what the covariances of poses and closures are about.
-    """
-    return RigidTransform.from_matrix(invert(T_est) @ T_gt).as_exp_coords()
 
 
 def _closure_errors(judged: pd.DataFrame, truth: PoseSeries) -> tuple[FloatArray, FloatArray]:

@@ -8,8 +8,8 @@ import pytest
 
 from logs.messages import FactorGraphRecord, GroundTruthPose
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, invert
-from slam.evaluation.metrics.calibration import NEEDS, measure_consistency, pose_errors
+from slam.common.geometry import apply, invert, pose_errors
+from slam.evaluation.metrics.calibration import NEEDS, measure_consistency
 from tests.helpers.poses import pose_at
 from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.loops import closure
