@@ -1,8 +1,10 @@
 """The noise of odometry and closures that their residuals show, where it is another than configured.
 
-The errors of odometry are correlated. An error of its scale is the same for many steps, so the sum is larger than the
-covariances of the steps predict. Its variance is estimated from the drive: over stretches of 50 steps the residuals of
-all steps are added up, axis by axis. The variance of closures is estimated likewise.
+The errors of odometry are correlated. An error of its scale, or a gyroscope whose bias changes slowly, is the same for
+many steps, so the sum is larger than the covariances of the steps predict. Its variance is estimated from the drive:
+over stretches of it the residuals of all steps are added up, axis by axis. Over how many steps errors are correlated is
+not known, so there are long stretches and short ones, and the larger variance counts. The variance of closures is
+estimated likewise, of each by itself.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,10 +20,8 @@ from slam.backend.covariance.marginals import factorize, linearize
 from slam.backend.factors import Edge, EdgeKind, Factor
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
-STRETCH_STEPS = 50
-"""Steps of the odometry over which its error is looked at: 100 m of keyframes every 2 m."""
 MIN_SAMPLES, MAX_SAMPLES = 5, 20
-"""Of stretches or closures: fewer are not significant, more would cost time and add little."""
+"""Of stretches, long or short, or of closures: fewer are not significant, more would cost time and add little."""
 
 
 def matched_covariances(
@@ -51,10 +51,16 @@ def matched_covariances(
             and (each.kind == EdgeKind.LOOP_CLOSURE) is is_closure
         }
         rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
-        found = variance_factors(jacobian, residuals, rows, 1 if is_closure else STRETCH_STEPS, information)
+        lengths = {1} if is_closure else stretch_lengths(len(rows))
+        found = np.max([variance_factors(jacobian, residuals, rows, each, information) for each in lengths], axis=0)
         if (found != 1.0).any():
             matched |= {number: _scaled(each.covariance, found) for number, each in edges.items()}
     return matched
+
+
+def stretch_lengths(steps: int) -> set[int]:
+    """Numbers of steps of a long and of a short stretch of a drive."""
+    return {max(steps // count, 1) for count in (MIN_SAMPLES, MAX_SAMPLES)}
 
 
 def variance_factors(

@@ -7,10 +7,11 @@ import pytest
 from scipy import sparse
 
 from slam.backend.covariance.marginals import factorize
-from slam.backend.covariance.matched_noise import STRETCH_STEPS, variance_factors
+from slam.backend.covariance.matched_noise import stretch_lengths, variance_factors
 from slam.common.arrays import FloatArray, IntArray
 
 AXES = 6
+STRETCH_STEPS = 50
 SEEN_EVERY, SEEN_SIGMA = 5, 3.0
 """Every fifth pose is measured, with three times the noise of a step."""
 
@@ -79,6 +80,22 @@ def test_errors_that_go_on_from_step_to_step_are_found_though_each_is_small() ->
     noise = chain.draw(rng, np.ones(AXES), np.ones(AXES))
     noise[chain.steps] = 0.9 * np.repeat(rng.normal(size=(100, AXES)), 10, axis=0)  # ten steps err alike
     assert np.all(chain.factors(noise) > 3.0)
+
+
+@pytest.mark.parametrize(("steps", "lengths"), [(1, {1}), (103, {20, 5}), (2000, {400, 100})])
+def test_stretches_are_shares_of_the_drive(steps: int, lengths: set[int]) -> None:
+    assert stretch_lengths(steps) == lengths
+
+
+@pytest.mark.parametrize("alike", [5, 20])
+def test_errors_that_go_on_are_found_in_a_short_drive(alike: int) -> None:
+    rng = np.random.default_rng(3)
+    chain, found = Chain(201), list[FloatArray]()
+    for _ in range(10):
+        noise = chain.draw(rng, np.ones(AXES), np.ones(AXES))
+        noise[chain.steps] = 1.5 * np.repeat(rng.normal(size=(200 // alike, AXES)), alike, axis=0)
+        found.append(np.max([chain.factors(noise, length=each) for each in stretch_lengths(200)], axis=0))
+    assert np.all(np.median(found, axis=0) > 2.5)
 
 
 @pytest.mark.parametrize("poses", [2, 4 * STRETCH_STEPS])
