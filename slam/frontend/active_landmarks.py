@@ -48,6 +48,11 @@ class ActiveLandmarks:
         """(6, 6) of the body's pose against the landmarks in view, axes of the body; None before three were seen."""
 
     @property
+    def odometry_factors(self) -> FloatArray:
+        """Factors (2,) on the variances of the odometry's translation and heading, by the landmarks seen lately."""
+        return self._noise.factors
+
+    @property
     def rows(self) -> IntArray:
         """Rows (A,) of the active landmarks in the object map."""
         return self._local.ids
@@ -86,7 +91,7 @@ class ActiveLandmarks:
             self.restart(pose)
         elif pose.stamp_ns != before.stamp_ns:
             config = self._config.calibration.odometry
-            of_translation, of_heading = self._noise.factors
+            of_translation, of_heading = self.odometry_factors
             factors = np.array([of_translation, SLIP_INFLATION**2, of_heading])
             variances = factors * model_variances(before, pose, config)
             covariance = covariance_of(variances, pose, of_translation * config.min_translation_sigma_m**2)

@@ -44,11 +44,17 @@ def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryC
     )
 
 
-def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
-    """Covariance (6, 6) of the step between two poses of one segment; see :func:`covariance_of`."""
-    corrected = abs(float(after.corrected[0] - before.corrected[0]))
-    vertical = config.min_translation_sigma_m**2 + corrected
-    return covariance_of(step_variances(before, after, config), after, vertical)
+def step_covariance(
+    before: OdometryPose, after: OdometryPose, config: OdometryCalibration, factors: FloatArray
+) -> FloatArray:
+    """Covariance (6, 6) of the step between two poses of one segment, with corrections; see :func:`covariance_of`.
+
+    ``factors`` (2,): on the variances of the model, of translation and of heading.
+    """
+    of_translation, of_heading = factors
+    corrected = np.abs(after.corrected - before.corrected)
+    variances = np.array([of_translation, 1.0, of_heading]) * model_variances(before, after, config) + corrected
+    return covariance_of(variances, after, of_translation * config.min_translation_sigma_m**2 + corrected[0])
 
 
 def covariance_of(variances: FloatArray, after: OdometryPose, vertical: float) -> FloatArray:
