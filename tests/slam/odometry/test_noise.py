@@ -20,6 +20,7 @@ SILENT = {
 }
 """Next to no noise; tests add that which they are about."""
 ALL = OdometryCalibration(translation_sigma_by_time=0.02, yaw_sigma_by_time=0.003)
+ONE = np.ones(2)
 TRANSLATION, TILT, HEADING = range(3)
 
 
@@ -65,14 +66,14 @@ def test_the_covariance_has_the_variances_on_its_diagonal_rotation_first():
     translation, tilt, heading = step_variances(before, after, ALL)
     vertical = ALL.min_translation_sigma_m**2
     expected = np.diag([tilt, tilt, heading, translation, translation, vertical])
-    np.testing.assert_allclose(step_covariance(before, after, ALL), expected, atol=1e-18)
+    np.testing.assert_allclose(step_covariance(before, after, ALL, ONE), expected, atol=1e-18)
 
 
 def test_a_body_that_leans_errs_in_heading_about_the_vertical():
     before, after = pose(), pose(3.0)
     leaning = replace(after, T_odom_body=after.T_odom_body @ motion_by([0.7, 0.0, 0.0]))
     R = leaning.T_odom_body[:3, :3]
-    upright, leant = step_covariance(before, after, ALL), step_covariance(before, leaning, ALL)
+    upright, leant = step_covariance(before, after, ALL, ONE), step_covariance(before, leaning, ALL, ONE)
     up_body = R.T @ [0.0, 0.0, 1.0]
     _, tilt, heading = step_variances(before, leaning, ALL)
     assert up_body @ leant[:3, :3] @ up_body == pytest.approx(heading)
@@ -86,5 +87,13 @@ def test_variances_of_a_correction_are_added():
     np.testing.assert_array_equal(model_variances(before, corrected, ALL), model_variances(before, after, ALL))
     more = step_variances(before, corrected, ALL) - step_variances(before, after, ALL)
     np.testing.assert_allclose(more, [0.5, 0.01, 0.02], atol=1e-12)
-    more = step_covariance(before, corrected, ALL) - step_covariance(before, after, ALL)
+    more = step_covariance(before, corrected, ALL, ONE) - step_covariance(before, after, ALL, ONE)
     np.testing.assert_allclose(more, np.diag([0.01, 0.01, 0.02, 0.5, 0.5, 0.5]), atol=1e-12)
+
+
+def test_factors_scale_what_the_model_says_and_not_the_corrections():
+    before, after = pose(), replace(pose(3.0), corrected=np.array([0.5, 0.01, 0.02]))
+    translation, tilt, heading = model_variances(before, after, ALL)
+    expected = [tilt + 0.01, tilt + 0.01, 9.0 * heading + 0.02, *[4.0 * translation + 0.5] * 2]
+    expected.append(4.0 * ALL.min_translation_sigma_m**2 + 0.5)
+    np.testing.assert_allclose(step_covariance(before, after, ALL, np.array([4.0, 9.0])), np.diag(expected), atol=1e-12)
