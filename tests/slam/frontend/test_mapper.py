@@ -13,10 +13,12 @@ from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, relative
+from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.mapper import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, UPDATE_KEYFRAMES, Mapper
 from slam.frontend.tracker import Tracked
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import step_covariance
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from tests.helpers.landmarks import scan_of
@@ -87,6 +89,18 @@ def test_odometry_connects_keyframes():
     assert record.edge_keyframe_ids.tolist() == [[0, 1], [1, 2], [2, 3]]
     np.testing.assert_allclose(record.edge_transforms[:, 0, 3], 2.0)
     np.testing.assert_allclose(record.T_map_body[:, 0, 3], [0.0, 2.0, 4.0, 6.0], atol=1e-6)
+
+
+def test_odometry_has_the_noise_that_tracking_finds(monkeypatch):
+    factors = np.array([4.0, 9.0])
+    monkeypatch.setattr(ActiveLandmarks, "odometry_factors", factors)
+    bench = Bench()
+    bench.drive(9)
+    before, after = bench.mapper.keyframes[-2:]
+    (*_, edge) = bench.graph.edges(EdgeKind.ODOMETRY).values()
+    calibrated = bench.config.calibration.odometry
+    expected = step_covariance(before.odometry, after.odometry, calibrated, factors)
+    np.testing.assert_array_equal(edge.covariance, expected)
 
 
 def test_graph_is_updated_at_every_few_keyframes(monkeypatch):
