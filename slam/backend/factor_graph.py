@@ -363,7 +363,7 @@ class FactorGraph(EditableGraph):
         return self._solver.optimize(ROUGHLY if roughly else 0.01 * ROUGHLY)
 
     def match_noise(self) -> Optimization:
-        """Solve the whole graph with the noise of odometry and closures that their residuals show, at the optimum."""
+        """Solve the whole graph with the noise of the odometry that its residuals show, at the optimum."""
         solver = self._solver
         try:
             with gtsam_errors("the estimation of the noise"):

@@ -1,10 +1,9 @@
-"""The noise of odometry and closures that their residuals show, where it is another than configured.
+"""The noise of the odometry that its residuals show, where it is another than configured.
 
 The errors of odometry are correlated. An error of its scale, or a gyroscope whose bias changes slowly, is the same for
 many steps, so the sum is larger than the covariances of the steps predict. Its variance is estimated from the drive:
 over stretches of it the residuals of all steps are added up, axis by axis. Over how many steps errors are correlated is
-not known, so there are long stretches and short ones, and the larger variance counts. The variance of closures is
-estimated likewise, of each by itself.
+not known, so there are long stretches and short ones, and the larger variance counts.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,13 +20,13 @@ from slam.backend.factors import Edge, EdgeKind, Factor
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 MIN_SAMPLES, MAX_SAMPLES = 5, 20
-"""Of stretches, long or short, or of closures: fewer are not significant, more would cost time and add little."""
+"""Of stretches, long or short: fewer are not significant, more would cost time and add little."""
 
 
 def matched_covariances(
     records: Mapping[int, Factor], factors: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values
 ) -> dict[int, FloatArray]:
-    """The covariances (6, 6) that the drive itself shows, by the numbers of the edges whose covariances differ.
+    """The covariances (6, 6) of the odometry that the drive itself shows, by the numbers of its edges, if they differ.
 
     Args:
         records: of all factors, by number.
@@ -37,25 +36,21 @@ def matched_covariances(
     Raises:
         RuntimeError: the graph does not determine all variables.
     """
+    edges = {
+        number: each
+        for number, each in records.items()
+        if isinstance(each, Edge) and each.kind not in (EdgeKind.GNSS, EdgeKind.LOOP_CLOSURE)
+    }
     sizes = np.array([factor.dim() for factor in factors.values()])
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
+    rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
     jacobian, residuals = linearize(factors.values(), values)
     information = cache(partial(factorize, jacobian))
-    matched = dict[int, FloatArray]()
-    for is_closure in (False, True):
-        edges = {
-            number: each
-            for number, each in records.items()
-            if isinstance(each, Edge)
-            and each.kind != EdgeKind.GNSS
-            and (each.kind == EdgeKind.LOOP_CLOSURE) is is_closure
-        }
-        rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
-        lengths = {1} if is_closure else stretch_lengths(len(rows))
-        found = np.max([variance_factors(jacobian, residuals, rows, each, information) for each in lengths], axis=0)
-        if (found != 1.0).any():
-            matched |= {number: _scaled(each.covariance, found) for number, each in edges.items()}
-    return matched
+    lengths = stretch_lengths(len(rows))
+    found = np.max([variance_factors(jacobian, residuals, rows, each, information) for each in lengths], axis=0)
+    if (found == 1.0).all():
+        return {}
+    return {number: _scaled(each.covariance, found) for number, each in edges.items()}
 
 
 def stretch_lengths(steps: int) -> set[int]:
