@@ -14,7 +14,7 @@ from scipy.special import betaln
 from logs.messages import DetectionAssociations
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative
 from slam.frontend.active_landmarks import ActiveLandmarks
@@ -87,8 +87,7 @@ class Mapper:
         keyframe = Keyframe(len(self.keyframes), pose, self._active.at(pose))
         if previous:
             T_previous_keyframe = relative(previous.T_local_body, keyframe.T_local_body) if continues else None
-            edge = _odometry_edge(previous, keyframe, self._config, self._active.odometry_factors)
-            self._graph.add_next_keyframe(edge, T_previous_keyframe)
+            self._graph.add_next_keyframe(self._odometry_edge(previous, keyframe), T_previous_keyframe)
         else:
             self._graph.add_keyframe(keyframe.id, pose.T_odom_body)
         self.keyframes.append(keyframe)
@@ -167,8 +166,18 @@ class Mapper:
         for keyframe in self.keyframes[first.id :]:
             pose = replace(keyframe.odometry, segment=keyframe.odometry.segment + 1)
             self.keyframes[keyframe.id] = replace(keyframe, odometry=pose, T_local_body=pose.T_odom_body)
-        before, factors = self.keyframes[first.id - 1], self._active.odometry_factors
-        self._graph.break_before(_odometry_edge(before, self.keyframes[first.id], self._config, factors))
+        self._graph.break_before(self._odometry_edge(*self.keyframes[first.id - 1 : first.id + 1]))
+
+    def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:
+        """The edge between successive keyframes; it holds next to nothing across a break."""
+        before, after, kind = previous.odometry, keyframe.odometry, EdgeKind.ODOMETRY
+        calibrated = self._config.calibration.odometry
+        covariance = step_covariance(before, after, calibrated, self._active.odometry_factors)
+        if after.segment != before.segment:
+            kind = EdgeKind.DISCONTINUITY
+            sigma_m = BREAK_SIGMA_RANGES * self._config.sensor_range_m
+            covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
+        return Edge(previous.id, keyframe.id, relative(before.T_odom_body, after.T_odom_body), covariance, kind)
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
@@ -226,16 +235,6 @@ class Mapper:
         """Retire landmarks and remove them from the graph."""
         if len(rows):
             self._graph.remove_landmarks(self._map.retire(rows, reason))
-
-
-def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config, factors: FloatArray) -> Edge:
-    before, after, kind = previous.odometry, keyframe.odometry, EdgeKind.ODOMETRY
-    covariance = step_covariance(before, after, config.calibration.odometry, factors)
-    if after.segment != before.segment:
-        kind = EdgeKind.DISCONTINUITY
-        sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
-        covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
-    return Edge(previous.id, keyframe.id, relative(before.T_odom_body, after.T_odom_body), covariance, kind)
 
 
 def which_exist(landmarks: NDArray[np.void], seen: IntArray, scan: int) -> BoolArray:

@@ -6,21 +6,19 @@ over stretches of it the residuals of all steps are added up, axis by axis. Over
 not known, so there are long stretches and short ones, and the larger variance counts.
 """
 
-from collections.abc import Callable, Mapping
-from functools import cache, partial
+from collections.abc import Mapping
 
 import gtsam
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU
 from scipy.special import chdtr
 
 from slam.backend.covariance.marginals import factorize, linearize
 from slam.backend.factors import Edge, EdgeKind, Factor
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
-MIN_SAMPLES, MAX_SAMPLES = 5, 20
-"""Of stretches, long or short: fewer are not significant, more would cost time and add little."""
+FEW, MANY = 5, 20
+"""Stretches of a drive, long and short ones: fewer are not significant, more would cost time and add little."""
 
 
 def matched_covariances(
@@ -45,55 +43,46 @@ def matched_covariances(
     starts = dict(zip(factors, (np.cumsum(sizes) - sizes).tolist(), strict=True))
     rows = np.array([starts[number] for number in edges], dtype=np.int64)[:, None] + np.arange(6)
     jacobian, residuals = linearize(factors.values(), values)
-    information = cache(partial(factorize, jacobian))
-    lengths = stretch_lengths(len(rows))
-    found = np.max([variance_factors(jacobian, residuals, rows, each, information) for each in lengths], axis=0)
+    found = variance_factors(jacobian, residuals, rows)
     if (found == 1.0).all():
         return {}
     return {number: _scaled(each.covariance, found) for number, each in edges.items()}
 
 
-def stretch_lengths(steps: int) -> set[int]:
-    """Numbers of steps of a long and of a short stretch of a drive."""
-    return {max(steps // count, 1) for count in (MIN_SAMPLES, MAX_SAMPLES)}
+def variance_factors(jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray) -> FloatArray:
+    """Factors (6,) on the variances of the odometry, axis by axis.
 
-
-def variance_factors(
-    jacobian: sparse.csr_array, residuals: FloatArray, rows: IntArray, length: int, information: Callable[[], SuperLU]
-) -> FloatArray:
-    """Factors (6,) on the variances of edges, axis by axis.
-
-    It is 1 where a drive has too few of them to tell, or where chance may explain the difference: the global test of
+    It is 1 where a drive has too few steps to tell, or where chance may explain the difference: the global test of
     geodesy, by the sum of the squared residuals and its expectation, the redundancy (Förstner and Wrobel,
     Photogrammetric Computer Vision, 2016, section 4.6.8).
 
-    The error over a stretch of edges is known from its residual r, and as well as the optimised graph knows it, with
+    The error over a stretch of steps is known from its residual r, and as well as the optimised graph knows it, with
     the variance p. Its variance s over all of them is estimated by expectation and maximisation (Dempster et al. 1977),
     each axis by itself.
 
     Args:
         jacobian: (N, n) of all factors; each row is divided by its standard deviation.
         residuals: (N,), likewise.
-        rows: (E, 6) of the edges, one after another, rotation first.
-        length: edges of a stretch.
-        information: the factors of that of all variables, which takes long.
+        rows: (E, 6) of the steps, one after another, rotation first.
 
     Raises:
         RuntimeError: the graph does not determine all variables.
     """
-    samples = rows[: len(rows) // length * length].reshape(-1, length, 6)
-    if len(samples) < MIN_SAMPLES:
-        return np.ones(6)
-    spread = np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).round().astype(np.int64)
-    sums = _sums_of(samples[spread], len(residuals))
-    columns = (sums @ jacobian).toarray().T
-    errors = (sums @ residuals).reshape(-1, 6)
-    posterior = np.einsum("ni,ni->i", columns, information().solve(columns)).reshape(-1, 6)
-    # Information that other factors add to that of the row itself; less than a hundredth of it is taken to be none.
-    measured = 1.0 / posterior - 1.0
-    is_measured = measured >= 0.01
-    errors, measured = np.where(is_measured, errors, 0.0), np.where(is_measured, measured, 0.0)
-    return np.where(_differs(errors, measured), _maximize(errors, measured), 1.0)
+    factors = np.ones((2, 6))
+    if len(rows) < FEW:
+        return factors[0]
+    information = factorize(jacobian)
+    for row, length in enumerate((len(rows) // FEW, max(len(rows) // MANY, 1))):
+        sums = _sums_of(rows[: len(rows) // length * length].reshape(-1, length, 6), len(residuals))
+        columns = (sums @ jacobian).toarray().T
+        errors = (sums @ residuals).reshape(-1, 6)
+        posterior = np.einsum("ni,ni->i", columns, information.solve(columns)).reshape(-1, 6)
+        # What other factors add to the information of the row; less than a hundredth of it is taken to be none.
+        measured = 1.0 / posterior - 1.0
+        is_measured = measured >= 0.01
+        errors, measured = np.where(is_measured, errors, 0.0), np.where(is_measured, measured, 0.0)
+        factors[row] = np.where(_differs(errors, measured), _maximize(errors, measured), 1.0)
+    return np.asarray(factors.max(axis=0))
 
 
 def _sums_of(samples: IntArray, row_count: int) -> sparse.csr_array:
