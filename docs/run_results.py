@@ -232,6 +232,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="print the output, and leave the pages as they are")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="the folder $D")
     chosen = parser.parse_args(arguments)
+    if unknown := set(chosen.names) - {each.name for each in all_blocks()}:
+        parser.error(f"no page has a block {', '.join(sorted(unknown))}")
     blocks = [each for each in all_blocks() if each.name in chosen.names or not (chosen.names or each.output)]
     folder = ROOT / "out" / "results"
     folder.mkdir(parents=True, exist_ok=True)
