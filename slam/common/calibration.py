@@ -100,6 +100,8 @@ class DetectionCalibration(Branch):
     """factor on the positions of detections in the sensor frame"""
     time_offset_s: float = 0.0
     """added to the stamps of detections [s]"""
+    stamp_sigma_s: float = Field(default=0.0, ge=0)
+    """noise of the stamps of detections against those of the odometry [s]"""
     roll_deg: float = Field(default=0.0, ge=-180, le=180)
     """rotation of detections about the x axis of the body, applied first [deg]"""
     pitch_deg: float = Field(default=0.0, ge=-180, le=180)

@@ -193,8 +193,7 @@ class ActiveLandmarks:
         corrects = landmarks["state"] == LandmarkState.CONFIRMED
         if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
-        offsets = seen.positions[corrects] - self.T_local_body[:3, 3]
-        slip = self._correct(indices[corrects], offsets, seen.covariances[corrects])
+        slip = self._correct(indices[corrects], seen.of(corrects))
         others = ~corrects
         seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[others] - self.T_local_body[:3, 3]
@@ -203,12 +202,13 @@ class ActiveLandmarks:
         self._map.assign(self.rows, position_local=positions, covariance_local=covariances)
         return slip
 
-    def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> Correction | None:
+    def _correct(self, slots: IntArray, seen: Scan) -> Correction | None:
         """Correct the state by landmarks, and learn from it how large the errors of the odometry are."""
         if not len(slots):
             return None
         sigmas = np.sqrt(self._variances)
-        innovation, effects = self._local.update(slots, offsets, covariances, self._local.step_effects(slots) * sigmas)
+        offsets, effects = seen.positions - self.T_local_body[:3, 3], self._local.step_effects(slots) * sigmas
+        innovation, effects = self._local.update(slots, offsets, seen.covariances, seen.stamp_shifts, effects)
         error = sigmas * self._noise.slip(innovation, effects, has_slipped=self._has_slipped)
         if not self._has_slipped:
             self._noise.add(innovation, effects)

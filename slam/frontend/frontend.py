@@ -13,7 +13,7 @@ from dataclasses import replace
 from logs.messages import DetectionAssociations, ObjectDetections, Odometry
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
-from slam.common.geometry import invert
+from slam.common.geometry import invert, relative
 from slam.frontend.input.scan import Scan, in_metres, make_scan
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.frontend.mapper import Mapper
@@ -196,7 +196,11 @@ class Frontend:
             self._counters["detections_without_transform"] += 1
             self._missing.add(frame.lstrip("/"))
             return None
-        scan = make_scan(in_metres(detections, self._config), T_body_sensor, self._config, pose.T_odom_body[2, :3])
+        before = self._track.at(pose.stamp_ns - round(self._config.stamp_sigma_s * 1e9))
+        if before is None or before.segment != pose.segment:
+            before = pose
+        T_body_before, up_body = relative(pose.T_odom_body, before.T_odom_body), pose.T_odom_body[2, :3]
+        scan = make_scan(in_metres(detections, self._config), T_body_sensor, self._config, up_body, T_body_before)
         self._used_frames = {frame} | (self._used_frames if stamp_ns == self._used_ns else set())
         self._used_ns = stamp_ns
         self._counters["detections_used"] += 1

@@ -112,7 +112,7 @@ class LocalMap:
         return np.concatenate([skew(offsets)[:, :, 2:], shifts], axis=2).reshape(-1, 3)
 
     def update(
-        self, slots: IntArray, measured: FloatArray, covariances: FloatArray, effects: FloatArray
+        self, slots: IntArray, measured: FloatArray, covariances: FloatArray, shifts: FloatArray, effects: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Correct the state by landmarks of one scan.
 
@@ -120,6 +120,7 @@ class LocalMap:
             slots: (K,) of the landmarks, one at least, none twice.
             measured: (K, 3) m, offsets from the body in local axes.
             covariances: (K, 3, 3) m^2 of the measurements, in the same axes.
+            shifts: (K, 3) m, one standard deviation of an error that they share, part of the covariances.
             effects: (3 K, N) of errors on what was measured.
 
         Returns:
@@ -135,6 +136,7 @@ class LocalMap:
         S = HP[:, columns] - np.tile(HP[:, 3:POSE], (1, count))
         blocks = _blocks(np.arange(3 * count).reshape(count, 3))
         own = S[blocks] + covariances
+        S += np.outer(shifts, shifts)
         excess = np.maximum(squared_mahalanobis(innovations, own) / GATE - 1.0, 0.0)  # Huber's weights, beyond the gate
         S[blocks] = own + excess[:, None, None] * covariances
         # One triangular solution for the gain and for what it is applied to.

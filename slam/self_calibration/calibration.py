@@ -35,6 +35,7 @@ PRIOR_NOISE = NoiseComponents(
     heading_by_travel=0.2**2,
     heading_by_turn=0.1**2,
     heading_by_time=0.0,
+    stamps=0.0,
     tilt_jitter=0.0,
     tilt_by_travel=0.002**2,
 )
@@ -192,7 +193,6 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     ``config``: with the lengths that were estimated.
     """
     found = _components(survey)
-    drift, turn = _shares_not_of_bias(found, survey)
     # Objects in view that carry the information of one: a bias that centroids share does not average out over them.
     objects = 1.0 + survey.objects * survey.shared_bias_m**2 / max(found.view, 1e-300)
     between_passes = found.view + 0.5 * SUBMAP_RANGES * config.sensor_range_m * found.translation_by_travel
@@ -205,13 +205,13 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     along = found.radial + found.radial_by_range * square_m
     height = max(found.height - across, 0.0)
     return {
-        "odometry.translation_sigma": max(np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * root),
-        "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
-        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), MIN_TURN_RAD / root),
+        "odometry.translation_sigma": max(np.sqrt(found.translation_by_travel), MIN_DRIFT * root),
+        "odometry.translation_sigma_by_time": np.sqrt(found.translation_by_time),
+        "odometry.yaw_sigma": max(np.sqrt(found.heading_by_travel), MIN_TURN_RAD / root),
         "odometry.min_translation_sigma_m": least_m,
         "odometry.tilt_sigma": _tilt_sigma(survey),
-        "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
-        "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
+        "odometry.yaw_sigma_by_turn": np.sqrt(found.heading_by_turn),
+        "odometry.yaw_sigma_by_time": np.sqrt(found.heading_by_time),
         "detection.base_sigma_m": max(np.sqrt(found.tangential), least_m),
         "detection.sigma_per_m": np.sqrt(found.tangential_by_range),
         "detection.range_sigma_ratio": min(np.sqrt(max(along, least_m**2) / max(across, least_m**2)), 1.0 / MIN_SIGMA),
@@ -219,6 +219,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         # So large that what all objects in view have in common is not averaged out by them.
         "detection.height_sigma_m": np.sqrt(height + max(survey.objects, 1.0) * rise),
         "detection.common_height_sigma_m": np.sqrt(found.view_height),
+        "detection.stamp_sigma_s": np.sqrt(found.stamps),
         # Errors stay the same while the view changes by 1 rad.
         "detection.covariance_inflation": max(
             objects * survey.median_range_m / max(config.keyframe_distance_m, scan_m), 1.0
@@ -244,21 +245,6 @@ def _tilt_sigma(survey: Survey) -> float:
         np.pi**2 / survey.range_m,
     )
     return float(np.sqrt(max(certain, usual**2)))
-
-
-def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:
-    """Shares of the odometry's translation and heading variances that a bias of the detections does not explain.
-
-    While the view of the objects changes by 1 rad, over about the median range of travel, a bias b that they share
-    looks like an error of the odometry: by b, and by b / range in heading.
-    """
-    travel_m = survey.median_range_m
-    seconds = survey.duration_s / max(survey.travel_m, 1e-9) * travel_m
-    turn_rad = survey.turn_rad / max(survey.travel_m, 1e-9) * travel_m
-    drift = found.translation_by_travel * travel_m + found.translation_by_time * seconds
-    turn = found.heading_by_travel * travel_m + found.heading_by_turn * turn_rad + found.heading_by_time * seconds
-    variance = survey.shared_bias_m**2
-    return (max(1.0 - variance / max(drift, 1e-300), 0.0), max(1.0 - variance / travel_m**2 / max(turn, 1e-300), 0.0))
 
 
 def _components(survey: Survey) -> NoiseComponents:

@@ -111,8 +111,6 @@ class Survey:
     objects: float
     interval_s: float
     travel_m: float
-    turn_rad: float
-    duration_s: float
     claimed_ratio: float
     shared_bias_m: float
     components: ComponentEstimate | None
@@ -368,8 +366,6 @@ def summarize(scans: Sequence[SurveyScan], tracks: ObjectTracks) -> Survey:
         objects=len(ranges) / len(scans),
         interval_s=np.median(np.diff(stamps_s)) if len(scans) > 1 else 0.0,
         travel_m=motion.travel_m[-1],
-        turn_rad=motion.turn_rad[-1],
-        duration_s=stamps_s[-1],
         claimed_ratio=_claimed_ratio(tracks, components),
         shared_bias_m=np.sqrt(np.mean(biases[tracks.labels] ** 2)) if len(tracks.labels) else 0.0,
         components=components,

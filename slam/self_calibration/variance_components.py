@@ -12,8 +12,10 @@ turn A and time T. With the noise of a detection at range r along its ray, R = v
 S = v_t + u_t r^2:
 
     D:  R1 cos^2 b + S1 sin^2 b + R2 + w B;   S1 cos^2 b + R1 sin^2 b + S2 + w B;   2 h + w_z B
-    Q:  2 j_t + a_t L + b_t T for a shift along the ground, 2 j_z + a_z L for one in height;
-        2 j_y + a_y L + c_y A + b_y T for the heading, 2 j_x + a_x L for roll and pitch.
+    Q:  2 j_t + a_t L + b_t T + s V / 2 for a shift along the ground, 2 j_z + a_z L for one in height;
+        2 j_y + a_y L + c_y A + b_y T + s W for the heading, 2 j_x + a_x L for roll and pitch,
+
+with the variance s of stamps and the sums V and W of the squared speeds and turn rates at the two scans.
 
 Drift in heading on the way also shifts objects across the motion: a seventh entry of xi. The weights w are those of
 Student's t-distributions, so that slips (of all objects of two scans) and wrong matches (of one) count little. The
@@ -54,7 +56,7 @@ LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""
-OWN, SHARED = 7, 11
+OWN, SHARED = 7, 12
 """Numbers of the components of single detections, and of the odometry."""
 TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 """Entries of xi."""
@@ -64,7 +66,7 @@ TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 class NoiseComponents:
     """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], of its height
     [m^2], by the change of the view along the ground and in height [m^2 / rad]; of the odometry's jitter,
-    [m^2] and [rad^2], and of its drift by travel, turn and time.
+    [m^2] and [rad^2], and of its drift by travel, turn and time; of the stamps of detections against it [s^2].
     """
 
     radial: float
@@ -83,11 +85,12 @@ class NoiseComponents:
     heading_by_travel: float
     heading_by_turn: float
     heading_by_time: float
+    stamps: float
     tilt_jitter: float
     tilt_by_travel: float
 
 
-LENGTH_POWERS = np.array([2, 0, 2, 0, 2, 2, 2, 2, 1, 2, 2, 1, 0, -1, 0, 0, 0, -1])
+LENGTH_POWERS = np.array([2, 0, 2, 0, 2, 2, 2, 2, 1, 2, 2, 1, 0, -1, 0, 0, 0, 0, -1])
 """With which power of the unit of length each variance scales."""
 
 
@@ -104,6 +107,11 @@ class Motion:
     def turn_rad(self) -> FloatArray:
         """Turn (K,) up to each scan, in either direction."""
         return travelled_m(self.heading_rad[:, None])
+
+    def rates(self) -> FloatArray:
+        """Speed [m/s] and turn rate [rad/s] at each scan (K, 2); 0 where the time stands still."""
+        step, seconds = np.gradient([self.travel_m, self.heading_rad], axis=1), np.gradient(self.time_s)
+        return np.divide(step, seconds, out=np.zeros_like(step), where=seconds > 0.0).T
 
 
 @frozen
@@ -159,8 +167,8 @@ class _Displacements:
     """Displacements of objects between two scans, ordered by the pair of scans, all lengths in units of ``unit_m``.
 
     ``d``, ``x``, ``x_before`` (P, 3): displacement, and offset of the object from the body in the second and the first
-    scan; ``group`` (P,): the pair of scans; ``moved``
-    (G, 3): travel, turn and time between them; ``block`` (G,).
+    scan; ``group`` (P,): the pair of scans; ``moved`` (G, 3): travel, turn and time between them; ``rates`` (G, 2): the
+    squared speeds and turn rates at the two, added; ``block`` (G,).
     """
 
     d: FloatArray
@@ -168,6 +176,7 @@ class _Displacements:
     x_before: FloatArray
     group: IntArray
     moved: FloatArray
+    rates: FloatArray
     block: IntArray
     unit_m: float
 
@@ -192,9 +201,11 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     offsets = np.column_stack([tracks.offsets, tracks.heights - motion.height_m[tracks.scan]])
     moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
+    squares = motion.rates() ** 2
+    rates = (squares[before] + squares[after])[start] / [unit_m**2, 1.0]
     block = np.minimum(before[start] * BLOCKS // scans, BLOCKS - 1)
     d, x, x_before = (each / unit_m for each in (places[second] - places[first], offsets[second], offsets[first]))
-    return _Displacements(d, x, x_before, group, moved, block, unit_m)
+    return _Displacements(d, x, x_before, group, moved, rates, block, unit_m)
 
 
 def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
@@ -243,7 +254,7 @@ class _Fit:
         self.variances = self.variances * np.clip(ratios, 1e-2, 1e2)
 
     def standard_errors(self) -> FloatArray:
-        """(18,) of the variances."""
+        """(19,) of the variances."""
         fitted, expected = self._sums()
         # Of each component without a block of the log, by one more iteration.
         total = expected.sum(axis=1, keepdims=True)
@@ -261,7 +272,7 @@ class _Fit:
         return sums.reshape(-1, *values.shape[2:])
 
     def _sums(self) -> tuple[FloatArray, FloatArray]:
-        """For each component and block (18, BLOCKS) d' S^-1 V S^-1 d and tr(S^-1 V); updates the weights."""
+        """For each component and block (19, BLOCKS) d' S^-1 V S^-1 d and tr(S^-1 V); updates the weights."""
         (own, shared), (weights, group_weights) = self._parts, self._weights
         A, y, group = self._A, self._y, self._group
         D = np.einsum("c,cnd->nd", self.variances[:OWN], own)
@@ -363,8 +374,9 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
 
 
 def _shared_parts(pairs: _Displacements) -> FloatArray:
-    """(11, G, 7): by how much a unit of each component adds to Q."""
+    """(12, G, 7): by how much a unit of each component adds to Q."""
     L, A, T = pairs.moved.T
+    V, W = pairs.rates.T
     two = np.full_like(L, 2.0)
     parts = np.zeros((SHARED, len(L), 7))
     parts[0:3, :, ALONG] = np.stack([two, L, T])[:, :, None]
@@ -372,5 +384,6 @@ def _shared_parts(pairs: _Displacements) -> FloatArray:
     parts[5:9, :, HEADING] = np.stack([two, L, A, T])
     # The heading errs at both ends, or more and more on the way.
     parts[5:9, :, LATERAL] = np.stack([0.25 * two, L / 12.0, A / 12.0, T / 12.0])
-    parts[9:11, :, TILT] = np.stack([two, L])[:, :, None]
+    parts[9, :, HEADING], parts[9, :, ALONG] = W, 0.5 * V[:, None]  # the direction of the speed may be any
+    parts[10:12, :, TILT] = np.stack([two, L])[:, :, None]
     return parts

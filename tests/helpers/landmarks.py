@@ -72,4 +72,5 @@ def scan_of(
     count = len(positions)
     used = np.ones(count, bool)
     names = tuple(labels) or ("tree",) * count
-    return Scan(stamp_ns, sensor, positions, spheres(sigma_m, count), names, used, used & has_own)
+    covariances, shifts = spheres(sigma_m, count), np.zeros((count, 3))
+    return Scan(stamp_ns, sensor, positions, covariances, names, used, used & has_own, shifts)

@@ -51,6 +51,7 @@ class SurveyedDrive:
         self._drive(scans, turns)
         self._odometry()
         self._see(objects)
+        self._stamp()
 
     def _drive(self, count: int, turns: bool) -> None:
         """True poses: of each minute 30 s at 1.5 m/s, winding, 15 s standing still, 15 s turning on the spot."""
@@ -88,6 +89,12 @@ class SurveyedDrive:
         tangential = normal(size=len(r)) * np.sqrt(noise.tangential + noise.tangential_by_range * r**2)
         seen = offset + offset / r * (radial + 1j * tangential) + self._view_noise(offset)
         self._in_body = seen * np.exp(-1j * self.true_headings[self.scan])
+
+    def _stamp(self) -> None:
+        """Poses of the odometry at the stamps of the scans, which have noise."""
+        late_s = self._rng.normal(size=len(self.times_s)) * np.sqrt(self.noise.stamps)
+        self._places = self._places + late_s * np.gradient(self._true_places, self.times_s)
+        self.headings = self.headings + late_s * np.gradient(self.true_headings, self.times_s)
 
     def _view_noise(self, offset: ComplexArray) -> ComplexArray:
         """(S,): of each object the sum of two random walks, along the direction that it is seen from, where it is

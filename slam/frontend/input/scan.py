@@ -19,8 +19,9 @@ from slam.frontend.input.label_map import DROPPED
 class Scan:
     """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
 
-    ``used`` (M,): which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
-    ``sensor`` is the frame that the message named.
+    ``used`` (M,): which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it;
+    ``stamp_shifts`` (N, 3) m: what a stamp that is late by one standard deviation shifts all of them by, which the
+    covariances contain. ``sensor`` is the frame that the message named.
     """
 
     stamp_ns: int
@@ -30,6 +31,7 @@ class Scan:
     labels: tuple[str, ...]
     used: BoolArray
     has_own_covariance: BoolArray
+    stamp_shifts: FloatArray
 
     def of(self, chosen: BoolArray) -> "Scan":
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
@@ -41,6 +43,7 @@ class Scan:
             covariances=self.covariances[chosen],
             labels=tuple(compress(self.labels, chosen.tolist())),
             has_own_covariance=self.has_own_covariance[chosen],
+            stamp_shifts=self.stamp_shifts[chosen],
         )
 
     def joined(self, other: "Scan") -> "Scan":
@@ -51,12 +54,18 @@ class Scan:
             covariances=np.concatenate([self.covariances, other.covariances]),
             labels=self.labels + other.labels,
             has_own_covariance=np.concatenate([self.has_own_covariance, other.has_own_covariance]),
+            stamp_shifts=np.concatenate([self.stamp_shifts, other.stamp_shifts]),
         )
 
     def seen_from(self, T_frame_body: FloatArray) -> "Scan":
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]
-        return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
+        return replace(
+            self,
+            positions=apply(T_frame_body, self.positions),
+            covariances=R @ self.covariances @ R.T,
+            stamp_shifts=self.stamp_shifts @ R.T,
+        )
 
 
 def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> BoolArray:
@@ -94,14 +103,19 @@ def in_metres(detections: ObjectDetections, config: DetectionCalibration) -> Obj
 
 
 def make_scan(
-    detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionCalibration, up_body: FloatArray
+    detections: ObjectDetections,
+    T_body_sensor: FloatArray,
+    config: DetectionCalibration,
+    up_body: FloatArray,
+    T_body_before: FloatArray,
 ) -> Scan:
     """The detections of one message that pass the limits on score and range, in the body frame.
 
     Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 across the line of sight, and
     range_sigma_ratio^2 times that along it; the range is taken from the body, since the frame of the message may be one
-    that does not move with the sensor. The noise of heights is added to both, along the vertical ``up_body`` (3,) in
-    the axes of the body.
+    that does not move with the sensor. Two noises are added to both: that of heights, along the vertical ``up_body``
+    (3,) in the axes of the body, and that of the stamp, with ``T_body_before`` (4, 4), where the body was one standard
+    deviation of it earlier.
     """
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)
@@ -116,7 +130,9 @@ def make_scan(
         floor_m = 1.0 / 3000.0 * config.sensor_range_m
         own = config.claimed_sigma_factor**2 * (R @ own @ R.T) + floor_m**2 * np.eye(3)
         covariances = np.where(has_own_covariance[:, None, None], own, covariances)
+    shifts = apply(T_body_before, positions) - positions
     covariances = covariances + config.height_sigma_m**2 * np.outer(up_body, up_body)
+    covariances += shifts[:, :, None] * shifts[:, None, :]
     return Scan(
         stamp_ns=detections.stamp_ns,
         sensor=detections.frame_id,
@@ -125,6 +141,7 @@ def make_scan(
         labels=tuple(compress(detections.labels, used.tolist())),
         used=used,
         has_own_covariance=has_own_covariance,
+        stamp_shifts=shifts,
     )
 
 

@@ -11,7 +11,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.common.geometry import apply, invert
+from slam.common.geometry import apply, blend, invert, relative
 from slam.frontend.frontend import REJOINING_SCANS, Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
@@ -28,8 +28,8 @@ START_NS = 10**9
 class Drive:
     """A front end and what it hands out; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
 
-    def __init__(self, *, frame_id: str = "base_link", time_offset_s: float = 0.0, roll_deg: float = 0.0) -> None:
-        config = Config().calibrated({"detection.time_offset_s": time_offset_s, "odometry.roll_deg": roll_deg})
+    def __init__(self, *, frame_id: str = "base_link", **calibration: float) -> None:
+        config = Config().calibrated({key.replace("__", "."): value for key, value in calibration.items()})
         self.counters = Counter[str]()
         object_map = ObjectMap(config.calibration.objects)
         self.mapper = Mapper(config, object_map, FactorGraph())
@@ -96,13 +96,22 @@ def test_each_pose_is_handed_out_once_as_reported() -> None:
 
 
 def test_detections_in_the_odometry_frame_are_in_that_of_the_messages() -> None:
-    drive, T_odom_body = Drive(roll_deg=17.0), pose_at(2.0, yaw=0.5)
+    drive, T_odom_body = Drive(odometry__roll_deg=17.0), pose_at(2.0, yaw=0.5)
     drive.frontend.add_detections(detections_of([[4.0, 1.0, 0.0]], stamp_ns=START_NS, frame_id="odom"))
     drive.frontend.add_odometry(Odometry(START_NS, T_odom_body, "odom", "base_link"))
     drive.take(drive.frontend.finish())
     assert drive.frontend.placed is not None
     tracked, _ = drive.frontend.placed
     np.testing.assert_allclose(apply(T_odom_body, tracked.scan.positions), [[4.0, 1.0, 0.0]], atol=1e-9)
+
+
+def test_noise_of_stamps_is_that_of_the_motion_in_that_time() -> None:
+    drive = Drive(detection__stamp_sigma_s=0.5e-9 * STEP_NS)
+    drive.drive(10)
+    assert drive.frontend.placed is not None
+    scan = drive.frontend.placed[0].scan
+    moved = apply(relative(T_true(9), blend(T_true(8), T_true(9), 0.5)), scan.positions) - scan.positions
+    np.testing.assert_allclose(scan.stamp_shifts, moved, atol=1e-9)
 
 
 def test_last_pose_is_handed_out_although_no_other_tells_whether_it_is_wild() -> None:
@@ -123,7 +132,7 @@ def test_detections_before_and_after_the_odometry_are_counted() -> None:
 
 
 def test_scans_are_taken_in_the_order_of_their_stamps_on_the_clock_of_the_odometry() -> None:
-    drive = Drive(time_offset_s=0.5e-9 * STEP_NS)
+    drive = Drive(detection__time_offset_s=0.5e-9 * STEP_NS)
     for steps in (900, 1, 0):
         drive.frontend.add_detections(drive.detections(START_NS + steps * STEP_NS))
     drive.drive(2, sees=False)

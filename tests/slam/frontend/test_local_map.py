@@ -84,8 +84,8 @@ def observe(local: LocalMap, seen: Measurement, R_body: FloatArray) -> None:
     offsets, covariances = seen.z @ R.T, np.tile(R @ R_body @ R.T, (len(seen.z), 1, 1))
     known = np.isin(seen.ids, local.ids)
     if known.any():
-        none = np.zeros((3 * known.sum(), 0))
-        local.update(local.slots(seen.ids[known]), offsets[known], covariances[known], none)
+        shared, none = np.zeros((known.sum(), 3)), np.zeros((3 * known.sum(), 0))
+        local.update(local.slots(seen.ids[known]), offsets[known], covariances[known], shared, none)
     local.insert(seen.ids[~known], offsets[~known], covariances[~known])
 
 
@@ -178,10 +178,14 @@ def test_update_whitens_the_innovation_and_effects_on_it() -> None:
     """The innovation has the squared distance by its covariance; effects equal to it are whitened alike."""
     local = Drive(4).filtered()
     slots, R = np.array([0, 2]), np.tile(0.3**2 * np.eye(3), (2, 1, 1))
-    joint = local.relative_covariance(slots) + np.kron(np.eye(2), R[0])
+    shared = np.array([[0.1, 0.2, 0.0], [-0.2, 0.3, 0.0]])
+    joint = local.relative_covariance(slots) + np.kron(np.eye(2), R[0]) + np.outer(shared, shared)
     innovation = 0.1 * np.array([1.0, -1.0, 0.5, -0.5, 1.0, 0.2])
     measured = local.positions[slots] - local.T_local_body[:3, 3] + innovation.reshape(2, 3)
-    whitened, effects = local.update(slots, measured, R, np.column_stack([innovation, 2.0 * innovation]))
+    covariances = R + np.einsum("ki,kj->kij", shared, shared)
+    whitened, effects = local.update(
+        slots, measured, covariances, shared, np.column_stack([innovation, 2.0 * innovation])
+    )
     assert whitened @ whitened == pytest.approx(innovation @ np.linalg.solve(joint, innovation))
     np.testing.assert_allclose(effects, np.column_stack([whitened, 2.0 * whitened]))
 
@@ -191,7 +195,7 @@ def test_measurement_far_off_moves_the_robot_little(off_m: float) -> None:
     local = Drive(1).filtered()
     before, sigma_m = local.T_local_body[:3, 3], np.sqrt(np.trace(local._P[3:POSE, 3:POSE]))
     offsets = local.positions[[0]] - before + np.array([[off_m, 0.0, 0.0]])
-    local.update(np.array([0]), offsets, 0.05**2 * np.eye(3)[None], np.zeros((3, 0)))
+    local.update(np.array([0]), offsets, 0.05**2 * np.eye(3)[None], np.zeros((1, 3)), np.zeros((3, 0)))
     assert np.linalg.norm(local.T_local_body[:3, 3] - before) < sigma_m
 
 

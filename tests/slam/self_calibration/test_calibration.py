@@ -170,18 +170,16 @@ def test_landmarks_of_two_passes_are_apart_by_the_view_and_by_the_drift_over_hal
     assert found.objects.landmark_sigma_m == pytest.approx(np.sqrt(expected))
 
 
-def test_what_a_bias_of_the_detections_explains_is_no_noise_of_the_odometry(surveyed):
-    """A fourth of the drift over the median range."""
-    bias_m, range_m = 2.0, surveyed.median_range_m
-    each = range_m, surveyed.duration_s / surveyed.travel_m * range_m, surveyed.turn_rad / surveyed.travel_m * range_m
-    by_travel, by_time, by_turn = 4.0 * bias_m**2 / np.array(each)
-    variances = {"translation_by_travel": 0.25 * by_travel, "translation_by_time": 0.75 * by_time}
-    shares = {"travel": 0.25 * by_travel, "time": 0.25 * by_time, "turn": 0.5 * by_turn}
-    variances |= {f"heading_by_{cause}": variance / range_m**2 for cause, variance in shares.items()}
-    found = calibrated(with_noise(replace(surveyed, shared_bias_m=bias_m), **variances)).odometry
-    for name, variance in variances.items():
-        setting = name.replace("heading", "yaw").replace("_by", "_sigma_by").removesuffix("_by_travel")
-        assert getattr(found, setting) == pytest.approx(np.sqrt(0.75 * variance)), setting
+def test_noise_is_that_of_the_survey(surveyed):
+    by = {"translation_by_travel": 4.0, "translation_by_time": 0.1, "stamps": 0.01}
+    by |= {"heading_by_travel": 0.02, "heading_by_time": 0.03, "heading_by_turn": 0.04}
+    found = calibrated(with_noise(surveyed, **by))
+    expected = {
+        name.replace("heading", "yaw").replace("_by", "_sigma_by").removesuffix("_by_travel"): by[name] for name in by
+    }
+    assert found.detection.stamp_sigma_s == pytest.approx(np.sqrt(expected.pop("stamps")))
+    for setting, variance in expected.items():
+        assert getattr(found.odometry, setting) == pytest.approx(np.sqrt(variance)), setting
 
 
 @pytest.mark.parametrize("name", ["rise", "rise_by_travel"])

@@ -48,6 +48,7 @@ POWERS = {
     "heading_by_travel": -1,
     "heading_by_turn": 0,
     "heading_by_time": 0,
+    "stamps": 0,
     "tilt_jitter": 0,
     "tilt_by_travel": -1,
 }
@@ -72,6 +73,7 @@ def estimate(drive: SurveyedDrive) -> ComponentEstimate:
         {"tangential": 0.1, "radial_by_range": 0.02, "jitter": 0.05, "heading_by_time": 0.01},
         {"tangential_by_range": 0.02, "heading_jitter": 0.01, "translation_by_time": 0.05},
         {"radial": 0.1, "view": 0.2, "heading_by_travel": 0.01},
+        {"stamps": 0.04, "translation_by_travel": 0.05, "heading_by_turn": 0.01},
     ],
 )
 def test_components_are_found_and_told_apart(sigmas: dict[str, float]) -> None:
@@ -202,7 +204,9 @@ def test_noise_of_single_detections_adds_up_along_and_across_the_second_ray() ->
     rng = np.random.default_rng(0)
     x, x_before = (np.column_stack([rng.uniform(-20.0, 20.0, (50, 2)), np.zeros(50)]) for _ in range(2))
     heights = np.column_stack([np.zeros((50, 2)), np.ones(50)])
-    still = _Displacements(heights, x, x_before, np.zeros(50, np.int64), np.zeros((1, 3)), np.zeros(1), 1.0)
+    still = _Displacements(
+        heights, x, x_before, np.zeros(50, np.int64), np.zeros((1, 3)), np.zeros((1, 2)), np.zeros(1), 1.0
+    )
     parts = iter(_own_parts(still))
     axes, axes_before = _axes(still), _axes(replace(still, x=x_before))
     squares = [np.sum(each**2, axis=1)[:, None] for each in (x, x_before)]
@@ -217,7 +221,8 @@ def displacements() -> _Displacements:
     """Of eleven objects between three pairs of scans, in two of the blocks of a log."""
     rng = np.random.default_rng(0)
     d, x, x_before = rng.uniform(-20.0, 20.0, (3, 11, 3))
-    return _Displacements(d, x, x_before, np.repeat([0, 1, 2], [2, 5, 4]), rng.random((3, 3)), np.array([0, 2, 2]), 1.0)
+    group, moved, rates = np.repeat([0, 1, 2], [2, 5, 4]), rng.random((3, 3)), rng.random((3, 2))
+    return _Displacements(d, x, x_before, group, moved, rates, np.array([0, 2, 2]), 1.0)
 
 
 def test_sums_of_a_fit_are_those_of_the_dense_covariance_of_all_displacements() -> None:
@@ -267,7 +272,8 @@ def test_shared_parts_are_errors_at_both_ends_and_by_travel_turn_and_time() -> N
     L, A, T = pairs.moved.T
     expected = np.zeros((3, SHARED, 7))
     expected[:, :3, 3] = expected[:, :3, 4] = np.column_stack([L * 0.0 + 2.0, L, T])
-    expected[:, 3:5, 5] = expected[:, 9:, 0] = expected[:, 9:, 1] = expected[:, :2, 3]
+    expected[:, 3:5, 5] = expected[:, 10:, 0] = expected[:, 10:, 1] = expected[:, :2, 3]
+    expected[:, 9, 2], expected[:, 9, 3:5] = pairs.rates[:, 1], pairs.rates[:, :1] / 2.0
     expected[:, 5:9, 2] = np.column_stack([expected[:, :2, 3], A, T])
     expected[:, 5:9, 6] = expected[:, 5:9, 2] * [1.0 / 4.0, 1.0 / 12.0, 1.0 / 12.0, 1.0 / 12.0]
     np.testing.assert_allclose(_shared_parts(pairs), expected.swapaxes(0, 1))

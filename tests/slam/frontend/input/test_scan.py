@@ -8,18 +8,23 @@ import pytest
 from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import apply, make_transform
+from slam.common.geometry import apply, make_transform, rotation_of
 from slam.frontend.input.scan import Scan, in_metres, make_scan, with_expected_noise
-from tests.helpers.landmarks import detections_of
+from tests.helpers.landmarks import detections_of, spheres
 from tests.logs.examples import random_detections, random_transform
 
 HERE, UP = np.eye(4), np.array([0.0, 0.0, 1.0])
 
 
 def scan_of(
-    message: ObjectDetections, *, T_body_sensor: FloatArray = HERE, up_body: FloatArray = UP, **settings: float
+    message: ObjectDetections,
+    *,
+    T_body_sensor: FloatArray = HERE,
+    up_body: FloatArray = UP,
+    T_body_before: FloatArray = HERE,
+    **settings: float,
 ) -> Scan:
-    return make_scan(message, T_body_sensor, DetectionCalibration(**settings), up_body=up_body)
+    return make_scan(message, T_body_sensor, DetectionCalibration(**settings), up_body, T_body_before)
 
 
 def detections(positions, **given) -> ObjectDetections:
@@ -127,6 +132,20 @@ def test_the_noise_of_heights_is_along_the_vertical_of_a_body_that_leans():
     assert up_body @ covariance @ up_body == pytest.approx(0.01 + 4.0)
     across = np.array([0.0, 0.8, -0.6])
     assert across @ covariance @ across == pytest.approx(0.01)
+
+
+def test_noise_of_the_stamp_is_shared_by_all_detections_of_a_turning_body() -> None:
+    turn = rotation_of(np.array([0.0, 0.0, 0.1]))
+    message = detections([[10, 0, 0], [0, 10, 0]], covariances=spheres(0.1, 2))
+    T_body_before = make_transform(turn, np.array([-1.0, 0.0, 0.0]))
+    here, scan = scan_of(message), scan_of(message, T_body_before=T_body_before)
+    shifts = message.positions @ turn.T - [1.0, 0.0, 0.0] - message.positions
+    np.testing.assert_allclose(scan.stamp_shifts, shifts, atol=1e-12)
+    expected = np.einsum("ni,nj->nij", shifts, shifts)
+    np.testing.assert_allclose(scan.covariances - here.covariances, expected, atol=1e-12)
+    seen = scan.seen_from(make_transform(turn, np.ones(3))).of(np.array([False, True]))
+    np.testing.assert_allclose(seen.stamp_shifts, [turn @ shifts[1]], atol=1e-12)
+    assert not here.stamp_shifts.any()
 
 
 def test_what_messages_claim_is_scaled_by_how_much_they_understate():
