@@ -62,7 +62,8 @@ class PendingObservations:
         """One observation a landmark, by the information of its measurements since the last keyframe.
 
         Where messages have no covariance, the correlation of their errors is unknown: then the error that all share is
-        added, which no average reduces, and the inflation applies.
+        added, which no average reduces, and the inflation applies. It would multiply the noise of stamps, too, which
+        differs from scan to scan, so that is left out.
         """
         scans, self._scans, self._counts = self._scans, [], Counter()
         if not scans:
@@ -73,7 +74,7 @@ class PendingObservations:
             np.full(len(rows), keyframe),
             rows,
             np.concatenate([scan.positions for _, scan in scans]),
-            np.concatenate([scan.covariances for _, scan in scans]),
+            np.concatenate([scan.own_covariances for _, scan in scans]),
             np.ones(len(rows)),
         )
         guessed, observations = set(rows[~own].tolist()), []

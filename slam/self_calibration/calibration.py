@@ -20,23 +20,12 @@ from slam.self_calibration.variance_components import LENGTH_POWERS, NoiseCompon
 
 PRIOR_NOISE = NoiseComponents(
     radial=0.02**2,
-    radial_by_range=0.0,
     tangential=0.02**2,
-    tangential_by_range=0.0,
-    height=0.0,
     view=0.02**2,
     view_height=0.02**2,
-    jitter=0.0,
     translation_by_travel=0.05**2,
-    translation_by_time=0.0,
-    rise=0.0,
-    rise_by_travel=0.0,
-    heading_jitter=0.0,
     heading_by_travel=0.2**2,
     heading_by_turn=0.1**2,
-    heading_by_time=0.0,
-    stamps=0.0,
-    tilt_jitter=0.0,
     tilt_by_travel=0.002**2,
 )
 """Variances where a log tells nothing, lengths in sensor ranges: detections are off by 2 % of the range, the odometry
@@ -252,13 +241,14 @@ def _components(survey: Survey) -> NoiseComponents:
     if estimate is None:
         return NoiseComponents(*np.multiply(astuple(PRIOR_NOISE), survey.range_m**LENGTH_POWERS).tolist())
     # An odometry tells nothing that errs by the range after as much travel, or by half a turn after that, after turning
-    # by 1 rad, or within 1 s. Where the body stands, travel explains anything.
+    # by 1 rad, or within 1 s. Where the body stands, travel explains anything. Stamps are in the order of the scans.
     half_turn = np.pi**2
     most = {
         "translation_by_travel": survey.range_m,
         "heading_by_travel": half_turn / survey.range_m,
         "heading_by_turn": half_turn,
         "heading_by_time": half_turn,
+        "stamps": survey.interval_s**2,
     }
     errors = asdict(estimate.standard_errors)
     found = asdict(estimate.variances).items()

@@ -69,25 +69,25 @@ class NoiseComponents:
     [m^2] and [rad^2], and of its drift by travel, turn and time; of the stamps of detections against it [s^2].
     """
 
-    radial: float
-    radial_by_range: float
-    tangential: float
-    tangential_by_range: float
-    height: float
-    view: float
-    view_height: float
-    jitter: float
-    translation_by_travel: float
-    translation_by_time: float
-    rise: float
-    rise_by_travel: float
-    heading_jitter: float
-    heading_by_travel: float
-    heading_by_turn: float
-    heading_by_time: float
-    stamps: float
-    tilt_jitter: float
-    tilt_by_travel: float
+    radial: float = 0.0
+    radial_by_range: float = 0.0
+    tangential: float = 0.0
+    tangential_by_range: float = 0.0
+    height: float = 0.0
+    view: float = 0.0
+    view_height: float = 0.0
+    jitter: float = 0.0
+    translation_by_travel: float = 0.0
+    translation_by_time: float = 0.0
+    rise: float = 0.0
+    rise_by_travel: float = 0.0
+    heading_jitter: float = 0.0
+    heading_by_travel: float = 0.0
+    heading_by_turn: float = 0.0
+    heading_by_time: float = 0.0
+    stamps: float = 0.0
+    tilt_jitter: float = 0.0
+    tilt_by_travel: float = 0.0
 
 
 LENGTH_POWERS = np.array([2, 0, 2, 0, 2, 2, 2, 2, 1, 2, 2, 1, 0, -1, 0, 0, 0, 0, -1])
@@ -102,11 +102,6 @@ class Motion:
     heading_rad: FloatArray
     time_s: FloatArray
     height_m: FloatArray
-
-    @property
-    def turn_rad(self) -> FloatArray:
-        """Turn (K,) up to each scan, in either direction."""
-        return travelled_m(self.heading_rad[:, None])
 
     def rates(self) -> FloatArray:
         """Speed [m/s] and turn rate [rad/s] at each scan (K, 2); 0 where the time stands still."""
@@ -199,7 +194,8 @@ def _displacements(tracks: ObjectTracks, motion: Motion) -> _Displacements | Non
     before, after = tracks.scan[first], tracks.scan[second]
     places = tracks.places
     offsets = np.column_stack([tracks.offsets, tracks.heights - motion.height_m[tracks.scan]])
-    moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
+    totals = motion.travel_m, travelled_m(motion.heading_rad[:, None]), motion.time_s
+    moved = np.stack([each[after] - each[before] for each in totals], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
     squares = motion.rates() ** 2
     rates = (squares[before] + squares[after])[start] / [unit_m**2, 1.0]

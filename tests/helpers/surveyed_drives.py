@@ -1,7 +1,6 @@
 """Drives past objects with noise of known size, as a survey sees them."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +17,6 @@ from slam.self_calibration.variance_components import Motion, NoiseComponents
 INTERVAL_S = 0.2
 VIEWS = 720
 """Steps of the random walks by which the error of a view changes."""
-NO_NOISE = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
 """Standard deviations of a good detector and a good odometry."""
 
@@ -47,7 +45,7 @@ class SurveyedDrive:
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self.scale, self.range_m = scale, 15.0
-        self.noise = replace(NO_NOISE, **{name: sigma**2 for name, sigma in sigmas.items()})
+        self.noise = NoiseComponents(**{name: sigma**2 for name, sigma in sigmas.items()})
         self._drive(scans, turns)
         self._odometry()
         self._see(objects)
@@ -93,8 +91,8 @@ class SurveyedDrive:
     def _stamp(self) -> None:
         """Poses of the odometry at the stamps of the scans, which have noise."""
         late_s = self._rng.normal(size=len(self.times_s)) * np.sqrt(self.noise.stamps)
-        self._places = self._places + late_s * np.gradient(self._true_places, self.times_s)
-        self.headings = self.headings + late_s * np.gradient(self.true_headings, self.times_s)
+        self._places += late_s * np.gradient(self._true_places, self.times_s)
+        self.headings += late_s * np.gradient(self.true_headings, self.times_s)
 
     def _view_noise(self, offset: ComplexArray) -> ComplexArray:
         """(S,): of each object the sum of two random walks, along the direction that it is seen from, where it is

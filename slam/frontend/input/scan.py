@@ -33,6 +33,11 @@ class Scan:
     has_own_covariance: BoolArray
     stamp_shifts: FloatArray
 
+    @property
+    def own_covariances(self) -> FloatArray:
+        """(N, 3, 3) m^2, without the noise of the stamp."""
+        return self.covariances - self.stamp_shifts[:, :, None] * self.stamp_shifts[:, None, :]
+
     def of(self, chosen: BoolArray) -> "Scan":
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
         if chosen.all():

@@ -70,13 +70,16 @@ def test_observations_of_retired_landmarks_are_dropped():
 
 
 def summed(scans, *, own: bool = True):
-    """The observations of keyframe 7, of confirmed landmarks, by (rows, positions, covariances) of each scan."""
+    """The observations of keyframe 7, of confirmed landmarks, by (rows, positions, covariances) of each scan, to which
+    errors of its stamp are added.
+    """
     object_map = ObjectMap(ObjectCalibration())
     add_landmarks(object_map, np.zeros((5, 3)))
     detection = {"common_sigma_m": 0.3, "covariance_inflation": 25.0}
     pending = PendingObservations(Config.model_validate({"calibration": {"detection": detection}}), object_map)
     for rows, positions, covariances in scans:
-        pending.add(rows, replace(scan_of(positions, has_own=own), covariances=covariances))
+        scan = replace(scan_of(positions, has_own=own), stamp_shifts=np.roll(positions, 1))
+        pending.add(rows, replace(scan, covariances=covariances + scan.covariances - scan.own_covariances))
     return {each.landmark: each for each in pending.close(keyframe_at(np.eye(4), 7), ends_group=True)}
 
 

@@ -17,11 +17,11 @@ from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import ANGLES_DEG, Survey, _of_sensor, _unknown
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
-from slam.self_calibration.variance_components import ComponentEstimate
+from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from slam.simulation.faults.recording import joined
 from tests.helpers.landmarks import detections_of
 from tests.helpers.poses import motion_by, pose_at
-from tests.helpers.surveyed_drives import NO_NOISE, NOISE, SurveyedDrive, records_of, summary_of, with_odometry
+from tests.helpers.surveyed_drives import NOISE, SurveyedDrive, records_of, summary_of, with_odometry
 
 ON_BODY = DetectionCalibration(assume_body_frame=True)
 ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
@@ -58,15 +58,6 @@ def test_ranges_times_and_motion_are_those_of_the_log():
     assert found.range_m == pytest.approx(np.quantile([5.0, 10.0, 20.0] * 11, 0.95))
     assert found.interval_s == pytest.approx(0.1)
     assert found.travel_m == pytest.approx(2.0)
-    assert found.turn_rad == 0.0
-    assert found.duration_s == pytest.approx(1.0)
-
-
-def test_turns_add_up_whatever_their_sign_and_across_half_a_turn():
-    records: list[Record] = []
-    for i, yaw in enumerate([3.0, 3.3, 3.0]):
-        records += [odometry(0.1 * i, 0.0, yaw), detections(0.1 * i)]
-    assert survey(records).turn_rad == pytest.approx(0.6)
 
 
 def test_spacing_is_that_of_objects_of_one_class():
@@ -134,7 +125,6 @@ def test_several_logs_are_surveyed_as_one_drive():
     both = survey_logs([SurveyedLog(first), SurveyedLog(second)], Calibration())
     assert (both.scans, both.detections) == (32, 96)
     assert both.travel_m == pytest.approx(2.0 + 4.0)
-    assert both.duration_s == pytest.approx(1.0 + 1.0 + 2.0)  # the second one begins a second later
 
 
 def test_motion_at_scans_is_that_of_the_odometry_around_them():
@@ -158,8 +148,8 @@ def test_odometry_that_repeats_poses_moves_all_the_same():
 
 def test_false_detections_are_told_by_noise_and_the_change_of_the_view(monkeypatch):
     of_10_m = {"radial_by_range": 1e-4, "tangential_by_range": 2e-4}
-    noise = replace(NO_NOISE, radial=0.02, tangential=0.03, view=0.05, **of_10_m)
-    found = ComponentEstimate(noise, NO_NOISE, 1000)
+    noise = NoiseComponents(radial=0.02, tangential=0.03, view=0.05, **of_10_m)
+    found = ComponentEstimate(noise, NoiseComponents(), 1000)
     monkeypatch.setattr("slam.self_calibration.survey.estimate_components", lambda *_: found)
     monkeypatch.setattr("slam.self_calibration.survey.clutter_density", lambda scans, tracked, sigma_m: sigma_m)
     assert survey(straight()).clutter_density == pytest.approx(0.3)
@@ -208,7 +198,7 @@ def test_lengths_of_a_survey_scale_with_the_log(scale):
         for factor in (1.0, scale)
     )
     lengths = "range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"
-    for name in (*lengths, "scans", "detections", "objects", "interval_s", "turn_rad", "duration_s"):
+    for name in (*lengths, "scans", "detections", "objects", "interval_s"):
         expected = getattr(small, name) * (scale if name in lengths else 1.0)
         assert getattr(large, name) == pytest.approx(expected), name
 
