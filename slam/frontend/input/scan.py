@@ -119,8 +119,8 @@ def make_scan(
     Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 across the line of sight, and
     range_sigma_ratio^2 times that along it; the range is taken from the body, since the frame of the message may be one
     that does not move with the sensor. Two noises are added to both: that of heights, along the vertical ``up_body``
-    (3,) in the axes of the body, and that of the stamp, with ``T_body_before`` (4, 4), where the body was one standard
-    deviation of it earlier.
+    (3,) in the axes of the body, and that of the stamp: ``T_body_before`` (4, 4) is where the body was one standard
+    deviation of the stamp earlier.
     """
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)

@@ -20,10 +20,13 @@ def test_every_folder_with_odometry_is_a_drive(data: Path) -> None:
     assert list(find_drives(data).items()) == [("a/two", data / "a" / "two"), ("b", data / "b")]
 
 
+def test_a_folder_may_itself_be_a_drive(data: Path) -> None:
+    assert list(find_drives(data / "b")) == ["b"]
+
+
 def test_names_choose_drives_and_folders_of_drives(data: Path) -> None:
     assert list(find_drives(data, ["a"])) == ["a/two"]
     assert list(find_drives(data, ["b", "a/two"])) == ["a/two", "b"]
-    assert list(find_drives(data / "b")) == ["b"]
     with pytest.raises(InputDataError, match="holds no drive 'a/t'; it holds a/two, b"):
         find_drives(data, ["a/t"])
 

@@ -22,6 +22,8 @@ def test_descriptors_find_more_places_than_chance_in_each_map() -> None:
     chance = by_proposer.loc["random", "at_1"].to_numpy()
     for name in proposers[:2]:
         assert (by_proposer.loc[name, "at_1"].to_numpy() > chance).all()
+    assert (cells["at_1"] <= cells["at_5"]).all()
+    assert (cells["at_5"] <= cells["at_25"]).all()
     assert (cells["wrong"] == 0.0).all()
     assert cells["right"].iloc[0] == 1.0
     assert (cells[["bytes_per_object", "build_s", "propose_ms"]] > 0.0).all(axis=None)

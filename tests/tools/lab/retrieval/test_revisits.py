@@ -24,6 +24,8 @@ def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> N
     assert (good["drive"], good["descriptor"], random["descriptor"]) == ("town", "descriptellation_lr", "random")
     assert good["queries"] == random["queries"] >= 3
     assert good["places_at_1"] > random["places_at_1"] + 0.2
+    for figures in (good, random):
+        assert figures["places_at_1"] <= figures["places_at_5"] <= figures["places_at_25"]
 
 
 def test_a_pose_is_right_within_4_m_and_10_deg_of_any_true_one() -> None:
